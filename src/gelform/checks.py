@@ -1,0 +1,161 @@
+"""One door for shapes, dtypes and ranges: every public function checks its arguments here, once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image") -> NDArray[Any]:
+    """Return an RGB image (H, W, 3): uint8 as it is, float (0-255) as float32.
+
+    Raises
+    ------
+    TypeError
+        The array is neither uint8 nor float.
+    ValueError
+        Wrong shape, a grey image, a value that is not finite or outside 0-255, or floats that look like 0-1.
+    """
+    array = np.asarray(image)
+    if array.ndim == 2:
+        raise ValueError(
+            f"Expected {name} of shape (H, W, 3) in RGB, got a grey image of shape {array.shape}. "
+            "Three lights need three channels: read the file in colour (gelform.read_image)."
+        )
+    if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
+        hint = " Drop the alpha channel: image[..., :3]." if array.ndim == 3 and array.shape[2] == 4 else ""
+        if array.ndim == 3 and array.shape[0] == 3:
+            hint = " Move the channel axis last: np.moveaxis(image, 0, -1)."
+        raise ValueError(f"Expected {name} of shape (H, W, 3) in RGB, got {array.shape}.{hint}")
+    if shape is not None and array.shape[:2] != tuple(shape):
+        raise ValueError(f"Expected {name} of {shape[0]}x{shape[1]} px (height x width), got {_size(array)}.")
+    if array.dtype == np.uint8:
+        return array
+    if not np.issubdtype(array.dtype, np.floating):
+        raise TypeError(
+            f"Expected {name} as uint8 or float (0-255), got {array.dtype}. "
+            "Scale it to 0-255 and convert: image.astype(np.uint8)."
+        )
+    low, high = float(array.min()), float(array.max())
+    if not (np.isfinite(low) and np.isfinite(high)) or low < 0 or high > 255:
+        raise ValueError(f"Expected {name} within 0-255, got values from {low:g} to {high:g}.")
+    if 0 < high <= 1:
+        raise ValueError(
+            f"Expected {name} within 0-255, got float values up to {high:g}, which looks like a 0-1 range. "
+            "Multiply by 255."
+        )
+    return array.astype(np.float32, copy=False)
+
+
+def check_gradients(
+    gradients: ArrayLike, *, shape: tuple[int, int] | None = None, dtype: Any = np.float32
+) -> NDArray[Any]:
+    """Return finite gradients (..., H, W, 2) as float32; `shape` is the expected (H, W)."""
+    array = np.asarray(gradients)
+    wanted = f"({shape[0]}, {shape[1]}, 2)" if shape is not None else "(H, W, 2)"
+    bad_shape = array.ndim < 3 or array.shape[-1] != 2 or 0 in array.shape
+    if bad_shape or (shape is not None and array.shape[-3:-1] != tuple(shape)):
+        moved = array.ndim >= 3 and array.shape[-3] == 2 and array.shape[-1] != 2
+        if moved and shape is None:
+            wanted = f"({array.shape[-2]}, {array.shape[-1]}, 2)"
+        hint = " Move the component axis last: np.moveaxis(g, 0, -1)." if moved else ""
+        raise ValueError(f"Expected gradients of shape {wanted}, got {array.shape}.{hint}")
+    return check_finite(_as_float(array, "gradients", dtype), "gradients")
+
+
+def check_normals(normals: ArrayLike) -> NDArray[Any]:
+    """Return finite normals (..., 3) with n_z > 0 as float32; their length need not be 1."""
+    array = np.asarray(normals)
+    if array.ndim < 1 or array.shape[-1] != 3:
+        raise ValueError(f"Expected normals of shape (..., 3), got {array.shape}.")
+    array = check_finite(_as_float(array, "normals"), "normals")
+    if array.size and float(array[..., 2].min()) <= 0:
+        raise ValueError(
+            f"Expected normals that face the camera (n_z > 0), got n_z down to {array[..., 2].min():g}. "
+            "z points towards the camera: flip the sign if yours points away."
+        )
+    return array
+
+
+def check_map(
+    values: ArrayLike,
+    name: str,
+    *,
+    shape: tuple[int, int] | None = None,
+    nonnegative: bool = False,
+    dtype: Any = np.float32,
+) -> NDArray[Any]:
+    """Return a finite map (..., H, W), such as a depth or weights, as float32."""
+    array = np.asarray(values)
+    if array.ndim < 2 or 0 in array.shape or (shape is not None and array.shape[-2:] != tuple(shape)):
+        wanted = f"({shape[0]}, {shape[1]})" if shape is not None else "(H, W)"
+        raise ValueError(f"Expected {name} of shape {wanted}, got {array.shape}.")
+    array = check_finite(_as_float(array, name, dtype), name)
+    if nonnegative and float(array.min()) < 0:
+        raise ValueError(f"Expected {name} >= 0, got {array.min():g}.")
+    return array
+
+
+def check_mask(mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask") -> NDArray[np.bool_]:
+    """Return a boolean mask (H, W) with at least one True pixel."""
+    array = np.asarray(mask)
+    if array.dtype != np.bool_:
+        raise TypeError(f"Expected {name} as bool, got {array.dtype}. Convert it: {name} > 0.")
+    if array.shape != tuple(shape):
+        raise ValueError(f"Expected {name} of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
+    if not array.any():
+        raise ValueError(f"Expected {name} with at least one True pixel, got none.")
+    return array
+
+
+def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) -> tuple[float, float]:
+    """Return the pixel pitch as (x, y) in mm; one number stands for square pixels."""
+    if mm_per_px is None:
+        raise ValueError("Expected mm_per_px, got None. Give the pixel pitch in mm, for example 0.0634.")
+    try:
+        values = np.atleast_1d(np.asarray(mm_per_px, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise TypeError(f"Expected mm_per_px as a number or (x, y), got {mm_per_px!r}.") from None
+    if values.shape not in ((1,), (2,)):
+        raise ValueError(f"Expected mm_per_px as a number or (x, y), got shape {values.shape}.")
+    if not np.all(np.isfinite(values)) or float(values.min()) <= 0:
+        raise ValueError(f"Expected mm_per_px > 0 (mm per pixel, not pixels per mm), got {mm_per_px}.")
+    return float(values[0]), float(values[-1])
+
+
+def check_positive(value: float, name: str) -> float:
+    """Return a finite number > 0 as float."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"Expected {name} as a number, got {value!r}.") from None
+    if not np.isfinite(number) or number <= 0:
+        raise ValueError(f"Expected {name} > 0, got {value}.")
+    return number
+
+
+def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
+    """Return the array if every value is finite: NaN is refused at the door, always."""
+    if not np.isfinite(array.sum(dtype=np.float64)):
+        bad = int(np.count_nonzero(~np.isfinite(array)))
+        if bad:
+            raise ValueError(
+                f"Expected finite {name}, got {bad} values that are NaN or infinite. "
+                "Put any finite value there and say where with mask=."
+            )
+    return array
+
+
+def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArray[Any]:
+    if array.dtype == np.bool_ or not (
+        np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
+    ):
+        raise TypeError(f"Expected {name} as numbers, got {array.dtype}.")
+    return np.ascontiguousarray(array, dtype=dtype)
+
+
+def _size(array: NDArray[Any]) -> str:
+    return f"{array.shape[0]}x{array.shape[1]}"

@@ -1,0 +1,1 @@
+"""colour -> gradients: one model per file, listed in COLOR_MODELS."""

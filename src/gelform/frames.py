@@ -1,0 +1,29 @@
+"""A frame: what one look of a camera gave, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a camera, as it came.
+
+    Attributes
+    ----------
+    image : (H, W, 3) uint8, RGB, before any view
+    time_s : float
+        Monotonic clock, for ages and rates.
+    wall_time_ns : int
+        UTC, for records.
+    index : int
+        Counts the frames of a source from 0; a gap is a dropped frame.
+    """
+
+    image: NDArray[Any]
+    time_s: float
+    wall_time_ns: int
+    index: int
