@@ -1,1 +1,20 @@
-"""colour -> gradients: one model per file, listed in COLOR_MODELS."""
+"""colour -> gradients: one model per file, listed in COLOR_MODELS.
+
+A model is fitted on samples of ball presses, where the gradient is known, and prepared once for a background:
+
+    model = COLOR_MODELS["polynomial"].fit(samples)
+    gradients, gradients_sigma = model.prepare(background, shape).gradients_from_color(color_change)
+
+No colour change means no slope, in every model.
+"""
+
+from gelform.color_models.lambertian import LambertianModel
+from gelform.color_models.polynomial import PolynomialModel
+from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
+
+COLOR_MODELS: dict[str, type[ColorModel]] = {
+    "lambertian": LambertianModel,
+    "polynomial": PolynomialModel,
+}
+
+__all__ = ["COLOR_MODELS", "ColorModel", "LambertianModel", "PolynomialModel", "PreparedColorModel", "Samples"]

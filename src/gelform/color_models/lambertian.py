@@ -1,11 +1,22 @@
-"""Photometric stereo with three fixed lights."""
+"""Photometric stereo with three fixed lights, on the ratio of the image to the untouched image.
+
+At rest the normal is (0, 0, 1), so `I/I0 = (l . n)/l_z`: albedo, vignetting and the lights' falloff cancel, and
+three rows `l/l_z = (a, b, 1)` are all there is to know (Woodham, Optical Engineering 19(1), 1980, eq. 7).
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.color_models.least_squares import HUBER_SLOPE, robust_ridge
+from gelform.color_models.seam import Samples
+
 MAX_CONDITION = 1e4
+MAX_SLOPE = 5.0
 
 
 def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
@@ -23,3 +34,68 @@ def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
             "Light the gel from three different sides."
         )
     return np.linalg.inv(matrix)
+
+
+@dataclass(frozen=True)
+class LambertianModel:
+    """Three fixed lights, each scaled to l_z = 1.
+
+    Attributes
+    ----------
+    lights : (3, 3) float64, rows (a, b, 1) for the channels R, G, B
+    """
+
+    lights: NDArray[np.float64]
+
+    name: ClassVar[str] = "lambertian"
+    change_offset: ClassVar[float] = 0.0
+
+    @classmethod
+    def fit(cls, samples: Samples) -> LambertianModel:
+        """Lights by robust least squares: `(I/I0) sqrt(1 + p^2 + q^2) - 1 = -(a p + b q)`, shadows left out."""
+        ratio = 1 + np.asarray(samples.color_change, dtype=np.float64)
+        length = np.sqrt(1 + np.sum(samples.gradients**2, axis=1))
+        lights = np.ones((3, 3))
+        for channel in range(3):
+            lit = ratio[:, channel] > 0.02
+            target = (ratio[lit, channel] * length[lit] - 1)[:, None]
+            design, weight = -samples.gradients[lit], samples.weight[lit]
+            lights[channel, :2] = robust_ridge(design, target, weight, ridge=1e-9, huber=HUBER_SLOPE)[:, 0]
+        inverse_lights(lights)
+        return cls(lights)
+
+    def gradients_at(self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels; the place does not matter to fixed lights."""
+        return _gradients(np.asarray(color_change, dtype=np.float64), inverse_lights(self.lights))
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLambertian:
+        """The inverse light matrix, ready for frames of any shape."""
+        return PreparedLambertian(inverse_lights(self.lights).astype(np.float32))
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """The lights are all there is."""
+        return {"lights": self.lights}, {}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> LambertianModel:
+        """The model of `to_arrays`."""
+        return cls(arrays["lights"])
+
+
+@dataclass(frozen=True)
+class PreparedLambertian:
+    """The inverse of the light matrix, (3, 3) float32."""
+
+    inverse: NDArray[np.float32]
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        return _gradients(color_change, self.inverse), None
+
+
+def _gradients(change: NDArray[Any], inverse: NDArray[Any]) -> NDArray[Any]:
+    """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, whose g_z vanishes, gets at most MAX_SLOPE."""
+    g = change @ inverse.T + inverse.sum(axis=1)
+    steepest = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2) / MAX_SLOPE
+    gradients: NDArray[Any] = -g[..., :2] / np.maximum(np.maximum(g[..., 2], steepest), 1e-6)[..., None]
+    return gradients

@@ -1,0 +1,80 @@
+"""Ridge regression with Huber weights, and polynomial terms that vary over the image."""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+HUBER_SLOPE = 0.05
+
+
+def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
+    """Channel indices of every monomial of degree 1 to `degree`, lower degrees first.
+
+    Each monomial of degree n is one of degree n - 1 times a last channel: (0, 0, 2) means c0 c0 c2.
+    """
+    terms: list[tuple[int, ...]] = []
+    for n in range(1, degree + 1):
+        terms += combinations_with_replacement(range(channels), n)
+    return terms
+
+
+def position_powers(degree: int) -> list[tuple[int, int]]:
+    """Exponents (i, j) of x^i y^j with i + j <= degree."""
+    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+def unit_position(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Positions about the image's centre in units of half its larger side."""
+    height, width = shape
+    half = max(height, width) / 2
+    x = (np.asarray(x_px, dtype=np.float64) - (width - 1) / 2) / half
+    y = (np.asarray(y_px, dtype=np.float64) - (height - 1) / 2) / half
+    return x, y
+
+
+def polynomial_terms(
+    values: NDArray[Any], x: NDArray[Any], y: NDArray[Any], position_degrees: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Design matrix (N, terms): each monomial of degree n of the values, times the position terms of its degree.
+
+    There is no constant term: values of zero give zero.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    top = max(position_degrees)
+    powers_x = np.stack([x**i for i in range(top + 1)])
+    powers_y = np.stack([y**j for j in range(top + 1)])
+    columns = []
+    for term in monomials(values.shape[1], len(position_degrees)):
+        product = np.prod(values[:, term], axis=1)
+        columns += [product * powers_x[i] * powers_y[j] for i, j in position_powers(position_degrees[len(term) - 1])]
+    return np.stack(columns, axis=1)
+
+
+def robust_ridge(
+    design: NDArray[np.float64],
+    target: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    *,
+    ridge: float,
+    huber: float,
+    rounds: int = 3,
+) -> NDArray[np.float64]:
+    """Coefficients (terms, outputs) of a ridge regression, reweighted by Huber's loss of the residual's length.
+
+    The columns are scaled to unit size first, so the ridge means the same for every term.
+    """
+    total = float(weight.sum())
+    scale = np.sqrt(weight @ design**2 / total) + 1e-12
+    scaled = design / scale
+    current = weight
+    for _ in range(rounds):
+        weighted = scaled * current[:, None]
+        normal = weighted.T @ scaled + ridge * total * np.eye(design.shape[1])
+        coefficients = np.linalg.solve(normal, weighted.T @ target)
+        residual = np.linalg.norm(scaled @ coefficients - target, axis=1)
+        current = weight * np.minimum(1, huber / np.maximum(residual, 1e-12))
+    return coefficients / scale[:, None]
