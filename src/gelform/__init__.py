@@ -12,6 +12,9 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Frame": "gelform.frames",
+    "View": "gelform.view",
+    "image_from_frame": "gelform.view",
+    "frame_from_image": "gelform.view",
     "curl": "gelform.gradients",
     "gradients_from_normals": "gelform.gradients",
     "gradients_from_depth": "gelform.gradients",
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from gelform.frames import Frame
     from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.view import View, frame_from_image, image_from_frame
 
 __all__ = ["__version__", *_HOME]
 

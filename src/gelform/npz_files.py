@@ -1,0 +1,243 @@
+"""Files of arrays and one JSON string, without pickles: written whole or not at all, checked when read.
+
+Calibrations and results are such files. `numpy.load` opens them too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import secrets
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import DataError, GelformError
+
+MAX_BYTES = 1 << 30
+_RESERVED = ("format", "format_version", "gelform_version", "digest")
+_UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    ValueError,
+    KeyError,
+    NotImplementedError,
+    RuntimeError,
+)
+
+
+@contextmanager
+def written_file(
+    path: str | Path, *, overwrite: bool = False, error: type[GelformError] = DataError
+) -> Iterator[BinaryIO]:
+    """Open a file for writing that appears under its name only when the block ends well.
+
+    The bytes go to a temporary name in the same folder, which replaces `path` in one step; where anything
+    fails (disk full, an exception in the block) the temporary file goes and what was at `path` stays.
+
+    Raises
+    ------
+    error
+        The file is already there and `overwrite` is False, or its folder is missing, not writable or full.
+    """
+    path = Path(path)
+    check_free(path, overwrite=overwrite, error=error)
+    temporary = path.parent / f".gelform-{secrets.token_hex(6)}.tmp"
+    try:
+        with open(temporary, "xb") as handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        os.replace(temporary, path)
+    except OSError as problem:
+        raise error(f"Cannot write {path}: {problem.strerror or problem}. Nothing was written.") from problem
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_free(path: str | Path, *, overwrite: bool, error: type[GelformError] = DataError) -> None:
+    """Refuse a name that a file already has (unless `overwrite`), or whose folder is not there."""
+    path = Path(path)
+    if path.is_dir():
+        raise error(f"Expected a file name to write to, got the folder {path}. Add a name: {path / 'name'}.")
+    if path.exists() and not overwrite:
+        raise error(
+            f"{path} is already there. Choose another name, or allow it to be replaced: overwrite=True."
+        )
+    if not path.parent.is_dir():
+        raise error(f"Cannot write {path}: its folder {path.parent} does not exist. Make it first.")
+
+
+def write_npz(
+    path: str | Path,
+    arrays: Mapping[str, NDArray[Any]],
+    meta: Mapping[str, Any],
+    *,
+    kind: str,
+    version: int,
+    overwrite: bool = False,
+    error: type[GelformError] = DataError,
+) -> None:
+    """Write arrays and settings to one `.npz` without pickles, whole or not at all.
+
+    Parameters
+    ----------
+    arrays : name -> array of numbers, booleans or text
+    meta : JSON-able settings; kept in the member `meta` beside `format` (the kind), `format_version`,
+        `gelform_version` and a `digest` (SHA-256) over the arrays and the settings
+    kind : what the file is, such as "gelform calibration"
+    version : of the format of this kind, from 1
+    overwrite : whether an existing file is replaced
+    error : what is raised where the file cannot be written
+
+    Raises
+    ------
+    error
+        See `written_file`.
+    ValueError, TypeError
+        Settings that JSON cannot say (NaN included), an array of objects, or a reserved name.
+    """
+    from gelform import __version__
+
+    prepared = {name: _storable(name, values) for name, values in arrays.items()}
+    clashes = [name for name in _RESERVED if name in meta] + (["meta"] if "meta" in arrays else [])
+    if clashes:
+        raise ValueError(f"Expected other names than the reserved {', '.join(clashes)}.")
+    full = {"format": kind, "format_version": version, "gelform_version": __version__, **meta}
+    full = json.loads(_json(full))
+    full["digest"] = digest_of(prepared, full)
+    with written_file(path, overwrite=overwrite, error=error) as handle:
+        np.savez(handle, meta=np.array(_json(full)), **prepared)  # type: ignore[arg-type]
+
+
+def read_npz(
+    path: str | Path,
+    *,
+    kind: str,
+    newest_version: int,
+    max_bytes: int = MAX_BYTES,
+    error: type[GelformError] = DataError,
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read what `write_npz` wrote: the arrays by name and the settings, after every check.
+
+    The sizes that the file declares are checked before anything is read, nothing is ever unpickled.
+
+    Parameters
+    ----------
+    kind : what the file has to be
+    newest_version : the newest format version that the caller reads; older ones are the caller's to convert
+    max_bytes : the most that all members together may hold
+    error : what is raised where the file cannot be used
+
+    Raises
+    ------
+    error
+        The file is missing, no file of this kind, truncated, altered, too large, or of a newer format (the
+        message names the version of gelform to install).
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise error(f"No file {path}: expected a {kind}.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            arrays = _members(archive, path, kind, max_bytes, error)
+        meta = json.loads(str(arrays.pop("meta")[()]))
+    except OSError as problem:
+        raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+    except _UNREADABLE as problem:
+        raise error(
+            f"{path} is truncated or damaged, or no {kind} at all ({_said(problem)}). "
+            "Copy it again from where it was made, or make it anew."
+        ) from problem
+    _check_meta(meta, path, kind, newest_version, error)
+    if meta.pop("digest") != digest_of(arrays, meta):
+        raise error(
+            f"{path} was altered after it was written: its digest does not agree with what it holds. "
+            "Copy it again from where it was made, or make it anew."
+        )
+    return arrays, meta
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
+    """SHA-256 (hex) over JSON-able settings and named arrays: names, dtypes, shapes and bytes."""
+    sha = hashlib.sha256(_json(meta).encode())
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        sha.update(f"\n{name} {arrays[name].dtype.str} {arrays[name].shape}\n".encode())
+        sha.update(values.tobytes())
+    return sha.hexdigest()
+
+
+def _members(
+    archive: zipfile.ZipFile, path: Path, kind: str, max_bytes: int, error: type[GelformError]
+) -> dict[str, NDArray[Any]]:
+    declared = sum(member.file_size for member in archive.infolist())
+    if declared > max_bytes:
+        raise error(
+            f"{path} declares {declared / 1e6:.3g} MB of content; a {kind} has at most "
+            f"{max_bytes / 1e6:.3g} MB. It is damaged or no such file."
+        )
+    if "meta.npy" not in archive.namelist():
+        raise error(f"{path} is no {kind}: it has no member 'meta'.")
+    return {
+        member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in archive.infolist()
+    }
+
+
+_READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+def _array(content: bytes) -> NDArray[Any]:
+    """One `.npy` member; its header is held against its size before anything is allocated."""
+    stream = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(stream)
+        shape, fortran_order, dtype = _READ_HEADER[version](stream)
+    except Exception as problem:  # a damaged header fails in numpy's tokenizer in a dozen ways
+        raise ValueError(f"an unreadable array header: {_said(problem)}") from problem
+    body = content[stream.tell() :]
+    if dtype.hasobject:
+        raise ValueError("an array of pickled objects")
+    if dtype.itemsize * int(np.prod(shape, dtype=object)) != len(body):
+        raise ValueError(f"an array of shape {shape} in {len(body)} bytes")
+    return np.frombuffer(body, dtype=dtype).reshape(shape, order="F" if fortran_order else "C").copy()
+
+
+def _check_meta(meta: Any, path: Path, kind: str, newest_version: int, error: type[GelformError]) -> None:
+    if not isinstance(meta, dict) or not {"format", "format_version", "digest"} <= meta.keys():
+        raise error(f"{path} is no {kind}: its member 'meta' names no format, version and digest.")
+    if meta["format"] != kind:
+        raise error(f"Expected a {kind}, got a {meta['format']}: {path}.")
+    version = meta["format_version"]
+    if not isinstance(version, int) or version < 1:
+        raise error(f"{path} is damaged: format version {version!r}.")
+    if version > newest_version:
+        writer = meta.get("gelform_version", "of a newer release")
+        raise error(
+            f"{path} has format version {version}, written by gelform {writer}; this gelform reads up to "
+            f"version {newest_version}. Install that release or a newer one: pip install 'gelform>={writer}'."
+        )
+
+
+def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.dtype.hasobject:
+        raise TypeError(f"Expected {name} as numbers, booleans or text, got an array of objects.")
+    return array
+
+
+def _json(meta: Mapping[str, Any]) -> str:
+    return json.dumps(meta, sort_keys=True, allow_nan=False)
+
+
+def _said(problem: BaseException) -> str:
+    return str(problem).splitlines()[0] if str(problem) else type(problem).__name__

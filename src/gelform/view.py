@@ -1,0 +1,256 @@
+"""frame -> image: crop, flip and resize in one remap, and back.
+
+Pixel centres are at integers, so an image pixel covers half a pixel on each side of its number, and resizing
+maps *areas*: `x_frame = (x_image + 1/2) scale - 1/2 + left`. Where the view reduces strongly, whole frame
+pixels are averaged first (a box of the integer part of the reduction), so that nothing is aliased.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image
+
+FLIPS = ("none", "x", "y", "xy")
+
+
+@dataclass(frozen=True)
+class View:
+    """Which part of a camera's frame is the image, how it lies and its size in pixels; identity by default.
+
+    Attributes
+    ----------
+    frame_shape : (H, W) of the camera's frames, or None
+        None only where nothing is cropped, flipped or resized: then images of any size pass.
+    crop : (left, top, width, height) in frame pixels, or None for the whole frame
+        Fractions of a pixel are allowed. Counted in the frame as the camera gives it, before the flip.
+    flip : "none", "x" (left and right change places), "y" (top and bottom), or "xy" (turned by 180 degrees)
+    image_shape : (H, W) of the image, or None for the size of the crop, rounded
+
+    Raises
+    ------
+    ValueError
+        A crop outside the frame, sizes that are not positive, an unknown flip, or no frame_shape where one is
+        needed.
+    """
+
+    frame_shape: tuple[int, int] | None = None
+    crop: tuple[float, float, float, float] | None = None
+    flip: str = "none"
+    image_shape: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("frame_shape", "image_shape"):
+            object.__setattr__(self, name, _size_of(getattr(self, name), name))
+        object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
+        if self.flip not in FLIPS:
+            raise ValueError(f"Expected the view's flip as one of {', '.join(FLIPS)}, got {self.flip!r}.")
+        if self.frame_shape is None and (self.crop or self.image_shape or self.flip != "none"):
+            raise ValueError(
+                "Expected frame_shape, (height, width) of the frames, in a view that changes them."
+            )
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """(H, W) of the images that this view gives; None where any size passes."""
+        if self.image_shape is not None or self.frame_shape is None:
+            return self.image_shape
+        _, _, width, height = self._box
+        return max(1, round(height)), max(1, round(width))
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether an image is its frame, unchanged."""
+        if self.frame_shape is None:
+            return True
+        height, width = self.frame_shape
+        return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
+
+    @property
+    def _box(self) -> tuple[float, float, float, float]:
+        assert self.frame_shape is not None
+        return self.crop or (0.0, 0.0, float(self.frame_shape[1]), float(self.frame_shape[0]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings that differ from the default, as JSON and TOML can say them."""
+        return {
+            name: list(v) if isinstance(v, tuple) else v
+            for name, v in asdict(self).items()
+            if v not in (None, "none")
+        }
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> View:
+        """A view from `to_dict` or the `[view]` table of a `sensor.toml`; an unknown key is a ValueError."""
+        known = [field.name for field in fields(cls)]
+        unknown = [name for name in settings if name not in known]
+        if unknown:
+            raise ValueError(
+                f"Expected settings of a view among {', '.join(known)}, got {', '.join(unknown)}."
+            )
+        return cls(**settings)
+
+
+def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
+    """The image that the path works on, from a camera's frame.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) RGB, uint8 or float (0-255)
+        Of `view.frame_shape`: remapped. Of the view's output shape: it is an image already and passes
+        unchanged (a frame, where both shapes are the same). Anything else is refused.
+    view : View
+
+    Returns
+    -------
+    image : view.shape + (3,), dtype of the frame
+
+    Raises
+    ------
+    ValueError, TypeError
+        A shape that is neither, or no RGB image (see `checks.check_image`).
+    """
+    pixels = check_image(frame, name="frame")
+    shape = pixels.shape[:2]
+    if view.frame_shape is not None and shape not in (view.frame_shape, view.shape):
+        raise ValueError(
+            f"Expected a frame of {_text(view.frame_shape)} px or an image of {_text(view.shape)} px "
+            f"(height x width), got {_text(shape)}. Give the view that belongs to this camera."
+        )
+    if view.is_identity or shape != view.frame_shape:
+        return pixels
+    rows, columns, box, map_x, map_y = _maps_to_image(view)
+    return _remap(_averaged(pixels[rows, columns], box), map_x, map_y)
+
+
+def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
+    """A frame whose view is the image: what `image_from_frame` undoes.
+
+    Frame pixels that the view does not see repeat the nearest one that it sees.
+
+    Parameters
+    ----------
+    image : view.shape + (3,) RGB, uint8 or float (0-255)
+    view : View
+
+    Returns
+    -------
+    frame : view.frame_shape + (3,), dtype of the image
+    """
+    pixels = check_image(image, shape=view.shape)
+    if view.is_identity:
+        return pixels
+    return _remap(pixels, *_maps_to_frame(view))
+
+
+@lru_cache(maxsize=8)
+def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
+    """What to cut out of the frame, the box to average there, and where each image pixel then lies in it."""
+    assert view.frame_shape is not None
+    assert view.shape is not None
+    left, top, width, height = view._box
+    x, columns, box_x = _axis(left, width, view.frame_shape[1], view.shape[1], "x" in view.flip)
+    y, rows, box_y = _axis(top, height, view.frame_shape[0], view.shape[0], "y" in view.flip)
+    return rows, columns, (box_y, box_x), *_grid(x, y)
+
+
+def _axis(
+    start: float, length: float, available: int, count: int, flipped: bool
+) -> tuple[NDArray[Any], slice, int]:
+    """Along one axis: image pixel centres in boxes of `box` frame pixels, counted from the cut's first."""
+    scale = length / count
+    box = max(1, int(scale + 0.5))
+    first = min(int(start), available - 1)
+    last = min(available, int(np.ceil(start + length)))
+    centres = (np.arange(count) + 0.5) * scale + start
+    if flipped:
+        centres = centres[::-1]
+    return (centres - first) / box - 0.5, slice(first, last), box
+
+
+def _averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
+    """Mean over boxes of whole pixels; the last box repeats the border where the pixels run out."""
+    if box == (1, 1):
+        return pixels
+    boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
+    missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
+    if any(missing):
+        pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+    averaged: NDArray[Any] = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
+    return averaged
+
+
+@lru_cache(maxsize=8)
+def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Where each frame pixel lies in the image."""
+    assert view.frame_shape is not None
+    assert view.shape is not None
+    left, top, width, height = view._box
+    x = (np.arange(view.frame_shape[1]) + 0.5 - left) * view.shape[1] / width - 0.5
+    y = (np.arange(view.frame_shape[0]) + 0.5 - top) * view.shape[0] / height - 0.5
+    return _grid(
+        view.shape[1] - 1 - x if "x" in view.flip else x,
+        view.shape[0] - 1 - y if "y" in view.flip else y,
+    )
+
+
+def _grid(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    map_x.setflags(write=False)
+    map_y.setflags(write=False)
+    return map_x, map_y
+
+
+def _remap(pixels: NDArray[Any], map_x: NDArray[Any], map_y: NDArray[Any]) -> NDArray[Any]:
+    remapped: NDArray[Any] = cv2.remap(
+        pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return remapped
+
+
+def _size_of(value: Any, name: str) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    numbers = _numbers(value, 2, f"{name} as (height, width)")
+    if min(numbers) < 1 or any(number != int(number) for number in numbers):
+        raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
+    return int(numbers[0]), int(numbers[1])
+
+
+def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, float, float, float] | None:
+    if value is None:
+        return None
+    left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
+    if left < 0 or top < 0 or width <= 0 or height <= 0:
+        raise ValueError(
+            f"Expected crop (left, top, width, height) with left, top >= 0 and a size > 0, got {value}."
+        )
+    if frame_shape is not None and (
+        left + width > frame_shape[1] + 1e-6 or top + height > frame_shape[0] + 1e-6
+    ):
+        raise ValueError(
+            f"Expected a crop within the frame of {_text(frame_shape)} px (height x width), got one that ends "
+            f"at column {left + width:g} and row {top + height:g}. A crop is (left, top, width, height)."
+        )
+    return left, top, width, height
+
+
+def _numbers(value: Any, count: int, wanted: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(number) for number in value)
+    except (TypeError, ValueError):
+        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.") from None
+    if len(numbers) != count or not all(np.isfinite(numbers)):
+        raise ValueError(f"Expected {wanted} in pixels, got {value!r}.")
+    return numbers
+
+
+def _text(shape: tuple[int, ...] | None) -> str:
+    return "any" if shape is None else f"{shape[0]}x{shape[1]}"

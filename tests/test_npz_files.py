@@ -1,0 +1,213 @@
+"""Files are written whole or not at all, and an altered, cut or future one is refused with the reason."""
+
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gelform.errors import CalibrationError, DataError
+from gelform.npz_files import read_npz, write_npz, written_file
+
+KIND = "gelform test file"
+ARRAYS = {"depth_mm": np.arange(12, dtype=np.float32).reshape(3, 4), "known": np.eye(3, dtype=bool)}
+META = {"sensor": "Gel é", "view": {"flip": "none"}, "sizes": [1, 2.5, None]}
+
+
+def write(path, arrays=ARRAYS, meta=META, *, version=1, overwrite=False):
+    write_npz(path, arrays, meta, kind=KIND, version=version, overwrite=overwrite)
+
+
+def read(path, *, kind=KIND, newest_version=1, max_bytes=1 << 20, error=DataError):
+    return read_npz(path, kind=kind, newest_version=newest_version, max_bytes=max_bytes, error=error)
+
+
+def members(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def rewrite(path, changed):
+    """The same file with some members' bytes replaced: what an editor or a bad disk would leave."""
+    kept = members(path) | changed
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in kept.items():
+            archive.writestr(name, content)
+
+
+def npy(array):
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    hnp.arrays(
+        st.sampled_from([np.float32, np.float64, np.uint8, np.bool_, np.int64]),
+        hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
+    )
+)
+def test_what_is_written_comes_back_to_the_bit(tmp_path_factory, array):
+    path = tmp_path_factory.mktemp("npz") / "x.npz"
+    write(path, {"a": array, "f": np.array(array, order="F")})
+    arrays, meta = read(path)
+    for name in ("a", "f"):
+        assert arrays[name].dtype == array.dtype
+        assert arrays[name].shape == array.shape
+        assert arrays[name].tobytes() == array.tobytes()
+    assert {key: meta[key] for key in META} == META
+    assert (meta["format"], meta["format_version"]) == (KIND, 1)
+
+
+def test_numpy_opens_it_without_pickles(tmp_path):
+    write(tmp_path / "x.npz")
+    with np.load(tmp_path / "x.npz", allow_pickle=False) as file:
+        assert np.array_equal(file["depth_mm"], ARRAYS["depth_mm"])
+        assert json.loads(str(file["meta"]))["sensor"] == "Gel é"
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path):
+    write(tmp_path / "a.npz")
+    write(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+@pytest.mark.parametrize("kept", [0, 1, 50, 0.3, 0.7, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, kept):
+    path = tmp_path / "x.npz"
+    write(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: kept if isinstance(kept, int) else int(kept * len(content))])
+    with pytest.raises(DataError, match="truncated or damaged"):
+        read(path)
+
+
+def test_a_flipped_bit_anywhere_in_the_content_is_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path)
+    content = path.read_bytes()
+    for position in range(0, len(content), 97):
+        broken = bytearray(content)
+        broken[position] ^= 4
+        path.write_bytes(bytes(broken))
+        try:
+            arrays, meta = read(path)
+        except DataError:
+            continue
+        # What is left are bits that say nothing of the content, such as a member's time stamp.
+        assert arrays["depth_mm"].tobytes() == ARRAYS["depth_mm"].tobytes()
+        assert {key: meta[key] for key in META} == META
+
+
+def test_altered_arrays_and_altered_settings_are_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path)
+    meta = json.loads(str(np.load(path)["meta"]))
+    for changed in (
+        {"depth_mm.npy": npy(ARRAYS["depth_mm"] + 1)},
+        {"depth_mm.npy": npy(ARRAYS["depth_mm"].reshape(4, 3))},
+        {"extra.npy": npy(np.zeros(2))},
+        {"meta.npy": npy(np.array(json.dumps(meta | {"sensor": "another"})))},
+    ):
+        write(path, overwrite=True)
+        rewrite(path, changed)
+        with pytest.raises(DataError, match="altered after it was written"):
+            read(path)
+
+
+def test_a_future_file_names_the_version_to_install(tmp_path):
+    write(tmp_path / "x.npz", version=3)
+    with pytest.raises(DataError, match=r"format version 3.*up to version 2.*pip install 'gelform>="):
+        read(tmp_path / "x.npz", newest_version=2)
+    assert read(tmp_path / "x.npz", newest_version=3)[1]["format_version"] == 3
+
+
+def test_sizes_are_checked_before_reading(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path, {"big": np.zeros(100_000, dtype=np.uint8)})
+    with pytest.raises(DataError, match=r"declares 0\.101 MB of content"):
+        read(path, max_bytes=50_000)
+    lying = npy(np.zeros(1)).replace(b"(1,), }       ", b"(99999999,), }")
+    assert lying != npy(np.zeros(1))
+    rewrite(path, {"big.npy": lying})
+    with pytest.raises(DataError, match=r"an array of shape \(99999999,\) in 8 bytes"):
+        read(path)
+
+
+def test_pickles_are_never_read(tmp_path):
+    path = tmp_path / "x.npz"
+    write(path)
+    buffer = io.BytesIO()
+    np.save(buffer, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    rewrite(path, {"depth_mm.npy": buffer.getvalue()})
+    with pytest.raises(DataError, match="pickled objects"):
+        read(path)
+
+
+def test_other_files_are_refused_with_what_they_are(tmp_path):
+    write(tmp_path / "x.npz")
+    with pytest.raises(CalibrationError, match="Expected a gelform calibration, got a gelform test file"):
+        read(tmp_path / "x.npz", kind="gelform calibration", error=CalibrationError)
+    np.savez(tmp_path / "plain.npz", a=np.zeros(3))
+    with pytest.raises(DataError, match="no member 'meta'"):
+        read(tmp_path / "plain.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(DataError, match="no gelform test file at all"):
+        read(tmp_path / "text.npz")
+    with pytest.raises(DataError, match="No file"):
+        read(tmp_path / "missing.npz")
+
+
+def test_an_existing_file_stays_unless_overwritten(tmp_path):
+    path = tmp_path / "x.npz"
+    path.write_text("mine")
+    with pytest.raises(DataError, match=r"already there.*overwrite=True"):
+        write(path)
+    assert path.read_text() == "mine"
+    write(path, overwrite=True)
+    assert read(path)
+
+
+def test_a_failed_write_leaves_nothing_behind(tmp_path):
+    path = tmp_path / "x.npz"
+    path.write_text("mine")
+    with pytest.raises(KeyError), written_file(path, overwrite=True) as handle:
+        handle.write(b"half" + {}["the other half"])
+    assert path.read_text() == "mine"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_a_full_disk_is_said_and_leaves_nothing(tmp_path):
+    resource = pytest.importorskip(
+        "resource", reason="needs a limit on the size of files, which stands for a full disk"
+    )
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, hard))
+    try:
+        with pytest.raises(DataError, match="Nothing was written"):
+            write(tmp_path / "x.npz", {"big": np.zeros(1 << 18, dtype=np.uint8)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_folders_and_folders_for_names_are_refused(tmp_path):
+    with pytest.raises(DataError, match="does not exist"):
+        write(tmp_path / "no" / "x.npz")
+    with pytest.raises(DataError, match="got the folder"):
+        write(tmp_path)
+
+
+def test_what_json_or_npz_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write(tmp_path / "x.npz", meta={"value": float("nan")})
+    with pytest.raises(TypeError, match="array of objects"):
+        write(tmp_path / "x.npz", {"a": np.array([None])})
+    with pytest.raises(ValueError, match="reserved digest"):
+        write(tmp_path / "x.npz", meta={"digest": "1"})
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,151 @@
+"""A view maps pixel areas: what is seen stays where it was to a fraction of a pixel, there and back."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from gelform.view import FLIPS, View, frame_from_image, image_from_frame
+
+
+def ramp(shape, *, per_x=0.31, per_y=0.17, start=40.0):
+    """A picture linear in the pixel's area centre: a point of the world has the same value in every size."""
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    plane = start + per_x * x + per_y * y
+    return np.stack([plane, plane / 2, 255 - plane], axis=-1).astype(np.float32)
+
+
+def ramp_seen_through(view):
+    """The same picture as the view's image must show it, worked out on paper."""
+    height, width = view.shape
+    left, top, crop_width, crop_height = view.crop or (0, 0, view.frame_shape[1], view.frame_shape[0])
+    y, x = np.mgrid[:height, :width].astype(float)
+    x = width - 1 - x if "x" in view.flip else x
+    y = height - 1 - y if "y" in view.flip else y
+    plane = (
+        40 + 0.31 * ((x + 0.5) * crop_width / width + left) + 0.17 * ((y + 0.5) * crop_height / height + top)
+    )
+    return np.stack([plane, plane / 2, 255 - plane], axis=-1)
+
+
+VIEWS = [
+    View((48, 64), flip="x"),
+    View((48, 64), flip="y"),
+    View((48, 64), crop=(5, 7, 40, 30)),
+    View((48, 64), crop=(5.25, 7.5, 40, 30), flip="xy"),
+    View((48, 64), image_shape=(24, 32)),
+    View((48, 64), image_shape=(96, 128)),
+    View((300, 400), crop=(57.1, 42.9, 285.7, 214.3), image_shape=(24, 32)),
+    View((300, 400), crop=(57.1, 42.9, 285.7, 214.3), image_shape=(40, 60), flip="x"),
+    View((301, 403), image_shape=(20, 30)),
+]
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_a_plane_is_seen_where_it_is(view):
+    image = image_from_frame(ramp(view.frame_shape), view)
+    inner = np.s_[1:-1, 1:-1]
+    # remap places a sample to 1/32 px; half a pixel of shift would be 0.15 grey levels per unit of scale
+    scale = max(1, view.frame_shape[1] / view.shape[1])
+    assert np.abs(image - ramp_seen_through(view))[inner].max() < 0.02 * scale
+    assert image.shape == (*view.shape, 3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_frame_from_image_is_undone(data):
+    height, width = data.draw(st.integers(20, 80)), data.draw(st.integers(20, 80))
+    left, top = data.draw(st.floats(0, 8)), data.draw(st.floats(0, 8))
+    crop = (left, top, data.draw(st.floats(10, width - left)), data.draw(st.floats(10, height - top)))
+    shape = data.draw(st.integers(8, 90)), data.draw(st.integers(8, 90))
+    view = View((height, width), crop, data.draw(st.sampled_from(FLIPS)), shape)
+    assume(view.shape != view.frame_shape)
+    image = ramp(view.shape)
+    again = image_from_frame(frame_from_image(image, view), view)
+    # the outermost image pixel can lie between the last seen frame pixel and its repetition
+    slack = max(1, int(np.ceil(2 * max(shape[0] / crop[3], shape[1] / crop[2]))))
+    inner = np.s_[slack:-slack, slack:-slack]
+    assert np.abs(again - image)[inner].max(initial=0) < 0.1
+
+
+@pytest.mark.parametrize("flip", FLIPS)
+def test_flips_and_whole_pixel_crops_are_exact(flip):
+    frame = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    image = image_from_frame(frame, View((30, 40), (4, 3, 20, 10), flip))
+    expected = frame[3:13, 4:24]
+    expected = expected[:, ::-1] if "x" in flip else expected
+    expected = expected[::-1] if "y" in flip else expected
+    assert np.array_equal(image, expected)
+    assert image.dtype == np.uint8
+
+
+def test_reducing_by_a_whole_number_averages_areas():
+    frame = np.random.default_rng(0).uniform(0, 255, (28, 42, 3)).astype(np.float32)
+    image = image_from_frame(frame, View((28, 42), image_shape=(4, 6)))
+    assert np.allclose(image, frame.reshape(4, 7, 6, 7, 3).mean(axis=(1, 3)), atol=1e-3)
+
+
+def test_reducing_strongly_does_not_alias():
+    stripes = np.zeros((480, 640, 3), dtype=np.uint8)
+    stripes[:, ::2] = 200
+    image = image_from_frame(stripes, View((480, 640), (3.3, 2.2, 600, 450), image_shape=(60, 80)))
+    assert np.abs(image.astype(float) - 100)[1:-1, 1:-1].max() < 15
+    plain = cv2.resize(stripes, (80, 60), interpolation=cv2.INTER_NEAREST)
+    assert np.abs(plain.astype(float) - 100).max() == 100
+
+
+def test_reducing_agrees_with_area_resampling():
+    frame = np.random.default_rng(1).uniform(0, 255, (220, 300, 3)).astype(np.float32)
+    frame = cv2.GaussianBlur(frame, (0, 0), 4) * 1.0
+    view = View((220, 300), (30, 20, 240, 180), image_shape=(30, 40))
+    area = cv2.resize(frame[20:200, 30:270], (40, 30), interpolation=cv2.INTER_AREA)
+    assert np.abs(image_from_frame(frame, view) - area).max() < 0.5
+
+
+def test_identity_passes_the_frame_itself():
+    frame = np.zeros((12, 16, 3), dtype=np.uint8)
+    assert image_from_frame(frame, View()) is frame
+    assert frame_from_image(frame, View()) is frame
+    assert image_from_frame(frame, View((12, 16))) is frame
+    assert View((12, 16), crop=(0, 0, 16, 12), image_shape=(12, 16)).is_identity
+
+
+def test_images_pass_and_other_shapes_are_refused():
+    view = View((48, 64), image_shape=(24, 32))
+    image = np.zeros((24, 32, 3), dtype=np.uint8)
+    assert image_from_frame(image, view) is image
+    with pytest.raises(ValueError, match=r"frame of 48x64 px or an image of 24x32 px .*, got 20x30"):
+        image_from_frame(np.zeros((20, 30, 3), dtype=np.uint8), view)
+    with pytest.raises(ValueError, match="grey"):
+        image_from_frame(np.zeros((48, 64), dtype=np.uint8), view)
+    with pytest.raises(ValueError, match="24x32"):
+        frame_from_image(np.zeros((48, 64, 3), dtype=np.uint8), view)
+
+
+@pytest.mark.parametrize("view", [View(), *VIEWS], ids=str)
+def test_settings_come_back(view):
+    settings = view.to_dict()
+    assert View.from_dict(settings) == view
+    assert all(value is not None for value in settings.values())  # TOML has no null
+    assert hash(View.from_dict(settings)) == hash(view)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, got frameshape"),
+        ({"flip": "z", "frame_shape": [4, 4]}, "none, x, y, xy, got 'z'"),
+        ({"flip": "x"}, "Expected frame_shape"),
+        ({"frame_shape": [4]}, r"\(height, width\)"),
+        ({"frame_shape": [4, 0]}, "whole numbers"),
+        ({"frame_shape": [4, 4.5]}, "whole numbers"),
+        ({"frame_shape": "big"}, r"\(height, width\)"),
+        ({"frame_shape": [4, 4], "crop": [0, 0, 5, 4]}, "ends at column 5 and row 4"),
+        ({"frame_shape": [4, 4], "crop": [0, 0, 0, 4]}, "size > 0"),
+        ({"frame_shape": [4, 4], "crop": [0, 0, float("nan"), 4]}, "left, top, width, height"),
+    ],
+)
+def test_wrong_settings_are_refused(settings, text):
+    with pytest.raises(ValueError, match=text):
+        View.from_dict(settings)
