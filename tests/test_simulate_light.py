@@ -5,7 +5,7 @@ import pytest
 
 from gelform.normals import image_from_normals
 from gelform.simulate import Ball, Led, SimulatedSensor, simulate_background, simulate_press
-from gelform.simulate.gel import Surface
+from gelform.simulate.gel import Gel, Surface
 from gelform.simulate.light import irradiance_from_surface
 
 WHITE = (1.0, 1.0, 1.0)
@@ -56,7 +56,7 @@ def test_one_light_on_a_ball_is_lamberts_law():
 
 
 def test_light_falls_with_the_square_of_the_distance():
-    sensor = sensor_with(Led((0, 0, 1), WHITE), shape=(3, 3), mm_per_px=1e-6)
+    sensor = sensor_with(Led((0, 0, 1), WHITE), shape=(3, 3), mm_per_px=1e-6, gel=Gel(thickness_mm=0.5))
     near, far = (
         simulate_background(
             SimulatedSensor((Led((0, 0, d), WHITE),), shape=(3, 3), mm_per_px=1e-6), None, quantise=False

@@ -92,6 +92,14 @@ class Coin:
         check_size(self.relief_mm, "relief_mm")
 
     def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        x, y = np.broadcast_arrays(x_mm, y_mm)
+        radius = self.diameter_mm / 2
+        face = np.full(x.shape, -np.inf)
+        on_disc = x**2 + y**2 <= radius**2
+        face[on_disc] = self._relief(x[on_disc], y[on_disc])
+        return face
+
+    def _relief(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
         radius = self.diameter_mm / 2
         r, angle = np.hypot(x_mm, y_mm), np.arctan2(y_mm, x_mm)
         sector = np.pi / 16
@@ -101,7 +109,7 @@ class Coin:
             [r - 0.86 * radius, 0.05 * radius - bead_distance, _inside_star(r, angle, 0.58 * radius)]
         )
         raised = _smooth_step(inside / (2 * self.relief_mm) + 0.5)
-        return np.where(r <= radius, (raised - 1) * self.relief_mm, -np.inf)
+        return (raised - 1) * self.relief_mm
 
 
 @dataclass(frozen=True)

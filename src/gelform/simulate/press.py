@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
-from gelform.simulate.camera import image_from_levels, levels_from_irradiance
+from gelform.simulate.camera import px_seen
 from gelform.simulate.gel import (
     Surface,
     contact_radius_of_ball,
@@ -21,7 +21,9 @@ from gelform.simulate.gel import (
     surface_from_indenter,
 )
 from gelform.simulate.indenters import Ball, Indenter
-from gelform.simulate.light import irradiance_from_surface
+from gelform.simulate.motion import DRAG_STRIDE, Drag, Pose, displacement_at, thinned
+from gelform.simulate.render import Rendered, middle_samples, render
+from gelform.simulate.scene import Posed
 from gelform.simulate.sensor import SimulatedSensor, Triple
 
 MARGIN_LENGTHS = 4  # the gel reaches this many relaxation lengths beyond the image: e^-4 = 2 % is left there
@@ -36,7 +38,7 @@ class SimulatedPress:
     Attributes
     ----------
     image : (H, W, 3) uint8, or float64 where not quantised, RGB
-    depth_mm : (H, W) float64, the surface at the pixels' centres, >= 0, positive where pressed
+    depth_mm : (H, W) float64, the surface at the pixels' centres, positive where pressed
     gradients : (H, W, 2) float64, its slopes there, mm/mm
     contact : (H, W) bool
     indenter : what was pressed
@@ -46,6 +48,13 @@ class SimulatedPress:
         How far its foremost point stood in the gel.
     contact_radius_px : float or None
         Of the circle in which gel and ball touch; None for other indenters.
+    albedo : (H, W) float32, reflectance with dust and markers; 1 is the clean coating
+    shadowed : (H, W) bool, where at least half of some light is lost to the surface
+    saturated : (H, W) bool, where some channel is cut at 0 or 255
+    markers_px : (N, 2), where the markers are, x and y; some lie beside the image
+    markers_shift_mm : (N, 2), how far they were dragged from rest
+    pose : Pose
+    time_s : float, since the LEDs were switched on
     """
 
     image: NDArray[Any]
@@ -57,6 +66,13 @@ class SimulatedPress:
     center_px: tuple[float, float]
     press_depth_mm: float
     contact_radius_px: float | None
+    albedo: NDArray[np.float32]
+    shadowed: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    markers_px: NDArray[np.float64]
+    markers_shift_mm: NDArray[np.float64]
+    pose: Pose
+    time_s: float = 0.0
 
     @property
     def normals(self) -> NDArray[np.float64]:
@@ -88,6 +104,8 @@ def simulate_press(
     depth_mm: float,
     center_mm: tuple[float, float] = (0.0, 0.0),
     rng: np.random.Generator | None,
+    spin_deg: float = 0.0,
+    tilt_deg: tuple[float, float] = (0.0, 0.0),
     oversample: int = 3,
     quantise: bool = True,
 ) -> SimulatedPress:
@@ -104,6 +122,8 @@ def simulate_press(
         Of the indenter, from the gel's centre, x to the right, y down.
     rng : Generator or None
         For the noise; None makes none.
+    spin_deg, tilt_deg : float, (about x, about y)
+        Of the indenter; see `Posed`.
     oversample : odd int
     quantise : bool
         False: float64 levels, neither rounded nor cut at 0 and 255.
@@ -111,33 +131,88 @@ def simulate_press(
     Raises
     ------
     ValueError
-        A depth that is not positive, an even oversample, or an indenter that does not touch the gel within
+        A depth that is not positive or goes through the gel, an even oversample, or an indenter that does
+        not touch the gel within
         the image.
     """
     check_positive(depth_mm, "depth_mm")
-    if oversample < 1 or oversample % 2 == 0:
-        raise ValueError(f"Expected oversample as an odd number (1, 3, 5), got {oversample}.")
-    surface = _pressed(sensor, indenter, center_mm, depth_mm, oversample)
-    if not surface.contact.any():
+    pose = Pose(depth_mm, center_mm, spin_deg, tilt_deg)
+    press = simulate_pose(
+        sensor, indenter, pose, rng=rng, oversample=oversample, quantise=quantise, drag=Drag(sensor.gel)
+    )
+    if not press.contact.any():
         raise ValueError(
             f"Expected an indenter that touches the gel within the image, got none at center_mm={center_mm} "
             f"pressed {depth_mm:g} mm: the image spans {_span(sensor)} mm."
         )
-    levels = levels_from_irradiance(
-        sensor, irradiance_from_surface(surface, sensor.leds, oversample=oversample)
+    return press
+
+
+def simulate_sequence(
+    sensor: SimulatedSensor,
+    indenter: Indenter,
+    poses: Iterable[Pose],
+    *,
+    rng: np.random.Generator | None,
+    oversample: int = 1,
+    start_s: float = 0.0,
+) -> Iterator[SimulatedPress | None]:
+    """Images of an indenter that moves from pose to pose, one per frame of the sensor's camera.
+
+    The surface is dragged along (`markers_shift_mm`), the light drifts and flickers; a frame that the camera
+    drops is None. Poses may stand off the gel (depth 0 or less).
+    """
+    drag = Drag(sensor.gel)
+    for k, pose in enumerate(poses):
+        press = simulate_pose(
+            sensor,
+            indenter,
+            pose,
+            rng=rng,
+            oversample=oversample,
+            drag=drag,
+            time_s=start_s + k / sensor.timing.frame_rate_hz,
+        )
+        dropped = rng is not None and rng.random() < sensor.timing.drop_probability
+        yield None if dropped else press
+
+
+def simulate_pose(
+    sensor: SimulatedSensor,
+    indenter: Indenter,
+    pose: Pose,
+    *,
+    rng: np.random.Generator | None,
+    oversample: int = 1,
+    quantise: bool = True,
+    drag: Drag | None = None,
+    time_s: float = 0.0,
+) -> SimulatedPress:
+    """The image of an indenter at a pose, touching or not, and its truth; `drag` remembers the poses
+    before."""
+    if oversample < 1 or oversample % 2 == 0:
+        raise ValueError(f"Expected oversample as an odd number (1, 3, 5), got {oversample}.")
+    if pose.depth_mm >= sensor.gel.thickness_mm:
+        raise ValueError(
+            f"Expected depth_mm less than the gel's thickness, {sensor.gel.thickness_mm:g} "
+            f"mm, got {pose.depth_mm:g}."
+        )
+    surface = _pressed(sensor, indenter, pose, oversample)
+    rest = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px)
+    shift = np.zeros_like(rest)
+    if len(rest):
+        coarse = thinned(middle_samples(surface, oversample), DRAG_STRIDE)
+        shift = displacement_at((drag or Drag(sensor.gel))(coarse, pose), coarse, rest)
+    rendered = render(
+        sensor,
+        surface,
+        rng=rng,
+        oversample=oversample,
+        quantise=quantise,
+        markers_mm=rest + shift,
+        time_s=time_s,
     )
-    at = slice(oversample // 2, None, oversample)
-    return SimulatedPress(
-        image=image_from_levels(sensor, levels, rng, quantise=quantise),
-        depth_mm=surface.depth_mm[at, at].copy(),
-        gradients=surface.gradients[at, at].copy(),
-        contact=surface.contact[at, at].copy(),
-        indenter=indenter,
-        center_mm=center_mm,
-        center_px=sensor.px_from_mm(center_mm),
-        press_depth_mm=depth_mm,
-        contact_radius_px=_radius_px(sensor, indenter, depth_mm),
-    )
+    return _press(sensor, indenter, pose, rendered, shift, time_s)
 
 
 def simulate_background(
@@ -151,12 +226,10 @@ def simulate_background(
     """
     if frames < 1:
         raise ValueError(f"Expected frames >= 1, got {frames}.")
-    levels = levels_from_irradiance(
-        sensor, irradiance_from_surface(flat_surface(*sensor.grid_mm()), sensor.leds)
-    )
+    surface = flat_surface(*sensor.grid_mm())
+    images = [render(sensor, surface, rng=rng, quantise=quantise).image for _ in range(frames)]
     if frames == 1:
-        return image_from_levels(sensor, levels, rng, quantise=quantise)
-    images = [image_from_levels(sensor, levels, rng, quantise=quantise) for _ in range(frames)]
+        return images[0]
     mean = np.mean(images, axis=0, dtype=np.float64)
     return np.asarray(mean, dtype=np.float32 if quantise else np.float64)
 
@@ -187,7 +260,7 @@ def simulate_ball_presses(
             simulate_press(
                 sensor,
                 ball,
-                depth_mm=depth_of_ball(ball.radius_mm, press_rng.uniform(*RIM_SLOPES), sensor.relaxation_mm),
+                depth_mm=_depth_of(sensor, ball, press_rng.uniform(*RIM_SLOPES)),
                 center_mm=_place(sensor, k, shift),
                 rng=press_rng,
                 oversample=oversample,
@@ -200,29 +273,73 @@ def simulate_ball_presses(
 
 def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:
     """The sensor with the white balance that gives its untouched image these mean grey levels."""
-    flat = replace(sensor, white_balance=(1, 1, 1))
-    means = simulate_background(flat, None, quantise=False).mean(axis=(0, 1), dtype=np.float64)
-    if means.min() <= 0:
-        raise ValueError(f"Expected light in every channel, got mean levels {means} for {sensor.name!r}.")
-    gains = np.broadcast_to(np.asarray(levels, dtype=np.float64), 3) / means
+    linear = replace(sensor.optics, response_gamma=1.0, jpeg_quality=None)
+    flat = replace(sensor, white_balance=(1, 1, 1), optics=linear)
+    light = simulate_background(flat, None, quantise=False)
+    if light.mean(axis=(0, 1)).min() <= 0:
+        raise ValueError(
+            f"Expected light in every channel, got mean levels {light.mean(axis=(0, 1))} for {sensor.name!r}."
+        )
+    wanted = np.broadcast_to(np.asarray(levels, dtype=np.float64), 3)
+    gamma = sensor.optics.response_gamma
+    mean_root = np.mean((light / 255) ** (1 / gamma), axis=(0, 1))  # the response of a gain is a gain
+    gains = (wanted / (255 * mean_root)) ** gamma
     return replace(sensor, white_balance=(float(gains[0]), float(gains[1]), float(gains[2])))
 
 
-def _pressed(
+def _depth_of(sensor: SimulatedSensor, ball: Ball, rim_slope: float) -> float:
+    gel = sensor.gel
+    return depth_of_ball(
+        ball.radius_mm, rim_slope, sensor.relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
+    )
+
+
+def _press(
     sensor: SimulatedSensor,
     indenter: Indenter,
-    center_mm: tuple[float, float],
-    depth_mm: float,
-    oversample: int,
-) -> Surface:
-    length = sensor.relaxation_mm
+    pose: Pose,
+    rendered: Rendered,
+    shift: NDArray[np.float64],
+    time_s: float,
+) -> SimulatedPress:
+    radius_mm, rim_mm = _rim(sensor, indenter, pose.depth_mm)
+    center = px_seen(sensor, np.array([pose.center_mm]), rim_mm)[0]
+    return SimulatedPress(
+        image=rendered.image,
+        depth_mm=rendered.depth_mm,
+        gradients=rendered.gradients,
+        contact=rendered.contact,
+        indenter=indenter,
+        center_mm=pose.center_mm,
+        center_px=(float(center[0]), float(center[1])),
+        press_depth_mm=pose.depth_mm,
+        contact_radius_px=None if radius_mm is None else radius_mm / sensor.mm_per_px,
+        albedo=rendered.albedo,
+        shadowed=rendered.shadowed,
+        saturated=rendered.saturated,
+        markers_px=rendered.markers_px,
+        markers_shift_mm=shift,
+        pose=pose,
+        time_s=time_s,
+    )
+
+
+def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample: int) -> Surface:
+    """The gel's surface on the subpixel grid; any face but a ball's is solved on a wider one."""
+    if pose.depth_mm <= 0:
+        return flat_surface(*sensor.grid_mm(oversample))
+    how: dict[str, Any] = {
+        "center_mm": pose.center_mm,
+        "depth_mm": pose.depth_mm,
+        "relaxation_mm": sensor.relaxation_mm,
+        "gel": sensor.gel,
+    }
     if isinstance(indenter, Ball):
-        x, y = sensor.grid_mm(oversample)
-        return surface_from_ball(indenter, x, y, center_mm=center_mm, depth_mm=depth_mm, relaxation_mm=length)
-    margin = int(np.ceil(MARGIN_LENGTHS * length / sensor.mm_per_px * oversample))
-    x, y = sensor.grid_mm(oversample, margin)
-    wide = surface_from_indenter(indenter, x, y, center_mm=center_mm, depth_mm=depth_mm, relaxation_mm=length)
-    return cropped(wide, margin)
+        return surface_from_ball(indenter, *sensor.grid_mm(oversample), **how)
+    margin = int(np.ceil(MARGIN_LENGTHS * sensor.relaxation_mm / sensor.mm_per_px * oversample))
+    turned = pose.spin_deg != 0 or pose.tilt_deg != (0, 0)
+    posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
+    return cropped(surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how), margin)
 
 
 def _place(sensor: SimulatedSensor, k: int, shift: NDArray[np.float64]) -> tuple[float, float]:
@@ -234,10 +351,18 @@ def _place(sensor: SimulatedSensor, k: int, shift: NDArray[np.float64]) -> tuple
     return float(x), float(y)
 
 
-def _radius_px(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> float | None:
-    if not isinstance(indenter, Ball):
-        return None
-    return contact_radius_of_ball(indenter.radius_mm, depth_mm, sensor.relaxation_mm) / sensor.mm_per_px
+def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[float | None, float]:
+    """Contact radius of a ball in mm as the camera sees it, and the depth of the rim; None and 0 for
+    anything else."""
+    if not isinstance(indenter, Ball) or depth_mm <= 0:
+        return None, 0.0
+    gel, radius = sensor.gel, indenter.radius_mm
+    a = contact_radius_of_ball(
+        radius, depth_mm, sensor.relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
+    )
+    rim = depth_mm - radius + float(np.sqrt(radius**2 - a**2))
+    height = sensor.optics.height_mm
+    return (a if height is None else a / (1 - rim / height)), rim
 
 
 def _span(sensor: SimulatedSensor) -> str:

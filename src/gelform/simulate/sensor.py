@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_mm_per_px, check_positive
+from gelform.simulate.coating import Coating
+from gelform.simulate.gel import Gel
+from gelform.simulate.optics import Optics
+from gelform.simulate.timing import Timing
 
 Triple = tuple[float, float, float]
 IDENTITY: tuple[Triple, Triple, Triple] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -16,7 +20,7 @@ IDENTITY: tuple[Triple, Triple, Triple] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 @dataclass(frozen=True)
 class Led:
-    """A small light near the gel that shines alike in all directions.
+    """A small light near the gel; unless it has a beam it shines alike in all directions.
 
     Attributes
     ----------
@@ -24,10 +28,20 @@ class Led:
         From the gel's centre; x to the right, y down, z towards the camera: z > 0.
     color : (red, green, blue)
         Strength in each channel, >= 0: grey levels that a white surface facing it gives at 1 mm.
+    beam_power : int, 0-64
+        Falls off beside its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
+        narrow.
+    aim_mm : (x, y, z)
+        The point that its axis goes through; the gel's centre unless said.
+    size_mm : float
+        Its diameter; only cast shadows know it: larger is softer.
     """
 
     position_mm: Triple
     color: Triple
+    beam_power: int = 0
+    aim_mm: Triple = (0.0, 0.0, 0.0)
+    size_mm: float = 1.0
 
     def __post_init__(self) -> None:
         position, color = _triple(self.position_mm, "position_mm"), _triple(self.color, "color")
@@ -39,6 +53,12 @@ class Led:
             )
         if min(color) < 0 or max(color) == 0:
             raise ValueError(f"Expected color >= 0 and not all 0, got {self.color}.")
+        if np.all(_triple(self.aim_mm, "aim_mm") == position):
+            raise ValueError(f"Expected aim_mm away from the LED itself, got {self.aim_mm}.")
+        if int(self.beam_power) != self.beam_power or not 0 <= self.beam_power <= 64:
+            raise ValueError(f"Expected beam_power as a whole number in 0-64, got {self.beam_power}.")
+        if not 0 <= self.size_mm < np.inf:
+            raise ValueError(f"Expected size_mm >= 0, got {self.size_mm}.")
 
 
 @dataclass(frozen=True)
@@ -69,6 +89,20 @@ class SimulatedSensor:
         Shot noise: variance per grey level of signal.
     relaxation_mm : float
         Length over which the gel's surface relaxes beside the contact.
+    gel : Gel
+        Thickness, bulge, friction.
+    coating : Coating
+        What the gel's surface looks like: gloss, scattering, roughness, scratches, dust, markers, albedo.
+    optics : Optics
+        Projection, distortion, response curve, exposure, JPEG.
+    timing : Timing
+        Frame rate, flicker, drift, dropped frames; only sequences know it.
+    shading : three tuples of six numbers, or None
+        Per channel the gain over the image as `1 + a x + b y + c x^2 + d x y + e y^2` times the first
+        number, x and
+        y in -1..1: light guides and lenses that no LED position explains.
+    cast_shadows : bool
+        Whether the surface shades itself; attached shadows are always there.
     """
 
     leds: tuple[Led, ...]
@@ -83,6 +117,12 @@ class SimulatedSensor:
     noise_sd: float = 0.0
     noise_gain: float = 0.0
     relaxation_mm: float = 0.5
+    gel: Gel = field(default_factory=Gel)
+    coating: Coating = field(default_factory=Coating)
+    optics: Optics = field(default_factory=Optics)
+    timing: Timing = field(default_factory=Timing)
+    shading: tuple[tuple[float, ...], ...] | None = None
+    cast_shadows: bool = False
 
     def __post_init__(self) -> None:
         _check_shape(self.shape)
@@ -98,6 +138,10 @@ class SimulatedSensor:
         for name in ("blur_px", "noise_sd", "noise_gain"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
+        for led in self.leds:
+            _check_outside_gel(led, self)
+        if self.shading is not None and np.shape(self.shading) != (3, 6):
+            raise ValueError(f"Expected shading as three tuples of six numbers, got {self.shading}.")
         if not 0 <= self.vignetting < 1:
             raise ValueError(f"Expected vignetting in 0-1 (1 excluded), got {self.vignetting}.")
 
@@ -127,6 +171,17 @@ def _triple(values: Any, name: str) -> NDArray[np.float64]:
     if array.shape != (3,) or not np.all(np.isfinite(array)):
         raise ValueError(f"Expected {name} as three finite numbers, got {values}.")
     return array
+
+
+def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
+    """Refuse a light between the gel's two faces; one beside the gel may be as low as it likes."""
+    x, y, z = led.position_mm
+    half_height, half_width = (n * sensor.mm_per_px / 2 for n in sensor.shape)
+    if z < sensor.gel.thickness_mm and abs(x) < half_width and abs(y) < half_height:
+        raise ValueError(
+            f"Expected every LED outside the gel, got one at {led.position_mm} mm in a gel that is "
+            f"{sensor.gel.thickness_mm:g} mm thick: raise it, or move it beside the image."
+        )
 
 
 def _check_shape(shape: tuple[int, int]) -> None:

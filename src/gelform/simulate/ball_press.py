@@ -1,0 +1,202 @@
+"""The gel under a ball, in closed form beside the contact: round, so one radius says all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import k0e, k1e
+
+NODES = 200  # of the bulge inside the contact
+TABLE = 4096
+REACH_LENGTHS = 16  # e^-16: beyond, the gel is at rest
+APART = 1e-3  # the two lengths of the gel may not be closer than this (their solutions would coincide)
+
+
+@dataclass(frozen=True)
+class BallPress:
+    """A ball in the gel: z = depth - R + sqrt(R^2 - r^2) up to the contact radius, two Bessel functions
+    beyond.
+
+    Attributes
+    ----------
+    radius_mm, depth_mm : of the ball, and how deep it stands
+    contact_radius_mm : of the circle in which they touch
+    tail_mm : how far the membrane stands at the rim, and the part of the bulge that follows it is taken off
+    bulge_mm : what the wider part of the bulge takes away at the rim
+    relaxation_mm, thickness_mm : the lengths over which the two fall off
+    """
+
+    radius_mm: float
+    depth_mm: float
+    contact_radius_mm: float
+    tail_mm: float
+    bulge_mm: float
+    relaxation_mm: float
+    thickness_mm: float
+
+    def tail(self, r_mm: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Depth and slope at distances r >= contact radius."""
+        depth, slope = np.zeros(np.shape(r_mm)), np.zeros(np.shape(r_mm))
+        for size, length in ((self.tail_mm, self.relaxation_mm), (-self.bulge_mm, self.thickness_mm)):
+            if size != 0:
+                scale = size * np.exp((self.contact_radius_mm - r_mm) / length)
+                scale = scale / k0e(self.contact_radius_mm / length)
+                depth += scale * k0e(r_mm / length)
+                slope -= scale * k1e(r_mm / length) / length
+        return depth, slope
+
+
+@lru_cache(maxsize=256)
+def ball_press(
+    radius_mm: float, depth_mm: float, relaxation_mm: float, *, thickness_mm: float = 3.0, bulge: float = 0.0
+) -> BallPress:
+    """How a ball pressed `depth_mm` deep stands in a gel."""
+    thickness_mm = _apart(thickness_mm, relaxation_mm)
+
+    def mismatch(a: float) -> float:
+        cosine = np.sqrt(radius_mm**2 - a**2)
+        return float(_rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)[0] * cosine)
+
+    a = float(brentq(mismatch, 1e-6 * radius_mm, radius_mm * (1 - 1e-12), xtol=1e-12 * radius_mm))
+    _, membrane, risen = _rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)
+    follows = bulge * membrane / (1 - (thickness_mm / relaxation_mm) ** 2)
+    return BallPress(radius_mm, depth_mm, a, membrane - follows, risen - follows, relaxation_mm, thickness_mm)
+
+
+def contact_radius_of_ball(
+    radius_mm: float, depth_mm: float, relaxation_mm: float, *, thickness_mm: float = 3.0, bulge: float = 0.0
+) -> float:
+    """Radius in mm of the circle in which the gel touches a ball pressed `depth_mm` deep."""
+    press = ball_press(radius_mm, depth_mm, relaxation_mm, thickness_mm=thickness_mm, bulge=bulge)
+    return press.contact_radius_mm
+
+
+def depth_of_ball(
+    radius_mm: float,
+    rim_slope: float,
+    relaxation_mm: float,
+    *,
+    thickness_mm: float = 3.0,
+    bulge: float = 0.0,
+) -> float:
+    """How deep a ball must be pressed, in mm, for its slope at the contact's rim to be `rim_slope`."""
+    thickness_mm = _apart(thickness_mm, relaxation_mm)
+    a = rim_slope * radius_mm / np.hypot(1, rim_slope)
+    at_0, at_1 = (_rim(a, radius_mm, d, relaxation_mm, thickness_mm, bulge)[0] for d in (0.0, 1.0))
+    return float(at_0 / (at_0 - at_1))  # the mismatch is linear in the depth
+
+
+def ball_on_grid(
+    press: BallPress, x_mm: NDArray[Any], y_mm: NDArray[Any], center_mm: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Depth (H, W), gradients (H, W, 2) and contact of a ball on a grid."""
+    a = press.contact_radius_mm
+    reach = REACH_LENGTHS * (
+        max(press.relaxation_mm, press.thickness_mm) if press.bulge_mm else press.relaxation_mm
+    )
+    step = reach / (TABLE - 1)
+    depth, slope = _table(press, step)
+    out = np.zeros((y_mm.size, x_mm.size, 3))
+    touching = np.zeros(out.shape[:2], dtype=bool)
+    dx, dy = np.ravel(x_mm) - center_mm[0], np.ravel(y_mm) - center_mm[1]
+    _fill(dx, dy, press.radius_mm, press.depth_mm, a, step, depth, slope, out, touching)
+    return out[..., 0].copy(), np.ascontiguousarray(out[..., 1:]), touching
+
+
+@lru_cache(maxsize=64)
+def _table(press: BallPress, step: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return press.tail(press.contact_radius_mm + step * np.arange(TABLE))
+
+
+def _rim(
+    a: float, radius_mm: float, depth_mm: float, length: float, thickness: float, bulge: float
+) -> tuple[float, float, float]:
+    """Slope of the gel just inside the rim less that outside; membrane and bulge there.
+
+    Inside, the membrane is the ball's face g plus the bulge b: (1 - bulge) b - h^2 laplace(b) = bulge g, by
+    second-order differences. Outside, both are Bessel functions.
+    """
+    r = np.linspace(0, a, NODES + 1)
+    face = depth_mm - radius_mm + np.sqrt(radius_mm**2 - r**2)
+    kl = k1e(a / length) / k0e(a / length) / length
+    slope = -a / np.sqrt(radius_mm**2 - a**2)
+    if bulge == 0:
+        return float(slope + face[-1] * kl), float(face[-1]), 0.0
+    kh = k1e(a / thickness) / k0e(a / thickness) / thickness
+    follows = bulge / (1 - (thickness / length) ** 2)
+    b, b_slope = _bulge_inside(face, a, thickness, bulge, follows * (kl - kh), kh)
+    membrane = face[-1] + b
+    return float(slope + b_slope + membrane * kl), float(membrane), b
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _bulge_inside(
+    face: Any, a: float, thickness: float, bulge: float, coupling: float, kh: float
+) -> tuple[float, float]:
+    """The bulge and its slope at the rim, where it obeys `b' = -coupling (g + b) - kh b`: Thomas's
+    elimination."""
+    step = a / NODES
+    stiffness = (thickness / step) ** 2
+    diagonal, upper, right = 1 - bulge + 4 * stiffness, -4 * stiffness, bulge * face[0]
+    for i in range(1, NODES + 1):
+        lower, outward = -stiffness * (1 - 0.5 / i), -stiffness * (1 + 0.5 / i)
+        own, force = 1 - bulge + 2 * stiffness, bulge * face[i]
+        if i == NODES:  # the ghost beyond the rim, by the condition there
+            lower += outward
+            own -= outward * 2 * step * (coupling + kh)
+            force += outward * 2 * step * coupling * face[i]
+        factor = lower / diagonal
+        diagonal, right, upper = own - factor * upper, force - factor * right, outward
+    b = right / diagonal
+    return b, -coupling * (face[NODES] + b) - kh * b
+
+
+def _apart(thickness_mm: float, relaxation_mm: float) -> float:
+    """The thickness, moved by a thousandth where it equals the relaxation length: the formula has a pole
+    there."""
+    if abs(thickness_mm / relaxation_mm - 1) < APART:
+        return relaxation_mm * (1 + APART)
+    return thickness_mm
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fill(
+    dx: Any,
+    dy: Any,
+    radius: float,
+    top: float,
+    a: float,
+    step: float,
+    depth: Any,
+    slope: Any,
+    out: Any,
+    touching: Any,
+) -> None:
+    """The cap inside, beyond it cubic Hermite interpolation in a table of depth and slope over the radius."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            square = dx[j] * dx[j] + dy[i] * dy[i]
+            r = np.sqrt(square)
+            if r <= a:
+                cosine = np.sqrt(radius * radius - square)
+                out[i, j, 0] = top - radius + cosine
+                over_r = -1 / cosine
+                touching[i, j] = True
+            else:
+                place = (r - a) / step
+                k = int(place)
+                if k + 1 >= depth.size:
+                    continue
+                t = place - k
+                d0, d1, s0, s1 = depth[k], depth[k + 1], step * slope[k], step * slope[k + 1]
+                square_term, cubic = 3 * (d1 - d0) - 2 * s0 - s1, 2 * (d0 - d1) + s0 + s1
+                out[i, j, 0] = d0 + t * (s0 + t * (square_term + t * cubic))
+                over_r = (s0 + t * (2 * square_term + 3 * t * cubic)) / (step * r)
+            out[i, j, 1] = over_r * dx[j]
+            out[i, j, 2] = over_r * dy[i]

@@ -1,0 +1,191 @@
+"""What the gel's surface looks like: gloss, scattering, roughness, scratches, dust, markers, albedo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_map
+
+Grid = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Coating:
+    """The reflecting layer on the gel. All zeros: a perfect white Lambertian one.
+
+    Attributes
+    ----------
+    specular : float, >= 0
+        Strength of the gloss relative to the diffuse light (Blinn-Phong).
+    shininess : int, 1-1024, a power of two
+        Of the gloss: larger is sharper.
+    scattering : float, 0-1, scattering_mm : float
+        This part of the light spreads in the gel before it is seen, over this length (standard deviation).
+    interreflection : float, 0-1, interreflection_mm : float
+        This part of the reflected light comes back from gel and walls, spread over this length: one bounce.
+    roughness : float
+        Standard deviation of the coating's own slopes, mm/mm, that shade but are no depth; grain_mm is
+        their size.
+    scratches, dust : int
+        How many; dust is dark or bright specks.
+    marker_pitch_mm, marker_radius_mm : float
+        Dark dots on a grid; 0 pitch: none.
+    albedo : (h, w) or None
+        Reflectance 0-1 over the image, stretched to its size.
+    seed : int
+        Of this gel's own roughness, scratches and dust: another gel, another seed.
+    """
+
+    specular: float = 0.0
+    shininess: int = 16
+    scattering: float = 0.0
+    scattering_mm: float = 0.5
+    interreflection: float = 0.0
+    interreflection_mm: float = 5.0
+    roughness: float = 0.0
+    grain_mm: float = 0.12
+    scratches: int = 0
+    dust: int = 0
+    marker_pitch_mm: float = 0.0
+    marker_radius_mm: float = 0.25
+    albedo: Any = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("specular", "roughness", "marker_pitch_mm", "scratches", "dust", "seed"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
+        for name in ("scattering", "interreflection"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(self, name)}.")
+        for name in ("scattering_mm", "interreflection_mm", "grain_mm", "marker_radius_mm"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"Expected {name} > 0, got {getattr(self, name)}.")
+        if self.shininess not in [2**k for k in range(11)]:
+            raise ValueError(f"Expected shininess as a power of two in 1-1024, got {self.shininess}.")
+        if 0 < self.marker_pitch_mm <= 2 * self.marker_radius_mm:
+            raise ValueError(f"Expected marker_pitch_mm over twice the radius, got {self.marker_pitch_mm}.")
+        if self.albedo is not None:
+            object.__setattr__(self, "albedo", _Albedo.checked(self.albedo))
+
+    def markers_mm(self, shape: Grid, mm_per_px: float) -> NDArray[np.float64]:
+        """Resting places (N, 2) of the markers: a grid about the gel's centre, half a pitch beyond the
+        image."""
+        if self.marker_pitch_mm == 0:
+            return np.zeros((0, 2))
+        half = np.array([shape[1], shape[0]]) * mm_per_px / 2
+        nx, ny = (int(h / self.marker_pitch_mm + 0.5) for h in half)
+        x, y = np.meshgrid(np.arange(-nx, nx + 1), np.arange(-ny, ny + 1))
+        return np.asarray(np.stack([x, y], axis=-1).reshape(-1, 2) * self.marker_pitch_mm, dtype=np.float64)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the surface is white and smooth all over."""
+        return self.albedo is None and self.dust == 0 and self.marker_pitch_mm == 0
+
+
+class _Albedo:
+    """A reflectance map that compares by identity, so that a coating can be a key."""
+
+    def __init__(self, values: NDArray[np.float64]) -> None:
+        self.values = values
+
+    @classmethod
+    def checked(cls, values: ArrayLike | _Albedo) -> _Albedo:
+        if isinstance(values, _Albedo):
+            return values
+        albedo = check_map(values, "albedo", nonnegative=True, dtype=np.float64)
+        if albedo.ndim != 2 or albedo.max() > 1:
+            raise ValueError(
+                f"Expected albedo of shape (h, w) in 0-1, got {albedo.shape}, up to {albedo.max():g}."
+            )
+        return cls(albedo)
+
+
+@lru_cache(maxsize=8)
+def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> NDArray[np.float32]:
+    """Reflectance (H, W) of a gel without its markers: the albedo map and dust."""
+    albedo = np.ones(shape, dtype=np.float32)
+    if coating.albedo is not None:
+        albedo = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR).astype(
+            np.float32
+        )
+    rng = np.random.default_rng([coating.seed, 1])
+    for _ in range(coating.dust):
+        at, size = rng.uniform(0, 1, 2) * shape[::-1], rng.uniform(0.04, 0.12) / mm_per_px
+        level = rng.choice([rng.uniform(0.3, 0.8), rng.uniform(1.2, 1.8)])
+        albedo = _blend(albedo, _disc(shape, at, size), level)
+    return albedo
+
+
+def with_markers(
+    albedo: NDArray[np.float32], places_px: NDArray[np.float64], radius_px: float
+) -> NDArray[np.float32]:
+    """The reflectance with dark dots at places (N, 2), x and y, with soft edges."""
+    out = albedo.copy()
+    _dots(out, np.ascontiguousarray(places_px, dtype=np.float64), radius_px)
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _dots(out: Any, places: Any, radius: float) -> None:
+    height, width = out.shape
+    for k in range(places.shape[0]):
+        x, y = places[k]
+        for i in range(max(int(y - radius), 0), min(int(y + radius) + 2, height)):
+            for j in range(max(int(x - radius), 0), min(int(x + radius) + 2, width)):
+                cover = min(max(radius + 0.5 - np.sqrt((j - x) ** 2 + (i - y) ** 2), 0), 1)
+                out[i, j] *= 1 - 0.9 * cover
+
+
+@lru_cache(maxsize=8)
+def texture_gradients(
+    coating: Coating, shape: Grid, mm_per_px: float, oversample: int
+) -> NDArray[np.float32] | None:
+    """Slopes (h, w, 2) of roughness and scratches on the fine grid, or None where there are none.
+
+    Made on a grid of the pixels' pitch and stretched, so that every oversample sees the same gel.
+    """
+    if coating.roughness == 0 and coating.scratches == 0:
+        return None
+    height = np.zeros(shape, dtype=np.float32)
+    rng = np.random.default_rng([coating.seed, 2])
+    if coating.roughness > 0:
+        grain = cv2.GaussianBlur(
+            rng.standard_normal(shape).astype(np.float32), (0, 0), max(coating.grain_mm / mm_per_px, 0.5)
+        )
+        slope = np.std(np.gradient(grain, mm_per_px), dtype=np.float64)
+        height += grain * np.float32(coating.roughness / slope)
+    for _ in range(coating.scratches):
+        height -= _scratch(shape, mm_per_px, rng)
+    size = (shape[1] * oversample, shape[0] * oversample)
+    slopes = [cv2.resize(s, size, interpolation=cv2.INTER_LINEAR) for s in np.gradient(height, mm_per_px)]
+    return np.stack(slopes[::-1], axis=-1).astype(np.float32)
+
+
+def _scratch(shape: Grid, mm_per_px: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """A groove (H, W), 2-8 um deep, 2-6 mm long, straight."""
+    start = rng.uniform(0, 1, 2) * shape[::-1]
+    angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
+    end = start + length * np.array([np.cos(angle), np.sin(angle)])
+    drawing = np.zeros(shape, dtype=np.float32)
+    points = [(round(float(x)), round(float(y))) for x, y in (start, end)]
+    cv2.line(drawing, points[0], points[1], 1.0, 1, cv2.LINE_8)
+    depth_mm = np.float32(rng.uniform(0.002, 0.008))
+    return np.asarray(cv2.GaussianBlur(drawing, (0, 0), 0.8) * depth_mm, dtype=np.float32)
+
+
+def _disc(shape: Grid, at: NDArray[np.float64], radius_px: float) -> NDArray[np.float32]:
+    y, x = np.ogrid[: shape[0], : shape[1]]
+    return np.clip(radius_px + 0.5 - np.hypot(x - at[0], y - at[1]), 0, 1).astype(np.float32)
+
+
+def _blend(albedo: NDArray[np.float32], cover: NDArray[np.float32], level: float) -> NDArray[np.float32]:
+    return np.asarray(albedo * (1 + cover * np.float32(level - 1)), dtype=np.float32)
