@@ -24,6 +24,13 @@ _HOME = {
     "depth_from_gradients": "gelform.depth",
     "integrate": "gelform.depth",
     "Integration": "gelform.depth",
+    "press_errors": "gelform.metrics",
+    "Calibration": "gelform.record",
+    "load_calibration": "gelform.record",
+    "Reconstructor": "gelform.reconstruct",
+    "read_presses": "gelform.calibration.folder",
+    "calibrate": "gelform.calibration.fit",
+    "evaluate": "gelform.calibration.evaluate",
     "save_press_folder": "gelform.export",
     "save_simulated_presses": "gelform.export",
     "GelformError": "gelform.errors",
@@ -34,12 +41,18 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
+    from gelform.calibration.evaluate import evaluate
+    from gelform.calibration.fit import calibrate
+    from gelform.calibration.folder import read_presses
     from gelform.depth import Integration, depth_from_gradients, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
     from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
+    from gelform.metrics import press_errors
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.reconstruct import Reconstructor
+    from gelform.record import Calibration, load_calibration
     from gelform.view import View, frame_from_image, image_from_frame
 
 __all__ = ["__version__", *_HOME]

@@ -21,6 +21,7 @@ from gelform.progress import Progress, no_progress
 
 ROUNDS = 5
 REFINING_ZONE = 0.8
+REFINING_SAMPLES = 15_000
 MAX_MOVE_PX = 8.0
 MAX_RESIDUAL = 0.25
 RESIDUAL_OVER_MEDIAN = 3.0
@@ -85,7 +86,7 @@ def refine(
 
 def fit_model(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> PolynomialModel:
     """The polynomial that circles are refined with."""
-    samples = contact_samples(presses, contacts, REFINING_ZONE)
+    samples = contact_samples(presses, contacts, REFINING_ZONE, total=REFINING_SAMPLES)
     samples = with_rest_samples(samples, presses, contacts)
     return PolynomialModel.fit(samples, position_degrees=refining_degrees(len(presses)))
 

@@ -16,7 +16,7 @@ from gelform.calibration.presses import Contact
 from gelform.color_models import ColorModel, Samples
 from gelform.metrics import STEEPEST_FRACTION, ball_gradients
 
-TOTAL_SAMPLES = 60_000
+TOTAL_SAMPLES = 40_000
 REST_WEIGHT = 0.3
 REST_DISTANCE = 2.0
 

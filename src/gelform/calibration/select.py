@@ -136,6 +136,16 @@ def normal_error_deg(press: PreparedPress, found: Contact, model: ColorModel) ->
 
 
 def simplest_within_one_error(scores: Sequence[Score]) -> Score:
-    """The first (simplest) whose mean is within one standard error of the best."""
+    """The first (simplest) that is worse than the best by no more than one standard error of their difference.
+
+    Every candidate is scored on the same presses, so the difference is taken press by press.
+    """
     best = min(scores, key=lambda s: s.mean_deg)
-    return next(s for s in scores if s.mean_deg <= best.mean_deg + best.standard_error_deg)
+    return next(s for s in scores if _worse_by(s, best) <= 0)
+
+
+def _worse_by(score: Score, best: Score) -> float:
+    """Mean difference of the errors less its standard error, degrees."""
+    difference = score.errors_deg - best.errors_deg
+    spread = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
+    return float(difference.mean() - spread)
