@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOME = {
+    "read_image": "gelform.sensors.files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
     "image_from_frame": "gelform.view",
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from gelform.frames import Frame
     from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.sensors.files import read_image
     from gelform.view import View, frame_from_image, image_from_frame
 
 __all__ = ["__version__", *_HOME]
