@@ -116,7 +116,7 @@ def write_npz(
     full = json.loads(_json(full))
     full["digest"] = digest_of(prepared, full)
     with written_file(path, overwrite=overwrite, error=error) as handle:
-        np.savez(handle, meta=np.array(_json(full)), **prepared)  # type: ignore[arg-type]
+        _write_members(handle, {"meta": np.array(_json(full)), **prepared})
 
 
 def read_npz(
@@ -175,6 +175,14 @@ def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> st
         sha.update(f"\n{name} {arrays[name].dtype.str} {arrays[name].shape}\n".encode())
         sha.update(values.tobytes())
     return sha.hexdigest()
+
+
+def _write_members(handle: BinaryIO, members: Mapping[str, NDArray[Any]]) -> None:
+    """What `numpy.savez` writes, but closed properly where the disk is full."""
+    with zipfile.ZipFile(handle, "w") as archive:
+        for name, array in members.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def _members(

@@ -184,8 +184,11 @@ def _png_is_complete(content: bytes) -> bool:
 
 @contextmanager
 def _opencv_silent() -> Iterator[None]:
-    """OpenCV writes its own complaints to the terminal; ours is raised."""
-    logging = cv2.utils.logging
+    """OpenCV writes its own complaints to the terminal; ours is raised. Wheels of 4.x have no such switch."""
+    logging = getattr(cv2.utils, "logging", None)
+    if logging is None:
+        yield
+        return
     level = logging.getLogLevel()
     logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:

@@ -51,8 +51,8 @@ class SensorProfile:
         if abs(aspect - 1) > MAX_ASPECT_ERROR:
             raise SensorError(
                 f"Expected frames of a {self.name} with the aspect of {image_shape[0]}x{image_shape[1]} px "
-                f"(height x width), got {height}x{width}. Choose another camera mode, or give a [view] with the "
-                "right crop in sensor.toml."
+                f"(height x width), got {height}x{width}. Choose another camera mode, or give a crop: "
+                "a [view] in sensor.toml."
             )
         kept = 1 - 2 * self.border
         crop = (width * self.border, height * self.border, width * kept, height * kept)
