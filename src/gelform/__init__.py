@@ -25,6 +25,8 @@ _HOME = {
     "depth_from_gradients": "gelform.depth",
     "integrate": "gelform.depth",
     "Integration": "gelform.depth",
+    "save_press_folder": "gelform.export",
+    "save_simulated_presses": "gelform.export",
     "GelformError": "gelform.errors",
     "CalibrationError": "gelform.errors",
     "SensorError": "gelform.errors",
@@ -35,6 +37,7 @@ _HOME = {
 if TYPE_CHECKING:
     from gelform.depth import Integration, depth_from_gradients, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
+    from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
     from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image

@@ -1,0 +1,281 @@
+"""calibrate: presses of a ball in, a Calibration out, without a click."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime, timezone
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform import __version__
+from gelform.background import ChangeSettings, check_background, color_change_from_image
+from gelform.calibration.evaluate import errors_of
+from gelform.calibration.folder import Presses
+from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
+from gelform.calibration.refine import Refined, refine, why_impossible
+from gelform.calibration.report import CalibrationReport, PressReport, summary
+from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.calibration.select import (
+    ZONES,
+    Candidate,
+    Fold,
+    Score,
+    candidates_for,
+    make_folds,
+    score,
+    simplest_within_one_error,
+)
+from gelform.calibration.spread import slope_sigma_from_folds
+from gelform.color_models import COLOR_MODELS, ColorModel
+from gelform.color_models.forward import ForwardResponse
+from gelform.confidence import SlopeSigma
+from gelform.errors import CalibrationError
+from gelform.metrics import PressErrors, ball_center
+from gelform.progress import Progress, no_progress
+from gelform.reconstruct import Reconstructor
+from gelform.record import Calibration
+
+BLUR_PX = 1.25
+MIN_PRESSES = 3
+UNTOUCHED_PERCENTILE = 99.0
+
+
+def calibrate(presses: Presses, *, color_model: str = "auto", progress: Progress = no_progress) -> Calibration:
+    """Calibrate a sensor from presses of a ball.
+
+    Finds each contact circle, deals the presses into folds to choose the color model and its training zone on
+    presses that it has not seen, and fits the chosen one on all of them.
+
+    Parameters
+    ----------
+    presses : from `read_presses`
+    color_model : "auto" or a name in `gelform.color_models.COLOR_MODELS`
+    progress : called with (done, total, what)
+
+    Returns
+    -------
+    Calibration
+        With `.report`: every circle, why presses were rejected, the candidates, the held-out errors.
+
+    Raises
+    ------
+    CalibrationError
+        Too few presses fit: the message says why each was rejected.
+    ValueError
+        An unknown color model.
+    """
+    started = time.monotonic()
+    candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
+    prepared = prepare(presses, COLOR_MODELS["polynomial"].change_offset, progress=progress)
+    found = [find_contact_of(press, progress, i, len(prepared)) for i, press in enumerate(prepared)]
+    refined = refine(prepared, found, progress=progress)
+    _check_enough(presses, refined)
+    folds = make_folds(prepared, found, refined.accepted, progress=progress)
+    chosen, scores = _choose(color_model, presses, prepared, found, folds, progress)
+    draft = _draft(presses, prepared, refined, chosen)
+    errors, sigma = _held_out(draft, presses, found, folds, chosen, progress)
+    report = _report(presses, refined, errors, scores, chosen, time.monotonic() - started)
+    return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
+
+
+def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
+    """Color changes of all presses, checked against the background."""
+    settings = change_settings(presses.image_shape, offset)
+    prepared = []
+    for done, press in enumerate(presses.presses):
+        try:
+            check_background(press.image, presses.background)
+        except CalibrationError as problem:
+            raise CalibrationError(f"{press.name}: {problem}") from None
+        change = color_change_from_image(press.image, presses.background, settings)
+        size = magnitude(change - np.median(change, axis=(0, 1)))
+        radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
+        prepared.append(PreparedPress(press.name, change, size, radius_px))
+        progress(done + 1, len(presses.presses), "preparing")
+    return prepared
+
+
+def change_settings(shape: tuple[int, int], offset: float) -> ChangeSettings:
+    """Division by the background, blurred by 1.25 px at 240 rows."""
+    return ChangeSettings("divide", offset, BLUR_PX * scale_of(shape))
+
+
+def find_contact_of(press: PreparedPress, progress: Progress, index: int, count: int) -> Contact:
+    """`find_contact`, reported."""
+    contact = find_contact(press.color_change)
+    progress(index + 1, count, "finding contact circles")
+    return contact
+
+
+def _check_enough(presses: Presses, refined: Refined) -> None:
+    if len(refined.accepted) >= MIN_PRESSES:
+        return
+    reasons = Counter(reason.split(":")[0].split(" (")[0] for reason in refined.reasons if reason is not None)
+    listed = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common(4))
+    raise CalibrationError(
+        f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
+        f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
+        "Press a ball of known diameter firmly at many places, one image each, not deeper than half its radius."
+    )
+
+
+def _choose(
+    color_model: str,
+    presses: Presses,
+    prepared: list[PreparedPress],
+    found: Sequence[Contact],
+    folds: Sequence[Fold],
+    progress: Progress,
+) -> tuple[Candidate, list[Score]]:
+    """The zone with the fewest degrees of error, then the simplest candidate within one standard error."""
+    by_offset = {COLOR_MODELS["polynomial"].change_offset: prepared}
+    candidates = candidates_for(color_model, len(folds[0].training))
+    for offset in {COLOR_MODELS[c.model].change_offset for c in candidates} - by_offset.keys():
+        if offset > 0 or float(presses.background.min()) > 0:
+            by_offset[offset] = prepare(presses, offset)
+    able = [c for c in candidates if COLOR_MODELS[c.model].change_offset in by_offset]
+    if not able:
+        raise CalibrationError(
+            f"The color model {color_model} divides by the background, which has pixels of 0. "
+            "Raise the exposure, or calibrate with --model polynomial."
+        )
+
+    def held_out(candidate: Candidate) -> Score:
+        return score(candidate, folds, by_offset[COLOR_MODELS[candidate.model].change_offset], found)
+
+    zoned = []
+    for done, zone in enumerate(ZONES):
+        zoned.append(held_out(replace(able[-1], zone=zone)))
+        progress(done + 1, len(ZONES) + len(able), "choosing the training zone")
+    best = min(zoned, key=lambda s: s.mean_deg)
+    scores = []
+    for done, candidate in enumerate(able[:-1]):
+        scores.append(held_out(replace(candidate, zone=best.candidate.zone)))
+        progress(len(ZONES) + done + 1, len(ZONES) + len(able), "choosing the color model")
+    scores.append(best)
+    chosen = simplest_within_one_error(scores).candidate
+    return chosen, scores + [s for s in zoned if s is not best]
+
+
+def _draft(presses: Presses, prepared: list[PreparedPress], refined: Refined, chosen: Candidate) -> Calibration:
+    """The calibration fitted on every accepted press; held-out figures are filled in later."""
+    offset = COLOR_MODELS[chosen.model].change_offset
+    if offset != COLOR_MODELS["polynomial"].change_offset:
+        prepared = prepare(presses, offset)
+    used = [prepared[i] for i in refined.accepted]
+    contacts = [refined.contacts[i] for i in refined.accepted]
+    return Calibration(
+        sensor_name=presses.sensor_name,
+        serial=presses.serial,
+        gel_id=presses.gel_id,
+        view=presses.view,
+        image_shape=presses.image_shape,
+        mm_per_px=presses.mm_per_px,
+        mm_per_px_sigma=presses.mm_per_px_sigma,
+        background=presses.background,
+        background_noise=_pixel_noise(presses.background),
+        change=change_settings(presses.image_shape, offset),
+        color_model=chosen.fit(used, contacts),
+        forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
+        slope_sigma=SlopeSigma(0.02, 0.1, 0.05, 10.0 * scale_of(presses.image_shape)),
+        untouched_change=_untouched_change(used, contacts),
+        held_out={},
+        training_digests=tuple(presses.presses[i].digest for i in refined.accepted),
+        settings={"zone": chosen.zone, **dict(chosen.settings), "presses": len(used)},
+        library_version=__version__,
+        created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+
+
+def _held_out(
+    draft: Calibration,
+    presses: Presses,
+    found: Sequence[Contact],
+    folds: Sequence[Fold],
+    chosen: Candidate,
+    progress: Progress,
+) -> tuple[dict[int, PressErrors], SlopeSigma]:
+    """Errors of every usable press through the whole path, with the model of the fold that left it out."""
+    prepared = prepare(presses, draft.change.offset)
+    models: list[ColorModel] = []
+    errors: dict[int, PressErrors] = {}
+    for done, fold in enumerate(folds):
+        model = chosen.fit([prepared[i] for i in fold.training], fold.contacts)
+        reconstruct = Reconstructor(replace(draft, color_model=model))
+        for i in fold.held_out:
+            circle = _free_circle(prepared[i], found[i], model, chosen.zone)
+            errors[i] = errors_of(presses.presses[i], circle, reconstruct)
+        models.append(model)
+        progress(done + 1, len(folds), "measuring on held-out presses")
+    return errors, slope_sigma_from_folds(models, folds, prepared, found)
+
+
+def _free_circle(
+    press: PreparedPress, found: Contact, model: ColorModel, zone: float
+) -> tuple[float, float, float]:
+    """The held-out press's circle: found in its own image, its centre free, its radius not refined."""
+    rows, cols = press.pixels(found, zone, 1500)
+    gradients = press.gradients(model, rows, cols)
+    x, y = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    return x, y, found.radius_px
+
+
+def _report(
+    presses: Presses,
+    refined: Refined,
+    errors: dict[int, PressErrors],
+    scores: Sequence[Score],
+    chosen: Candidate,
+    seconds: float,
+) -> CalibrationReport:
+    rows = []
+    for i, press in enumerate(presses.presses):
+        contact, reason = refined.contacts[i], refined.reasons[i]
+        rows.append(
+            PressReport(
+                press.name,
+                press.ball_diameter_mm,
+                *contact.circle_px,
+                accepted=reason is None,
+                reason=reason,
+                errors=asdict(errors[i]) if i in errors else None,
+            )
+        )
+    candidates = [
+        {
+            "candidate": s.candidate.describe(),
+            "normal_free_deg": s.mean_deg,
+            "standard_error_deg": s.standard_error_deg,
+            "chosen": s.candidate == chosen,
+        }
+        for s in scores
+    ]
+    notes = (
+        f"Held-out errors: {len(errors)} presses in folds; circles, model and zone of a fold never saw its presses. "
+        "The candidate was chosen by the same folds, so its errors are slightly optimistic.",
+        "Crosstalk is absorbed in the color model. The errors do not include the uncertainty of mm_per_px.",
+    )
+    return CalibrationReport(tuple(rows), tuple(candidates), summary(list(errors.values())), seconds, notes)
+
+
+def _untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> float:
+    """Size of the color change that untouched pixels stay under, beyond three contact radii."""
+    sizes = []
+    for press, contact in zip(presses, contacts):
+        height, width = press.size.shape
+        rows, cols = np.ogrid[:height, :width]
+        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > (3 * contact.radius_px) ** 2
+        if far.any():
+            sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
+    return float(np.median(sizes)) if sizes else 0.03
+
+
+def _pixel_noise(background: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Standard deviation of a pixel per channel, grey levels, from second differences (robust)."""
+    second = background[:, 2:] - 2 * background[:, 1:-1] + background[:, :-2]
+    noise: NDArray[np.float64] = 1.4826 * np.median(np.abs(second), axis=(0, 1)).astype(np.float64) / np.sqrt(6)
+    return noise

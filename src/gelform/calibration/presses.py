@@ -1,0 +1,142 @@
+"""Find the contact circle of a ball press without a click.
+
+A ball's colour change is antisymmetric about its centre, because colour is nearly odd in the gradient and the
+gradient is odd about the centre. So the centre is where the colour change convolved with itself is most
+negative, and the contact's rim is where the ring mean of its size falls most steeply.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import gaussian_filter1d
+
+MIN_ANTISYMMETRY = 0.2
+MIN_SIGNAL = 2.0
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact circle.
+
+    Attributes
+    ----------
+    x_px, y_px : float
+        Centre, px; may lie outside the frame.
+    radius_px : float
+        Where the colour change falls most steeply: the rim that the eye sees.
+    antisymmetry : float, 0-1
+        Share of the colour change's energy that is odd about the centre; a ball cut by the border keeps less.
+    signal : float
+        Colour change inside the circle over that outside; about 1 where nothing is pressed.
+    """
+
+    x_px: float
+    y_px: float
+    radius_px: float
+    antisymmetry: float
+    signal: float
+
+    @property
+    def circle_px(self) -> tuple[float, float, float]:
+        """(centre x, centre y, radius)."""
+        return self.x_px, self.y_px, self.radius_px
+
+
+def scale_of(shape: tuple[int, int]) -> float:
+    """What lengths in pixels are multiplied by: 1 for a frame whose shorter side is 240 px."""
+    return min(shape) / 240
+
+
+def find_contact(color_change: NDArray[np.float32]) -> Contact:
+    """Contact circle of one ball press.
+
+    Parameters
+    ----------
+    color_change : (H, W, 3), blurred by about 1.25 px at 240 rows
+    """
+    change = color_change - np.median(color_change, axis=(0, 1))
+    x, y, antisymmetry = _antisymmetry_center(change)
+    size = magnitude(change)
+    radius = contact_radius(size, x, y)
+    return Contact(x, y, radius, antisymmetry, _signal(size, x, y, radius))
+
+
+def why_no_contact(contact: Contact) -> str | None:
+    """The reason why a found circle is not a ball press, or None."""
+    if contact.antisymmetry < MIN_ANTISYMMETRY:
+        return f"no ball found: antisymmetry {contact.antisymmetry:.2f} (expected {MIN_ANTISYMMETRY} or more)"
+    if contact.signal < MIN_SIGNAL:
+        return f"no contact found: the change inside is {contact.signal:.1f} times that outside (expected {MIN_SIGNAL:g})"
+    return None
+
+
+def magnitude(change: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Size (H, W) of a color change."""
+    size: NDArray[np.float32] = np.sqrt(np.einsum("...c,...c->...", change, change))
+    return size
+
+
+def contact_radius(size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None) -> float:
+    """Radius of the steepest descent of the ring mean of |change| about a centre; near a given one if any."""
+    scale = scale_of(size.shape)
+    slope = gaussian_filter1d(ring_mean(size, x_px, y_px), 2 * scale, order=1)
+    low, high = 6 * scale, len(slope) - 5 * scale
+    if near_px is not None:
+        low, high = max(low, 0.6 * near_px), min(high, 1.4 * near_px + 2 * scale)
+    start, stop = int(low), max(int(low) + 1, int(high))
+    peak = start + int(np.argmin(slope[start:stop]))
+    return peak + _parabola_offset(slope, peak)
+
+
+def moved(contact: Contact, size: NDArray[np.float32], x_px: float, y_px: float) -> Contact:
+    """The contact with another centre, its radius measured anew about it."""
+    radius = contact_radius(size, x_px, y_px, contact.radius_px)
+    return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
+
+
+def ring_mean(values: NDArray[np.float32], x_px: float, y_px: float) -> NDArray[np.float64]:
+    """Mean of a map on rings of 1 px about a centre, out to 0.6 of the shorter side."""
+    height, width = values.shape
+    count = int(0.6 * min(values.shape))
+    columns = (np.arange(width, dtype=np.float32) - np.float32(x_px)) ** 2
+    rows = (np.arange(height, dtype=np.float32) - np.float32(y_px)) ** 2
+    ring = np.minimum(np.sqrt(rows[:, None] + columns) + 0.5, count).astype(np.intp).ravel()
+    total = np.bincount(ring, values.ravel(), minlength=count + 1)[:count]
+    pixels = np.bincount(ring, minlength=count + 1)[:count]
+    return total / np.maximum(pixels, 1)
+
+
+def _antisymmetry_center(change: NDArray[np.float32]) -> tuple[float, float, float]:
+    """Centre c that maximises -sum_v d(c + v) . d(c - v), by one zero-padded FFT per channel."""
+    height, width = change.shape[:2]
+    padded = (next_fast_len(2 * height, True), next_fast_len(2 * width, True))
+    spectrum = rfft2(change, s=padded, axes=(0, 1))
+    odd = -irfft2(spectrum**2, s=padded, axes=(0, 1)).sum(axis=-1)[: 2 * height - 1, : 2 * width - 1]
+    row, col = (int(i) for i in np.unravel_index(int(odd.argmax()), odd.shape))
+    y = (row + _parabola_offset(odd[:, col], row)) / 2
+    x = (col + _parabola_offset(odd[row], col)) / 2
+    energy = float(np.square(change, dtype=np.float64).sum())
+    return x, y, float(odd[row, col]) / max(energy, 1e-12)
+
+
+def _signal(size: NDArray[np.float32], x: float, y: float, radius: float) -> float:
+    height, width = size.shape
+    rows, cols = np.ogrid[:height, :width]
+    rho = np.hypot(cols - x, rows - y) / radius
+    inside, outside = size[(rho > 0.4) & (rho < 0.9)], size[rho > 1.6]
+    if not inside.size or not outside.size:
+        return float("inf") if inside.size else 0.0
+    return float(inside.mean() / max(float(np.percentile(outside, 80)), 1e-6))
+
+
+def _parabola_offset(values: NDArray[np.floating], index: int) -> float:
+    """Sub-sample offset of an extremum from its two neighbours, within half a sample."""
+    if not 0 < index < len(values) - 1:
+        return 0.0
+    before, here, after = (float(values[index + i]) for i in (-1, 0, 1))
+    curvature = before - 2 * here + after
+    return float(np.clip((before - after) / (2 * curvature), -0.5, 0.5)) if curvature else 0.0

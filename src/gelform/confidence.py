@@ -1,0 +1,73 @@
+"""How far a pixel's slope is to be trusted: its standard deviation, and the confidence that follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SATURATED_SIGMA = 1.0
+
+
+@dataclass(frozen=True)
+class SlopeSigma:
+    """Standard deviation of a slope component, `sqrt(rest^2 + (growth |gradient|)^2)`.
+
+    Attributes
+    ----------
+    rest : at slope 0, mm/mm
+    growth : per unit of slope; what a color model gets wrong grows with the slope
+    clean : the value on a good pixel in contact: confidence is 1 up to it
+    correlation_px : over which slope errors are alike
+    """
+
+    rest: float
+    growth: float
+    clean: float
+    correlation_px: float
+
+    @classmethod
+    def fit(cls, slopes: NDArray[Any], errors: NDArray[Any], correlation_px: float) -> SlopeSigma:
+        """From held-out slopes |g| (N,) and the errors (N, 2) of their components, by robust binned variance."""
+        edges = np.linspace(0, max(float(np.percentile(slopes, 99)), 0.1), 9)
+        bins = np.digitize(slopes, edges[1:-1])
+        rows = []
+        for b in range(8):
+            members = errors[bins == b].ravel()
+            if members.size >= 50:
+                spread = 1.4826 * float(np.median(np.abs(members)))
+                rows.append((float(np.mean(slopes[bins == b])) ** 2, spread**2, members.size))
+        square, variance, count = np.array(rows).T
+        design = np.stack([np.ones_like(square), square], axis=1) * np.sqrt(count)[:, None]
+        rest, growth = np.maximum(np.linalg.lstsq(design, variance * np.sqrt(count), rcond=None)[0], 1e-6)
+        clean = float(np.sqrt(np.average(variance, weights=count)))
+        return cls(float(np.sqrt(rest)), float(np.sqrt(growth)), clean, correlation_px)
+
+    def at(self, gradients: NDArray[np.float32], image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Standard deviation (H, W, 2) and confidence (H, W) of a frame's slopes.
+
+        A pixel with a channel at 0 or 255 is clipped: its slope is not known better than `SATURATED_SIGMA`.
+        """
+        sigma = np.empty(gradients.shape, dtype=np.float32)
+        confidence = np.empty(gradients.shape[:2], dtype=np.float32)
+        _sigma_and_confidence(gradients, image, self.rest**2, self.growth**2, self.clean**2, sigma, confidence)
+        return sigma, confidence
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _sigma_and_confidence(gradients, image, rest2, growth2, clean2, sigma, confidence):  # type: ignore[no-untyped-def]
+    height, width, _ = gradients.shape
+    for y in range(height):
+        for x in range(width):
+            p, q = gradients[y, x, 0], gradients[y, x, 1]
+            variance = rest2 + growth2 * (p * p + q * q)
+            for c in range(3):
+                if image[y, x, c] <= 0 or image[y, x, c] >= 255:
+                    variance = max(variance, SATURATED_SIGMA**2)
+            deviation = np.sqrt(variance)
+            sigma[y, x, 0] = deviation
+            sigma[y, x, 1] = deviation
+            confidence[y, x] = min(1.0, clean2 / variance)

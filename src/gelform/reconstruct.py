@@ -1,0 +1,129 @@
+"""The path in one method: a calibration and the arrows from frame to depth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.background import (
+    Finding,
+    change_with_gain,
+    check_background,
+    gain_from_background,
+    untouched_from_color_change,
+)
+from gelform.checks import check_image
+from gelform.contact import contact_from_depth
+from gelform.depth import integrate
+from gelform.frames import Frame
+from gelform.reconstruction import Reconstruction
+from gelform.record import Calibration
+from gelform.view import image_from_frame
+
+MIN_UNTOUCHED = 0.02
+
+
+class Reconstructor:
+    """Depth in mm from images of the sensor that a calibration belongs to.
+
+    A pure function of the image: the same bytes whatever came before, and safe to share between threads.
+
+    Parameters
+    ----------
+    calibration : of this sensor and gel
+    background : (H, W, 3), 0-255, optional
+        The untouched image of today; the calibration's own by default.
+    solver : "auto" or a name in `gelform.solvers.SOLVERS`
+
+    Raises
+    ------
+    CalibrationError
+        The background given is clearly not of the calibrated sensor.
+    """
+
+    def __init__(
+        self, calibration: Calibration, background: ArrayLike | None = None, *, solver: str = "auto"
+    ) -> None:
+        self.calibration = calibration
+        self.solver = solver
+        self.findings: tuple[Finding, ...] = ()
+        self.background = calibration.background
+        if background is not None:
+            today = image_from_frame(check_image(background, name="background"), calibration.view)
+            self.findings = check_background(today, calibration.background)
+            self.background = today.astype(np.float32)
+        self._gain = gain_from_background(self.background, calibration.change)
+        self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
+
+    def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
+        """Reconstruct one frame.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) uint8 or float 0-255, RGB, as the camera gave it; or a Frame
+
+        Returns
+        -------
+        Reconstruction
+
+        Raises
+        ------
+        ValueError, TypeError
+            No RGB image, or of another size than the calibration's frames and images.
+        CalibrationError
+            The background is clearly not of this frame, or the frame is BGR.
+        """
+        calibration = self.calibration
+        image = image_from_frame(check_image(_pixels(frame), name="frame"), calibration.view)
+        health = (*self.findings, *check_background(image, self.background))
+        change = change_with_gain(image, self.background, self._gain, calibration.change.blur_px)
+        gradients, sigma = self._model.gradients_from_color(change)
+        untouched, scarce = self._untouched(change)
+        gradients -= _bias(gradients, untouched)  # colour that drifted everywhere is no slope
+        spread, confidence = calibration.slope_sigma.at(gradients, image)
+        solution = integrate(gradients, mm_per_px=calibration.mm_per_px, zero=untouched, solver=self.solver)
+        return Reconstruction(
+            depth_mm=solution.depth_mm,
+            depth_sigma_mm=None,
+            gradients=gradients,
+            gradients_sigma=sigma if sigma is not None else spread,
+            confidence=confidence,
+            contact=contact_from_depth(solution.depth_mm, mm_per_px=calibration.mm_per_px),
+            known=solution.known,
+            mm_per_px=calibration.mm_per_px,
+            mm_per_px_sigma=calibration.mm_per_px_sigma,
+            zero="untouched",
+            solver=solution.solver,
+            curl_rms=solution.curl_rms,
+            health=(*health, *scarce),
+            contacts=None,
+            markers=None,
+            index=getattr(frame, "index", None),
+            time_s=getattr(frame, "time_s", None),
+            wall_time_ns=getattr(frame, "wall_time_ns", None),
+            calibration_digest=calibration.digest,
+        )
+
+    def _untouched(self, change: NDArray[np.float32]) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
+        """Pixels that the touch left alone: what slope and depth are measured against."""
+        untouched = untouched_from_color_change(change, self.calibration.untouched_change)
+        share = np.count_nonzero(untouched) / untouched.size
+        if share >= MIN_UNTOUCHED:
+            return untouched, ()
+        change_size = np.linalg.norm(change, axis=-1)
+        message = f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
+        return change_size <= np.quantile(change_size, MIN_UNTOUCHED), (Finding("few_untouched", message, share),)
+
+
+def _pixels(frame: ArrayLike | Frame) -> Any:
+    return frame.image if isinstance(frame, Frame) else frame
+
+
+def _bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Median slope (2,) of the untouched pixels; every third one of a large frame is plenty."""
+    rest = gradients[untouched]
+    step = max(1, len(rest) // 20_000)
+    bias: NDArray[np.float32] = np.median(rest[::step], axis=0)
+    return bias
