@@ -25,6 +25,10 @@ _HOME = {
     "depth_from_gradients": "gelform.depth",
     "integrate": "gelform.depth",
     "Integration": "gelform.depth",
+    "contact_from_depth": "gelform.contact",
+    "Reconstruction": "gelform.reconstruction",
+    "save_result": "gelform.reconstruction",
+    "load_result": "gelform.reconstruction",
     "save_press_folder": "gelform.export",
     "save_simulated_presses": "gelform.export",
     "GelformError": "gelform.errors",
@@ -35,12 +39,14 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
+    from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
     from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.sensors.files import read_image
     from gelform.view import View, frame_from_image, image_from_frame
 

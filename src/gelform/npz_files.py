@@ -37,7 +37,7 @@ _UNREADABLE = (
 
 @contextmanager
 def written_file(
-    path: str | Path, *, overwrite: bool = False, error: type[GelformError] = DataError
+    path: str | os.PathLike[str], *, overwrite: bool = False, error: type[GelformError] = DataError
 ) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only when the block ends well.
 
@@ -64,7 +64,9 @@ def written_file(
         temporary.unlink(missing_ok=True)
 
 
-def check_free(path: str | Path, *, overwrite: bool, error: type[GelformError] = DataError) -> None:
+def check_free(
+    path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
+) -> None:
     """Refuse a name that a file already has (unless `overwrite`), or whose folder is not there."""
     path = Path(path)
     if path.is_dir():
@@ -78,7 +80,7 @@ def check_free(path: str | Path, *, overwrite: bool, error: type[GelformError] =
 
 
 def write_npz(
-    path: str | Path,
+    path: str | os.PathLike[str],
     arrays: Mapping[str, NDArray[Any]],
     meta: Mapping[str, Any],
     *,
@@ -120,7 +122,7 @@ def write_npz(
 
 
 def read_npz(
-    path: str | Path,
+    path: str | os.PathLike[str],
     *,
     kind: str,
     newest_version: int,
