@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from gelform.background import (
     untouched_from_color_change,
 )
 from gelform.checks import check_image
+from gelform.color_models.lambertian import PreparedLambertian
 from gelform.contact import contact_from_depth
 from gelform.depth import integrate
 from gelform.frames import Frame
@@ -104,6 +106,9 @@ class Reconstructor:
             time_s=getattr(frame, "time_s", None),
             wall_time_ns=getattr(frame, "wall_time_ns", None),
             calibration_digest=calibration.digest,
+            albedo_source=partial(self._model.albedo_from_color, change)
+            if isinstance(self._model, PreparedLambertian)
+            else None,
         )
 
     def _untouched(self, change: NDArray[np.float32]) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
