@@ -27,7 +27,6 @@ from gelform.calibration.select import (
     candidates_for,
     make_folds,
     score,
-    simplest_within_one_error,
 )
 from gelform.calibration.spread import slope_sigma_from_folds
 from gelform.color_models import COLOR_MODELS, ColorModel
@@ -131,7 +130,7 @@ def _choose(
     folds: Sequence[Fold],
     progress: Progress,
 ) -> tuple[Candidate, list[Score]]:
-    """The zone with the fewest degrees of error, then the simplest candidate within one standard error."""
+    """The training zone, then the candidate, with the smallest held-out error."""
     by_offset = {COLOR_MODELS["polynomial"].change_offset: prepared}
     candidates = candidates_for(color_model, len(folds[0].training))
     for offset in {COLOR_MODELS[c.model].change_offset for c in candidates} - by_offset.keys():
@@ -157,7 +156,7 @@ def _choose(
         scores.append(held_out(replace(candidate, zone=best.candidate.zone)))
         progress(len(ZONES) + done + 1, len(ZONES) + len(able), "choosing the color model")
     scores.append(best)
-    chosen = simplest_within_one_error(scores).candidate
+    chosen = min(scores, key=lambda s: s.mean_deg).candidate
     return chosen, scores + [s for s in zoned if s is not best]
 
 

@@ -20,6 +20,8 @@ from gelform.metrics import STEEPEST_FRACTION, ball_center
 from gelform.progress import Progress, no_progress
 
 ROUNDS = 5
+WHOLE_ROUNDS = 2
+MIN_WHOLE = 6
 REFINING_ZONE = 0.8
 REFINING_SAMPLES = 15_000
 MAX_MOVE_PX = 8.0
@@ -67,7 +69,8 @@ def refine(
     """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
-    contacts, fit_on = list(found), candidates
+    whole = [i for i in candidates if _is_whole(presses[i], found[i])]
+    contacts, fit_on = list(found), whole if len(whole) >= MIN_WHOLE else candidates
     model: PolynomialModel | None = None
     for round_ in range(ROUNDS if len(candidates) > 1 else 0):
         model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on])
@@ -75,13 +78,21 @@ def refine(
             contacts[i] = _recentered(presses[i], contacts[i], found[i], model)
         misfits = _misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        fit_on = [i for i in candidates if i not in late] or candidates
+        if round_ + 1 >= WHOLE_ROUNDS or len(whole) < MIN_WHOLE:
+            fit_on = [i for i in candidates if i not in late] or candidates
         progress(round_ + 1, ROUNDS, "fitting circles and colours together")
     if model is not None:
         for i, reason in late.items():
             reasons[i] = reason
             contacts[i] = found[i]
     return Refined(tuple(contacts), tuple(reasons), model)
+
+
+def _is_whole(press: PreparedPress, contact: Contact) -> bool:
+    """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
+    height, width = press.size.shape
+    margin = contact.radius_px
+    return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
 
 
 def fit_model(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> PolynomialModel:

@@ -133,19 +133,3 @@ def normal_error_deg(press: PreparedPress, found: Contact, model: ColorModel) ->
     center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
     truth = ball_gradients(cols, rows, center, press.ball_radius_px)
     return float(angle_deg(gradients, truth).mean())
-
-
-def simplest_within_one_error(scores: Sequence[Score]) -> Score:
-    """The first (simplest) that is worse than the best by no more than one standard error of their difference.
-
-    Every candidate is scored on the same presses, so the difference is taken press by press.
-    """
-    best = min(scores, key=lambda s: s.mean_deg)
-    return next(s for s in scores if _worse_by(s, best) <= 0)
-
-
-def _worse_by(score: Score, best: Score) -> float:
-    """Mean difference of the errors less its standard error, degrees."""
-    difference = score.errors_deg - best.errors_deg
-    spread = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
-    return float(difference.mean() - spread)
