@@ -24,7 +24,7 @@ from gelform.progress import Progress, no_progress
 FOLDS = 5
 ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
 SCORED_ZONE = 0.8
-MIN_TO_JUDGE = 20
+MIN_TO_JUDGE = 40
 DEFAULT_ZONE = 0.8
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18))
 
