@@ -7,12 +7,7 @@ import sys
 
 import typer
 
-from gelform.cli.calibrate import calibrate
-from gelform.cli.demo import demo
-from gelform.cli.evaluate import evaluate
-from gelform.cli.info import info
-from gelform.cli.reconstruct import reconstruct
-from gelform.cli.simulate import simulate
+from gelform.cli import calibrate, demo, evaluate, info, reconstruct, simulate
 from gelform.errors import GelformError
 
 app = typer.Typer(
@@ -23,8 +18,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-for command in (demo, calibrate, reconstruct, evaluate, simulate, info):
-    app.command()(command)
+app.command()(demo.demo)
+app.command()(calibrate.calibrate)
+app.command()(reconstruct.reconstruct)
+app.command()(evaluate.evaluate)
+app.command()(simulate.simulate)
+app.command()(info.info)
 
 
 def _print_version(asked: bool) -> None:

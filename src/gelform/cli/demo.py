@@ -26,8 +26,8 @@ def demo(
 ) -> None:
     """Try everything without a sensor: simulate one, calibrate it, reconstruct, compare with the truth.
 
-    Writes DIR/presses (a press folder), DIR/calibration.npz, DIR/report, and for each of four objects (a ball,
-    a coin-like relief, a screw thread, a ball cut by the border) its image, result and picture.
+    Writes DIR/presses (a press folder), DIR/calibration.npz, DIR/report and, for each of four objects (a
+    ball, a coin-like relief, a screw thread, a ball cut by the border) its image, result and picture.
 
     \b
     Examples:

@@ -50,8 +50,11 @@ def simulate(
     """
     import numpy as np
 
+    from gelform.checks import check_positive
     from gelform.simulate import LAYOUTS
 
+    for ball in ball_diameter_mm:
+        check_positive(ball, "ball_diameter_mm")
     if layout not in LAYOUTS:
         raise typer.BadParameter(
             f"expected one of {', '.join(LAYOUTS)}, got {layout!r}.", param_hint="--layout"
