@@ -53,7 +53,7 @@ class Reconstructor:
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
         if background is not None:
-            today = image_from_frame(check_image(background, name="background"), calibration.view)
+            today = self._image(background, "background")
             self.findings = check_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self._gain = gain_from_background(self.background, calibration.change)
@@ -78,7 +78,7 @@ class Reconstructor:
             The background is clearly not of this frame, or the frame is BGR.
         """
         calibration = self.calibration
-        image = image_from_frame(check_image(_pixels(frame), name="frame"), calibration.view)
+        image = self._image(frame, "frame")
         health = (*self.findings, *check_background(image, self.background))
         change = change_with_gain(image, self.background, self._gain, calibration.change.blur_px)
         gradients, sigma = self._model.gradients_from_color(change)
@@ -110,6 +110,11 @@ class Reconstructor:
             if isinstance(self._model, PreparedLambertian)
             else None,
         )
+
+    def _image(self, frame: ArrayLike | Frame, name: str) -> NDArray[Any]:
+        """The frame through the calibration's view, of the calibrated size."""
+        image = image_from_frame(check_image(_pixels(frame), name=name), self.calibration.view)
+        return check_image(image, shape=self.calibration.image_shape, name=name)
 
     def _untouched(self, change: NDArray[np.float32]) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
         """Pixels that the touch left alone: what slope and depth are measured against."""
