@@ -39,6 +39,8 @@ _HOME = {
     "Reconstruction": "gelform.reconstruction",
     "save_result": "gelform.reconstruction",
     "load_result": "gelform.reconstruction",
+    "picture": "gelform.plots",
+    "save_picture": "gelform.plots",
     "press_errors": "gelform.metrics",
     "save_press_folder": "gelform.export",
     "save_simulated_presses": "gelform.export",
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
         normals_from_gradients,
         normals_from_image,
     )
+    from gelform.plots import picture, save_picture
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration

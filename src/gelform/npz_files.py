@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, GelformError
 
 MAX_BYTES = 1 << 30
+MAX_META_BYTES = 1 << 26
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
 _UNREADABLE = (
     zipfile.BadZipFile,
@@ -167,6 +168,19 @@ def read_npz(
             "Copy it again from where it was made, or make it anew."
         )
     return arrays, meta
+
+
+def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
+    """What a file says it is (its `format`), or None where it is no such file; nothing else is read."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.getinfo("meta.npy").file_size > MAX_META_BYTES:
+                return None
+            meta = json.loads(str(_array(archive.read("meta.npy"))[()]))
+    except (OSError, *_UNREADABLE):
+        return None
+    kind = meta.get("format") if isinstance(meta, dict) else None
+    return kind if isinstance(kind, str) else None
 
 
 def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
