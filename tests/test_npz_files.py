@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gelform.errors import CalibrationError, DataError
-from gelform.npz_files import read_npz, write_npz, written_file
+from gelform.npz_files import kind_of_npz, read_npz, write_npz, written_file
 
 KIND = "gelform test file"
 ARRAYS = {"depth_mm": np.arange(12, dtype=np.float32).reshape(3, 4), "known": np.eye(3, dtype=bool)}
@@ -161,6 +161,15 @@ def test_other_files_are_refused_with_what_they_are(tmp_path):
         read(tmp_path / "text.npz")
     with pytest.raises(DataError, match="No file"):
         read(tmp_path / "missing.npz")
+
+
+def test_a_file_says_what_it_is(tmp_path):
+    write(tmp_path / "x.npz")
+    np.savez(tmp_path / "plain.npz", a=np.zeros(3))
+    (tmp_path / "text.npz").write_text("hello")
+    assert kind_of_npz(tmp_path / "x.npz") == KIND
+    for name in ("plain.npz", "text.npz", "missing.npz"):
+        assert kind_of_npz(tmp_path / name) is None
 
 
 def test_an_existing_file_stays_unless_overwritten(tmp_path):

@@ -11,19 +11,37 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOME = {
+    "read_image": "gelform.sensors.files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
     "image_from_frame": "gelform.view",
     "frame_from_image": "gelform.view",
-    "curl": "gelform.gradients",
+    "ChangeSettings": "gelform.background",
+    "color_change_from_image": "gelform.background",
+    "image_from_color_change": "gelform.background",
+    "normals_from_image": "gelform.normals",
+    "image_from_normals": "gelform.normals",
+    "normals_from_gradients": "gelform.normals",
+    "lights_from_normals": "gelform.normals",
     "gradients_from_normals": "gelform.gradients",
     "gradients_from_depth": "gelform.gradients",
-    "normals_from_image": "gelform.normals",
-    "normals_from_gradients": "gelform.normals",
-    "image_from_normals": "gelform.normals",
+    "curl": "gelform.gradients",
     "depth_from_gradients": "gelform.depth",
     "integrate": "gelform.depth",
     "Integration": "gelform.depth",
+    "contact_from_depth": "gelform.contact",
+    "read_presses": "gelform.calibration.folder",
+    "calibrate": "gelform.calibration.fit",
+    "evaluate": "gelform.calibration.evaluate",
+    "Calibration": "gelform.record",
+    "load_calibration": "gelform.record",
+    "Reconstructor": "gelform.reconstruct",
+    "Reconstruction": "gelform.reconstruction",
+    "save_result": "gelform.reconstruction",
+    "load_result": "gelform.reconstruction",
+    "picture": "gelform.plots",
+    "save_picture": "gelform.plots",
+    "press_errors": "gelform.metrics",
     "save_press_folder": "gelform.export",
     "save_simulated_presses": "gelform.export",
     "GelformError": "gelform.errors",
@@ -34,12 +52,28 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
+    from gelform.background import ChangeSettings, color_change_from_image, image_from_color_change
+    from gelform.calibration.evaluate import evaluate
+    from gelform.calibration.fit import calibrate
+    from gelform.calibration.folder import read_presses
+    from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
     from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
-    from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.metrics import press_errors
+    from gelform.normals import (
+        image_from_normals,
+        lights_from_normals,
+        normals_from_gradients,
+        normals_from_image,
+    )
+    from gelform.plots import picture, save_picture
+    from gelform.reconstruct import Reconstructor
+    from gelform.reconstruction import Reconstruction, load_result, save_result
+    from gelform.record import Calibration, load_calibration
+    from gelform.sensors.files import read_image
     from gelform.view import View, frame_from_image, image_from_frame
 
 __all__ = ["__version__", *_HOME]

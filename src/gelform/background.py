@@ -16,6 +16,7 @@ RATIO_WARN = (0.9, 1.1)
 RATIO_REFUSE = (0.7, 1.4)
 CORRELATION_REFUSE = 0.8
 CHECKED_PIXELS = 3000
+TOUCHED_SHARE = 0.4
 
 
 @dataclass(frozen=True)
@@ -181,10 +182,10 @@ def _mode(values: NDArray[np.float32]) -> float:
 
 
 def _correlation(seen: NDArray[np.float32], rest: NDArray[np.float32], ratio: NDArray[Any]) -> float:
-    """Correlation over the half of the pixels that changed least, channels together."""
+    """Correlation over all but the `TOUCHED_SHARE` of the pixels that changed most, channels together."""
     scaled = seen / ratio.astype(np.float32)
     distance = np.abs(scaled - rest).sum(axis=-1)
-    least = distance <= np.median(distance)
+    least = distance <= np.quantile(distance, 1 - TOUCHED_SHARE)
     a, b = scaled[least].ravel(), rest[least].ravel()
     if a.std() < 1e-3 or b.std() < 1e-3:  # a featureless background can neither agree nor disagree
         return 1.0

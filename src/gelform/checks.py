@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image") -> NDArray[Any]:
+def check_image(
+    image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image"
+) -> NDArray[Any]:
     """Return an RGB image (H, W, 3): uint8 as it is, float (0-255) as float32.
 
     Raises
@@ -139,7 +141,9 @@ def check_positive(value: float, name: str) -> float:
 
 def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
     """Return the array if every value is finite: NaN is refused at the door, always."""
-    if not np.isfinite(array.sum(dtype=np.float64)):
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = array.sum()  # in the array's own dtype: fast; an overflow only leads to the exact count
+    if not np.isfinite(total):
         bad = int(np.count_nonzero(~np.isfinite(array)))
         if bad:
             raise ValueError(

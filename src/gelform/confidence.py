@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 SATURATED_SIGMA = 1.0
 
@@ -41,8 +42,9 @@ class SlopeSigma:
                 spread = 1.4826 * float(np.median(np.abs(members)))
                 rows.append((float(np.mean(slopes[bins == b])) ** 2, spread**2, members.size))
         square, variance, count = np.array(rows).T
-        design = np.stack([np.ones_like(square), square], axis=1) * np.sqrt(count)[:, None]
-        rest, growth = np.maximum(np.linalg.lstsq(design, variance * np.sqrt(count), rcond=None)[0], 1e-6)
+        relative = np.sqrt(count) / variance  # a bin counts by its relative error: the small ones at rest too
+        design = np.stack([np.ones_like(square), square], axis=1) * relative[:, None]
+        rest, growth = np.maximum(nnls(design, variance * relative)[0], 1e-6)
         clean = float(np.sqrt(np.average(variance, weights=count)))
         return cls(float(np.sqrt(rest)), float(np.sqrt(growth)), clean, correlation_px)
 

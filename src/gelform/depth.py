@@ -101,7 +101,11 @@ def integrate(
 
 
 def _solve(
-    gradients: ArrayLike, mm_per_px: float | Sequence[float], zero: Zero | NDArray[np.bool_], level: Level | None, solver: str
+    gradients: ArrayLike,
+    mm_per_px: float | Sequence[float],
+    zero: Zero | NDArray[np.bool_],
+    level: Level | None,
+    solver: str,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple[float, float], str]:
     pitch = check_mm_per_px(mm_per_px)
     g = check_gradients(gradients)
@@ -142,7 +146,9 @@ def _fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int)
     y = np.linspace(-1, 1, height)[:, None].repeat(width, 1)
     terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
     if np.count_nonzero(region) < terms.shape[-1]:
-        raise ValueError(f"Expected at least {terms.shape[-1]} zero pixels to fit a surface, got {region.sum()}.")
+        raise ValueError(
+            f"Expected at least {terms.shape[-1]} zero pixels to fit a surface, got {region.sum()}."
+        )
     rows = depth[..., region].reshape(-1, int(region.sum())).T.astype(np.float64)
     coefficients = np.linalg.lstsq(terms[region], rows, rcond=None)[0]
     return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)

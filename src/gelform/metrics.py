@@ -87,24 +87,28 @@ def ball_center(
     Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
     """
     center = np.array(start_px, dtype=np.float64)
-    step = 0.01 * radius_px
     for _ in range(rounds):
-        residual = gradients - ball_gradients(x_px, y_px, (center[0], center[1]), radius_px)
-        jacobian = np.stack(
-            [
-                ball_gradients(x_px, y_px, (center[0] + dx, center[1] + dy), radius_px)
-                - ball_gradients(x_px, y_px, (center[0] - dx, center[1] - dy), radius_px)
-                for dx, dy in ((step, 0.0), (0.0, step))
-            ],
-            axis=-1,
-        ).reshape(-1, 2) / (2 * step)
+        ball = ball_gradients(x_px, y_px, (center[0], center[1]), radius_px)
+        residual = gradients - ball
         weight = np.repeat(1 / np.sqrt(1 + np.sum(residual**2, axis=-1) / scale**2), 2)
-        normal = (jacobian * weight[:, None]).T @ jacobian
-        move = np.linalg.solve(normal + 1e-12 * np.eye(2), jacobian.T @ (weight * residual.ravel()))
+        jacobian = _center_jacobian(ball, radius_px).reshape(-1, 2)
+        weighted = jacobian * weight[:, None]
+        move = np.linalg.solve(weighted.T @ jacobian + 1e-12 * np.eye(2), weighted.T @ residual.ravel())
         center += np.clip(move, -0.2 * radius_px, 0.2 * radius_px)
         if np.hypot(*move) < 1e-3:
             break
     return float(center[0]), float(center[1])
+
+
+def _center_jacobian(ball: NDArray[np.float64], radius_px: float) -> NDArray[np.float64]:
+    """Derivative (N, 2, 2) of a ball's slopes by its centre: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`."""
+    p, q = ball[:, 0], ball[:, 1]
+    length = np.sqrt(1 + p * p + q * q) / radius_px
+    jacobian = np.empty((len(ball), 2, 2))
+    jacobian[:, 0, 0] = (1 + p * p) * length
+    jacobian[:, 1, 1] = (1 + q * q) * length
+    jacobian[:, 0, 1] = jacobian[:, 1, 0] = p * q * length
+    return jacobian
 
 
 @dataclass(frozen=True)

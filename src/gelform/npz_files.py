@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, GelformError
 
 MAX_BYTES = 1 << 30
+MAX_META_BYTES = 1 << 26
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
 _UNREADABLE = (
     zipfile.BadZipFile,
@@ -37,7 +38,7 @@ _UNREADABLE = (
 
 @contextmanager
 def written_file(
-    path: str | Path, *, overwrite: bool = False, error: type[GelformError] = DataError
+    path: str | os.PathLike[str], *, overwrite: bool = False, error: type[GelformError] = DataError
 ) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only when the block ends well.
 
@@ -64,7 +65,9 @@ def written_file(
         temporary.unlink(missing_ok=True)
 
 
-def check_free(path: str | Path, *, overwrite: bool, error: type[GelformError] = DataError) -> None:
+def check_free(
+    path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
+) -> None:
     """Refuse a name that a file already has (unless `overwrite`), or whose folder is not there."""
     path = Path(path)
     if path.is_dir():
@@ -78,7 +81,7 @@ def check_free(path: str | Path, *, overwrite: bool, error: type[GelformError] =
 
 
 def write_npz(
-    path: str | Path,
+    path: str | os.PathLike[str],
     arrays: Mapping[str, NDArray[Any]],
     meta: Mapping[str, Any],
     *,
@@ -116,11 +119,11 @@ def write_npz(
     full = json.loads(_json(full))
     full["digest"] = digest_of(prepared, full)
     with written_file(path, overwrite=overwrite, error=error) as handle:
-        np.savez(handle, meta=np.array(_json(full)), **prepared)  # type: ignore[arg-type]
+        _write_members(handle, {"meta": np.array(_json(full)), **prepared})
 
 
 def read_npz(
-    path: str | Path,
+    path: str | os.PathLike[str],
     *,
     kind: str,
     newest_version: int,
@@ -167,6 +170,19 @@ def read_npz(
     return arrays, meta
 
 
+def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
+    """What a file says it is (its `format`), or None where it is no such file; nothing else is read."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.getinfo("meta.npy").file_size > MAX_META_BYTES:
+                return None
+            meta = json.loads(str(_array(archive.read("meta.npy"))[()]))
+    except (OSError, *_UNREADABLE):
+        return None
+    kind = meta.get("format") if isinstance(meta, dict) else None
+    return kind if isinstance(kind, str) else None
+
+
 def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
     """SHA-256 (hex) over JSON-able settings and named arrays: names, dtypes, shapes and bytes."""
     sha = hashlib.sha256(_json(meta).encode())
@@ -175,6 +191,14 @@ def digest_of(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> st
         sha.update(f"\n{name} {arrays[name].dtype.str} {arrays[name].shape}\n".encode())
         sha.update(values.tobytes())
     return sha.hexdigest()
+
+
+def _write_members(handle: BinaryIO, members: Mapping[str, NDArray[Any]]) -> None:
+    """What `numpy.savez` writes, but closed properly where the disk is full."""
+    with zipfile.ZipFile(handle, "w") as archive:
+        for name, array in members.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def _members(

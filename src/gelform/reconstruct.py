@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from gelform.background import (
     untouched_from_color_change,
 )
 from gelform.checks import check_image
+from gelform.color_models.lambertian import PreparedLambertian
 from gelform.contact import contact_from_depth
 from gelform.depth import integrate
 from gelform.frames import Frame
@@ -51,7 +53,7 @@ class Reconstructor:
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
         if background is not None:
-            today = image_from_frame(check_image(background, name="background"), calibration.view)
+            today = self._image(background, "background")
             self.findings = check_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self._gain = gain_from_background(self.background, calibration.change)
@@ -76,7 +78,7 @@ class Reconstructor:
             The background is clearly not of this frame, or the frame is BGR.
         """
         calibration = self.calibration
-        image = image_from_frame(check_image(_pixels(frame), name="frame"), calibration.view)
+        image = self._image(frame, "frame")
         health = (*self.findings, *check_background(image, self.background))
         change = change_with_gain(image, self.background, self._gain, calibration.change.blur_px)
         gradients, sigma = self._model.gradients_from_color(change)
@@ -104,7 +106,15 @@ class Reconstructor:
             time_s=getattr(frame, "time_s", None),
             wall_time_ns=getattr(frame, "wall_time_ns", None),
             calibration_digest=calibration.digest,
+            albedo_source=partial(self._model.albedo_from_color, change)
+            if isinstance(self._model, PreparedLambertian)
+            else None,
         )
+
+    def _image(self, frame: ArrayLike | Frame, name: str) -> NDArray[Any]:
+        """The frame through the calibration's view, of the calibrated size."""
+        image = image_from_frame(check_image(_pixels(frame), name=name), self.calibration.view)
+        return check_image(image, shape=self.calibration.image_shape, name=name)
 
     def _untouched(self, change: NDArray[np.float32]) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
         """Pixels that the touch left alone: what slope and depth are measured against."""

@@ -15,7 +15,7 @@ from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.color_models.forward import ForwardResponse
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
-from gelform.npz_files import read_npz, write_npz
+from gelform.npz_files import digest_of, read_npz, write_npz
 from gelform.view import View
 
 KIND = "gelform calibration"
@@ -23,7 +23,7 @@ FORMAT_VERSION = 1
 MAX_BYTES = 512 * 2**20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """What was learnt about one sensor and one gel. It belongs to no other.
 
@@ -66,13 +66,11 @@ class Calibration:
     settings: dict[str, Any]
     library_version: str
     created_utc: str
-    report: Any = field(default=None, compare=False, repr=False)
+    report: Any = field(default=None, repr=False)
 
     @cached_property
     def digest(self) -> str:
         """Identity of this calibration: a digest of its arrays and settings."""
-        from gelform.npz_files import digest_of
-
         arrays, meta = self._contents()
         return digest_of(arrays, meta)
 

@@ -27,7 +27,7 @@ from gelform.calibration.select import (
     candidates_for,
     make_folds,
     score,
-    simplest_within_one_error,
+    unlike_the_others,
 )
 from gelform.calibration.spread import slope_sigma_from_folds
 from gelform.color_models import COLOR_MODELS, ColorModel
@@ -72,9 +72,8 @@ def calibrate(presses: Presses, *, color_model: str = "auto", progress: Progress
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     prepared = prepare(presses, COLOR_MODELS["polynomial"].change_offset, progress=progress)
     found = [find_contact_of(press, progress, i, len(prepared)) for i, press in enumerate(prepared)]
-    refined = refine(prepared, found, progress=progress)
+    refined, folds = _refined_and_folded(prepared, found, progress)
     _check_enough(presses, refined)
-    folds = make_folds(prepared, found, refined.accepted, progress=progress)
     chosen, scores = _choose(color_model, presses, prepared, found, folds, progress)
     draft = _draft(presses, prepared, refined, chosen)
     errors, sigma = _held_out(draft, presses, found, folds, chosen, progress)
@@ -111,6 +110,19 @@ def find_contact_of(press: PreparedPress, progress: Progress, index: int, count:
     return contact
 
 
+def _refined_and_folded(
+    prepared: list[PreparedPress], found: Sequence[Contact], progress: Progress
+) -> tuple[Refined, list[Fold]]:
+    """Circles of the presses that fit, and the folds; what the folds contradict is left out of both."""
+    refined = refine(prepared, found, progress=progress)
+    folds = make_folds(prepared, found, refined.accepted, progress=progress)
+    odd = unlike_the_others(prepared, found, folds)
+    if odd:
+        refined = refine(prepared, found, excluded=odd, progress=progress)
+        folds = make_folds(prepared, found, refined.accepted, progress=progress)
+    return refined, folds
+
+
 def _check_enough(presses: Presses, refined: Refined) -> None:
     if len(refined.accepted) >= MIN_PRESSES:
         return
@@ -131,7 +143,7 @@ def _choose(
     folds: Sequence[Fold],
     progress: Progress,
 ) -> tuple[Candidate, list[Score]]:
-    """The zone with the fewest degrees of error, then the simplest candidate within one standard error."""
+    """The training zone, then the candidate, with the smallest held-out error."""
     by_offset = {COLOR_MODELS["polynomial"].change_offset: prepared}
     candidates = candidates_for(color_model, len(folds[0].training))
     for offset in {COLOR_MODELS[c.model].change_offset for c in candidates} - by_offset.keys():
@@ -157,7 +169,7 @@ def _choose(
         scores.append(held_out(replace(candidate, zone=best.candidate.zone)))
         progress(len(ZONES) + done + 1, len(ZONES) + len(able), "choosing the color model")
     scores.append(best)
-    chosen = simplest_within_one_error(scores).candidate
+    chosen = min(scores, key=lambda s: s.mean_deg).candidate
     return chosen, scores + [s for s in zoned if s is not best]
 
 

@@ -7,7 +7,7 @@ agree are left out, with the reason.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,10 @@ from gelform.metrics import STEEPEST_FRACTION, ball_center
 from gelform.progress import Progress, no_progress
 
 ROUNDS = 5
+WHOLE_ROUNDS = 2
+MIN_WHOLE = 6
 REFINING_ZONE = 0.8
+REFINING_SAMPLES = 15_000
 MAX_MOVE_PX = 8.0
 MAX_RESIDUAL = 0.25
 RESIDUAL_OVER_MEDIAN = 3.0
@@ -56,25 +59,36 @@ def refining_degrees(count: int) -> tuple[int, ...]:
 
 
 def refine(
-    presses: Sequence[PreparedPress], found: Sequence[Contact], *, progress: Progress = no_progress
+    presses: Sequence[PreparedPress],
+    found: Sequence[Contact],
+    *,
+    excluded: Mapping[int, str] | None = None,
+    progress: Progress = no_progress,
 ) -> Refined:
     """Move each circle to agree with a color model fitted on all of them; reject the presses that do not.
 
     Parameters
     ----------
     presses, found : what was pressed and the circle found in each image
+    excluded : presses that are rejected already, with the reason
     """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
+    for i, reason in (excluded or {}).items():
+        reasons[i] = reason
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
-    contacts, fit_on = list(found), candidates
+    whole = [i for i in candidates if _is_whole(presses[i], found[i])]
+    contacts, fit_on = list(found), whole if len(whole) >= MIN_WHOLE else candidates
     model: PolynomialModel | None = None
     for round_ in range(ROUNDS if len(candidates) > 1 else 0):
         model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on])
         for i in candidates:
-            contacts[i] = _recentered(presses[i], contacts[i], found[i], model)
-        misfits = _misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
+            contacts[i] = recentered(presses[i], contacts[i], found[i], model)
+        misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        fit_on = [i for i in candidates if i not in late] or candidates
+        if round_ + 1 == WHOLE_ROUNDS:  # everyone is heard before anyone is left out
+            fit_on = candidates
+        elif round_ + 1 > WHOLE_ROUNDS:
+            fit_on = [i for i in candidates if i not in late] or candidates
         progress(round_ + 1, ROUNDS, "fitting circles and colours together")
     if model is not None:
         for i, reason in late.items():
@@ -83,9 +97,16 @@ def refine(
     return Refined(tuple(contacts), tuple(reasons), model)
 
 
+def _is_whole(press: PreparedPress, contact: Contact) -> bool:
+    """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
+    height, width = press.size.shape
+    margin = contact.radius_px
+    return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
+
+
 def fit_model(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> PolynomialModel:
     """The polynomial that circles are refined with."""
-    samples = contact_samples(presses, contacts, REFINING_ZONE)
+    samples = contact_samples(presses, contacts, REFINING_ZONE, total=REFINING_SAMPLES)
     samples = with_rest_samples(samples, presses, contacts)
     return PolynomialModel.fit(samples, position_degrees=refining_degrees(len(presses)))
 
@@ -103,7 +124,8 @@ def why_impossible(press: PreparedPress, contact: Contact) -> str | None:
     return reason
 
 
-def _recentered(press: PreparedPress, contact: Contact, found: Contact, model: ColorModel) -> Contact:
+def recentered(press: PreparedPress, contact: Contact, found: Contact, model: ColorModel) -> Contact:
+    """The contact moved to where the ball agrees best with the model, not far from where it was found."""
     rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
     if len(rows) < 30:
         return contact
@@ -116,18 +138,23 @@ def _recentered(press: PreparedPress, contact: Contact, found: Contact, model: C
     return moved(contact, press.size, x, y)
 
 
-def _misfits(
+def why_misfits(
     presses: Sequence[PreparedPress], contacts: Sequence[Contact], model: ColorModel
 ) -> list[str | None]:
     """For each press the reason why it does not agree with the model of all, or None."""
-    agreement = [_agreement(press, contact, model) for press, contact in zip(presses, contacts)]
-    typical = float(np.median([residual for residual, _ in agreement]))
+    return misfit_reasons([agreement(press, contact, model) for press, contact in zip(presses, contacts)])
+
+
+def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None]:
+    """For each (slope error, gain) the reason why such a press does not fit, or None."""
+    typical = float(np.median([residual for residual, _ in agreements]))
     limit = min(MAX_RESIDUAL, max(RESIDUAL_OVER_MEDIAN * typical, 0.1))
     reasons: list[str | None] = []
-    for residual, gain in agreement:
+    for residual, gain in agreements:
         if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
             reasons.append(
-                f"its slopes are {gain:.2f} times those of a ball of this diameter by the other presses: check its ball_diameter_mm"
+                f"its slopes are {gain:.2f} times those of a ball of this diameter by the other presses: "
+                "check its ball_diameter_mm"
             )
         elif residual > limit:
             reasons.append(
@@ -139,7 +166,7 @@ def _misfits(
     return reasons
 
 
-def _agreement(press: PreparedPress, contact: Contact, model: ColorModel) -> tuple[float, float]:
+def agreement(press: PreparedPress, contact: Contact, model: ColorModel) -> tuple[float, float]:
     """Median slope error inside the contact, and the slope of model on ball (1 where they agree)."""
     rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
     ball = press.ball_gradients(contact, rows, cols)

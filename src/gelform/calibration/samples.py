@@ -16,7 +16,7 @@ from gelform.calibration.presses import Contact
 from gelform.color_models import ColorModel, Samples
 from gelform.metrics import STEEPEST_FRACTION, ball_gradients
 
-TOTAL_SAMPLES = 60_000
+TOTAL_SAMPLES = 40_000
 REST_WEIGHT = 0.3
 REST_DISTANCE = 2.0
 
@@ -42,12 +42,16 @@ class PreparedPress:
         """Rows and columns of about `count` pixels inside `zone` of the contact radius, on a regular lattice."""
         radius = min(zone * contact.radius_px, STEEPEST_FRACTION * self.ball_radius_px)
         height, width = self.size.shape
-        rows, cols = np.ogrid[:height, :width]
+        top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
+        left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))
+        rows, cols = np.ogrid[top : bottom + 1, left : right + 1]
         inside = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 < radius**2
+        inside &= (rows < height) & (cols < width)
         stride = 1 if count is None else int(max(1, round(np.count_nonzero(inside) / max(count, 1))))
         if stride > 1:
             inside &= (cols + 3 * rows) % stride == 0
-        return np.nonzero(inside)
+        found_rows, found_cols = np.nonzero(inside)
+        return found_rows + top, found_cols + left
 
     def ball_gradients(self, contact: Contact, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.float64]:
         """The ball's slopes at pixels."""
@@ -73,16 +77,14 @@ def contact_samples(
 def with_rest_samples(
     samples: Samples, presses: Sequence[PreparedPress], contacts: Sequence[Contact]
 ) -> Samples:
-    """The samples and half as many from the untouched gel, where the gradient is 0, at a lower weight."""
+    """The samples and up to half as many from the untouched gel, where the gradient is 0, at a lower weight."""
     parts = []
     for press, contact in zip(presses, contacts):
-        height, width = press.size.shape
-        rows, cols = np.ogrid[:height, :width]
-        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > (REST_DISTANCE * contact.radius_px) ** 2
-        stride = int(max(1, round(2 * np.count_nonzero(far) * len(presses) / len(samples.x_px))))
-        far &= (cols + 7 * rows) % stride == 0
-        r, c = np.nonzero(far)
-        parts.append((press.color_change[r, c], c, r))
+        step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
+        rows, cols = (axis.ravel() for axis in np.mgrid[: press.size.shape[0] : step, : press.size.shape[1] : step])
+        distance = np.hypot(cols - contact.x_px, rows - contact.y_px)
+        far = distance > REST_DISTANCE * contact.radius_px
+        parts.append((press.color_change[rows[far], cols[far]], cols[far], rows[far]))
     change, x, y = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return replace(
         samples,

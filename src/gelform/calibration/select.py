@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.presses import Contact
-from gelform.calibration.refine import refine
+from gelform.calibration.refine import agreement, fit_model, misfit_reasons, recentered, refine
 from gelform.calibration.samples import PreparedPress, contact_samples, with_rest_samples
 from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.metrics import angle_deg, ball_center, ball_gradients
@@ -24,6 +24,7 @@ from gelform.progress import Progress, no_progress
 FOLDS = 5
 ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
 SCORED_ZONE = 0.8
+MIN_TO_JUDGE = 40
 DEFAULT_ZONE = 0.8
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18))
 
@@ -97,6 +98,26 @@ def make_folds(
     return folds
 
 
+def unlike_the_others(
+    presses: Sequence[PreparedPress], found: Sequence[Contact], folds: Sequence[Fold]
+) -> dict[int, str]:
+    """Presses that a model of the others contradicts, with the reason: a wrong ball diameter, say.
+
+    A press that helped to fit a model bends it towards itself, so each is judged by the fold that left it out.
+    Under `MIN_TO_JUDGE` presses the others do not know enough of every place, and none is judged.
+    """
+    if sum(len(fold.held_out) for fold in folds) < MIN_TO_JUDGE:
+        return {}
+    indices, agreements = [], []
+    for fold in folds:
+        model = fit_model([presses[i] for i in fold.training], fold.contacts)
+        for i in fold.held_out:
+            indices.append(i)
+            agreements.append(agreement(presses[i], recentered(presses[i], found[i], found[i], model), model))
+    reasons = zip(indices, misfit_reasons(agreements))
+    return {i: reason for i, reason in reasons if reason is not None}
+
+
 def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     """What is tried, simplest first, at the default zone."""
     polynomials = [
@@ -133,9 +154,3 @@ def normal_error_deg(press: PreparedPress, found: Contact, model: ColorModel) ->
     center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
     truth = ball_gradients(cols, rows, center, press.ball_radius_px)
     return float(angle_deg(gradients, truth).mean())
-
-
-def simplest_within_one_error(scores: Sequence[Score]) -> Score:
-    """The first (simplest) whose mean is within one standard error of the best."""
-    best = min(scores, key=lambda s: s.mean_deg)
-    return next(s for s in scores if s.mean_deg <= best.mean_deg + best.standard_error_deg)

@@ -24,6 +24,7 @@ def slope_sigma_from_folds(
     found: Sequence[Contact],
 ) -> SlopeSigma:
     """Standard deviation and correlation length of the slopes, from presses that each model has not seen."""
+    step = max(1, round(scale_of(presses[0].size.shape)))
     slopes, errors, products = [], [], np.zeros(LAGS)
     for model, fold in zip(models, folds):
         for i in fold.held_out:
@@ -31,11 +32,10 @@ def slope_sigma_from_folds(
             inside = np.isfinite(error[..., 0])
             slopes.append(np.linalg.norm(seen[inside], axis=-1)[::5])
             errors.append(error[inside][::5])
-            products += _lag_products(error)
-    scale = scale_of(presses[0].size.shape)
+            products += _lag_products(error, step)
     below = np.nonzero(products < products[0] / np.e)[0]
-    lag = int(below[0]) if below.size else LAGS - 1
-    return SlopeSigma.fit(np.concatenate(slopes), np.concatenate(errors), max(1.0, lag * max(1.0, scale)))
+    lag = step * (int(below[0]) if below.size else LAGS - 1)
+    return SlopeSigma.fit(np.concatenate(slopes), np.concatenate(errors), float(max(1, lag)))
 
 
 def _residual_map(
@@ -53,12 +53,12 @@ def _residual_map(
     return maps[0], maps[1]
 
 
-def _lag_products(error: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean product of errors that many pixels apart along a row, for lags 0 .. LAGS-1."""
+def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Mean product of errors `lag * step` pixels apart along a row, for lags 0 .. LAGS-1."""
     width = error.shape[1]
     products = np.zeros(LAGS)
-    for lag in range(min(LAGS, width - 1)):
-        product = error[:, lag:] * error[:, : width - lag]
+    for lag in range(min(LAGS, (width - 1) // step)):
+        product = error[:, lag * step :] * error[:, : width - lag * step]
         known = np.isfinite(product)
         products[lag] = product[known].mean() if known.any() else 0.0
     return products

@@ -92,6 +92,11 @@ class PreparedLambertian:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
         return _gradients(color_change, self.inverse), None
 
+    def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Reflectance (H, W) relative to the gel at rest: the length of `L^-1 (1 + change)`."""
+        g = color_change @ self.inverse.T + self.inverse.sum(axis=1)
+        return np.linalg.norm(g, axis=-1).astype(np.float32)
+
 
 def _gradients(change: NDArray[Any], inverse: NDArray[Any]) -> NDArray[Any]:
     """Slopes -g_xy/g_z of `g = L^-1 (1 + change)`; a pixel in shadow, whose g_z vanishes, gets at most MAX_SLOPE."""

@@ -43,15 +43,18 @@ def polynomial_terms(
 
     There is no constant term: values of zero give zero.
     """
-    values = np.asarray(values, dtype=np.float64)
-    top = max(position_degrees)
-    powers_x = np.stack([x**i for i in range(top + 1)])
-    powers_y = np.stack([y**j for j in range(top + 1)])
-    columns = []
-    for term in monomials(values.shape[1], len(position_degrees)):
-        product = np.prod(values[:, term], axis=1)
-        columns += [product * powers_x[i] * powers_y[j] for i, j in position_powers(position_degrees[len(term) - 1])]
-    return np.stack(columns, axis=1)
+    channels = np.asarray(values, dtype=np.float64).T
+    place = {(i, j): x**i * y**j for i, j in position_powers(max(position_degrees))}
+    terms = monomials(len(channels), len(position_degrees))
+    count = sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
+    columns = np.empty((count, channels.shape[1]))
+    filled = 0
+    for term in terms:
+        product = np.prod(channels[list(term)], axis=0)
+        for power in position_powers(position_degrees[len(term) - 1]):
+            np.multiply(product, place[power], out=columns[filled])
+            filled += 1
+    return columns.T
 
 
 def robust_ridge(

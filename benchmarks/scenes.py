@@ -1,0 +1,182 @@
+"""Surfaces of known depth and slopes, and what goes wrong with slopes: for tests and benchmarks.
+
+Each surface is a function `(x, y) -> depth, dz/dx, dz/dy` of positions in mm, so that it can be sampled on
+any grid: convergence, pixels of any shape, any frame. All in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+Array = NDArray[np.float64]
+Surface = Callable[[Array, Array], tuple[Array, Array, Array]]
+
+SHAPE = (240, 320)
+MM_PER_PX = 0.0634
+
+
+class Scene(NamedTuple):
+    """A surface sampled at pixel centres: depth (H, W) in mm, slopes (H, W, 2) in mm/mm, exact."""
+
+    depth_mm: Array
+    gradients: Array
+    mm_per_px: tuple[float, float]
+
+
+def scene(
+    surface: Surface, shape: tuple[int, int] = SHAPE, mm_per_px: float | tuple[float, float] = MM_PER_PX
+) -> Scene:
+    """Sample a surface at pixel centres; (0, 0) mm is the middle of the frame."""
+    pitch = (mm_per_px, mm_per_px) if isinstance(mm_per_px, (int, float)) else mm_per_px
+    height, width = shape
+    x = (np.arange(width) - (width - 1) / 2) * pitch[0]
+    y = (np.arange(height) - (height - 1) / 2) * pitch[1]
+    depth, p, q = surface(*np.meshgrid(x, y))
+    return Scene(depth, np.stack([p, q], axis=-1), pitch)
+
+
+def ball(
+    radius_mm: float = 4.0, contact_radius_mm: float = 2.5, center_mm: tuple[float, float] = (0.0, 0.0)
+) -> Surface:
+    """A ball pressed until its contact circle has the given radius; flat around, with a kink at the rim."""
+
+    def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        u, v = x - center_mm[0], y - center_mm[1]
+        square = u**2 + v**2
+        inside = square < contact_radius_mm**2
+        height = np.sqrt(radius_mm**2 - np.where(inside, square, 0))
+        rim = np.sqrt(radius_mm**2 - contact_radius_mm**2)
+        return (
+            np.where(inside, height - rim, 0),
+            np.where(inside, -u / height, 0),
+            np.where(inside, -v / height, 0),
+        )
+
+    return surface
+
+
+def total(*surfaces: Surface) -> Surface:
+    """Sum of surfaces (presses that do not overlap)."""
+
+    def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        parts = [part(x, y) for part in surfaces]
+        return sum(p[0] for p in parts), sum(p[1] for p in parts), sum(p[2] for p in parts)  # type: ignore[return-value]
+
+    return surface
+
+
+def gaussian(peak_mm: float, sigma_mm: float, center_mm: tuple[float, float] = (0.0, 0.0)) -> Surface:
+    """A smooth bump, or a smooth dent where the peak is negative."""
+
+    def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        u, v = x - center_mm[0], y - center_mm[1]
+        z = peak_mm * np.exp(-(u**2 + v**2) / (2 * sigma_mm**2))
+        return z, -u / sigma_mm**2 * z, -v / sigma_mm**2 * z
+
+    return surface
+
+
+def waves(amplitude_mm: float, wavelength_mm: float) -> Surface:
+    """Fine texture: crossed sine waves."""
+
+    def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        k = 2 * np.pi / wavelength_mm
+        sx, sy, cx, cy = np.sin(k * x), np.sin(k * y), np.cos(k * x), np.cos(k * y)
+        return amplitude_mm * sx * sy, amplitude_mm * k * cx * sy, amplitude_mm * k * sx * cy
+
+    return surface
+
+
+def polynomial(coefficients: dict[tuple[int, int], float]) -> Surface:
+    """Sum of `c x^i y^j` for entries (i, j): c; planes and quadratics among them."""
+
+    def surface(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        zero = np.zeros_like(x)
+        z = sum((c * x**i * y**j for (i, j), c in coefficients.items()), zero)
+        p = sum((c * i * x ** max(i - 1, 0) * y**j for (i, j), c in coefficients.items()), zero)
+        q = sum((c * j * x**i * y ** max(j - 1, 0) for (i, j), c in coefficients.items()), zero)
+        return z, p, q
+
+    return surface
+
+
+BALL = ball(4.0, 2.5, (0.4, -0.3))
+SMALL_BALL = ball(2.0, 1.0, (0.4, -0.3))
+CUT_BALL = ball(4.0, 2.5, (9.0, -0.3))
+BALLS = total(ball(4.0, 2.5, (0.4, -0.3)), ball(4.0, 2.5, (9.0, 5.0)), ball(3.0, 2.0, (-9.5, -4.0)))
+PEAKS = total(
+    gaussian(0.9, 1.5, (-2.0, 1.0)), gaussian(-0.5, 1.2, (3.0, -2.0)), gaussian(0.6, 2.0, (8.5, 5.0))
+)
+TEXTURE = total(gaussian(0.8, 2.5), waves(0.012, 0.6))
+BUMP = gaussian(1.0, 1.5, (0.4, -0.3))
+PLANE = polynomial({(1, 0): 0.05, (0, 1): -0.03})
+
+SCENES: dict[str, Surface] = {
+    "ball": BALL,
+    "small ball": SMALL_BALL,
+    "cut ball": CUT_BALL,
+    "balls": BALLS,
+    "peaks": PEAKS,
+    "texture": TEXTURE,
+    "bump": BUMP,
+    "plane": PLANE,
+}
+
+
+def with_noise(gradients: Array, sigma: float, rng: np.random.Generator) -> Array:
+    """Slopes with independent Gaussian noise."""
+    return gradients + sigma * rng.standard_normal(gradients.shape)
+
+
+class Corrupted(NamedTuple):
+    """Slopes that lie where `valid` is False."""
+
+    gradients: Array
+    valid: NDArray[np.bool_]
+
+
+def with_liars(
+    gradients: Array,
+    share: float,
+    rng: np.random.Generator,
+    *,
+    slope: float = 0.7,
+    radius_px: tuple[int, int] = (2, 9),
+) -> Corrupted:
+    """Slopes with discs that lie until `share` of the pixels do, as shadows, highlights and dust do.
+
+    Half of the discs carry one wrong slope added throughout, a quarter lost their slopes (0), a quarter are
+    independent noise; the wrong slopes have standard deviation `slope`.
+    """
+    height, width = gradients.shape[:2]
+    rows, cols = np.mgrid[:height, :width]
+    valid = np.ones((height, width), dtype=bool)
+    lying = gradients.copy()
+    while np.count_nonzero(~valid) < share * valid.size:
+        center = rng.integers(0, height), rng.integers(0, width)
+        radius = rng.integers(radius_px[0], radius_px[1] + 1)
+        disc = (rows - center[0]) ** 2 + (cols - center[1]) ** 2 <= radius**2
+        kind = rng.integers(0, 4)
+        if kind < 2:
+            lying[disc] = gradients[disc] + slope * rng.standard_normal(2)
+        else:
+            lying[disc] = 0 if kind == 2 else slope * rng.standard_normal((np.count_nonzero(disc), 2))
+        valid &= ~disc
+    return Corrupted(lying, valid)
+
+
+def confidence_from_valid(valid: NDArray[np.bool_], *, low: float = 1e-3, blur_px: float = 0.0) -> Array:
+    """1 where valid, `low` elsewhere, with soft edges if asked for."""
+    soft: Array = gaussian_filter(valid.astype(np.float64), blur_px) if blur_px else valid.astype(np.float64)
+    return low + (1 - low) * soft
+
+
+def rmse_um(depth_mm: NDArray[Any], truth_mm: NDArray[Any], where: NDArray[np.bool_] | None = None) -> float:
+    """RMS difference in um after removing the mean difference, over all or the given pixels."""
+    difference = (np.asarray(depth_mm, dtype=np.float64) - truth_mm)[... if where is None else where]
+    return float(1e3 * np.std(difference))

@@ -1,0 +1,193 @@
+"""gelform calibrate: presses of a ball to a calibration."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.console import (
+    Background,
+    BallDiameter,
+    Crop,
+    Json,
+    MmPerPx,
+    Overwrite,
+    Quiet,
+    Sensor,
+    figure,
+    json_bytes,
+    print_json,
+    progress_shown,
+    say,
+    show_table,
+)
+from gelform.cli.names import make_folder
+from gelform.errors import CalibrationError, DataError
+
+if TYPE_CHECKING:
+    from gelform.calibration.folder import Presses
+    from gelform.record import Calibration
+
+REPORT_FILES = ("report.json", "circles.csv", "contact_sheet.png", "errors.png")
+
+
+def calibrate(
+    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Folder of ball presses.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
+    ],
+    model: Annotated[str, typer.Option(help="Color model: auto, lambertian or polynomial.")] = "auto",
+    sensor: Sensor = None,
+    mm_per_px: MmPerPx = None,
+    ball_diameter_mm: BallDiameter = None,
+    background: Background = None,
+    crop: Crop = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for pictures of the circles found, and errors.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Calibrate a sensor from presses of a ball of known diameter, without a click.
+
+    PRESSES holds background.png (the untouched gel), images, presses.csv (columns image,ball_diameter_mm) and
+    sensor.toml (name, mm_per_px). A plain folder of images does too, with --ball-diameter-mm and --mm-per-px
+    or --sensor. Twenty presses all over the gel are enough, forty of two balls are good.
+
+    \b
+    Examples:
+      gelform calibrate presses/ -o cal.npz
+      gelform calibrate presses/ -o cal.npz --report report/
+      gelform calibrate frames/ -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
+      gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
+    """
+    _check_model(model)
+    box = _crop(crop)
+    _check_outputs(output, report, overwrite)
+    from gelform.calibration.fit import calibrate as calibrate_presses
+    from gelform.calibration.folder import read_presses
+
+    with progress_shown(quiet) as progress:
+        found = read_presses(
+            presses,
+            sensor=sensor,
+            mm_per_px=mm_per_px,
+            ball_diameter_mm=ball_diameter_mm,
+            background=background,
+            crop=box,
+            progress=progress,
+        )
+        calibration = calibrate_presses(found, color_model=model, progress=progress)
+        calibration.save(output, overwrite=overwrite)
+        if report is not None:
+            progress(0, 1, "drawing the report")
+            write_report(found, calibration, report, overwrite=overwrite)
+            progress(1, 1, "drawing the report")
+    _show(calibration, quiet or as_json)
+    say(f"Wrote {output}{f' and {report}' if report else ''}.", quiet)
+    if as_json:
+        print_json({"calibration": str(output), **calibration.report.to_dict()})
+
+
+def write_report(presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool) -> None:
+    """Write what `--report` promises: the circles drawn and listed, the errors drawn and listed."""
+    from gelform.npz_files import written_file
+    from gelform.plots import contact_sheet, error_charts, save_picture
+
+    rows = calibration.report.presses
+    make_folder(folder)
+    with written_file(folder / "report.json", overwrite=overwrite) as file:
+        file.write(json_bytes(calibration.report.to_dict()))
+    with written_file(folder / "circles.csv", overwrite=overwrite) as file:
+        file.write(_circles_csv(rows))
+    sheet = contact_sheet(
+        [press.image for press in presses.presses],
+        [(row.center_x_px, row.center_y_px, row.contact_radius_px) for row in rows],
+        [f"{row.name}, {row.ball_diameter_mm:g} mm" for row in rows],
+        [row.reason for row in rows],
+    )
+    save_picture(folder / "contact_sheet.png", sheet, overwrite=overwrite)
+    scored = [row for row in rows if row.errors]
+    charts = error_charts(
+        [row.ball_diameter_mm for row in scored],
+        [row.errors for row in scored],
+        title=f"{calibration.sensor_name}: errors on held-out presses",
+    )
+    save_picture(folder / "errors.png", charts, overwrite=overwrite)
+
+
+def _check_model(model: str) -> None:
+    from gelform.color_models import COLOR_MODELS
+
+    if model != "auto" and model not in COLOR_MODELS:
+        raise typer.BadParameter(
+            f"expected auto or one of {', '.join(COLOR_MODELS)}, got {model!r}.", param_hint="--model"
+        )
+
+
+def _crop(text: str | None) -> tuple[float, float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        left, top, width, height = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(
+            f"expected LEFT,TOP,WIDTH,HEIGHT in px, got {text!r}.", param_hint="--crop"
+        ) from None
+    return left, top, width, height
+
+
+def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:
+    """Everything that could stop the writing is said before the work."""
+    from gelform.npz_files import check_free
+
+    make_folder(output.parent)
+    check_free(output, overwrite=overwrite, error=CalibrationError)
+    if report is None:
+        return
+    from gelform.plots import check_matplotlib
+
+    check_matplotlib()
+    make_folder(report)
+    there = [name for name in REPORT_FILES if (report / name).exists()]
+    if there and not overwrite:
+        raise DataError(f"{report / there[0]} is already there. Choose another folder, or allow --overwrite.")
+
+
+def _circles_csv(rows: Any) -> bytes:
+    """The table of presses with the circles found: as presses.csv wants its labels."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px", "accepted", "reason"]
+    )
+    for row in rows:
+        circle = [f"{value:.2f}" for value in (row.center_x_px, row.center_y_px, row.contact_radius_px)]
+        writer.writerow([row.name, f"{row.ball_diameter_mm:g}", *circle, int(row.accepted), row.reason or ""])
+    return text.getvalue().encode()
+
+
+def _show(calibration: Calibration, quiet: bool) -> None:
+    report = calibration.report
+    rejected = [(row.name, row.reason or "") for row in report.presses if not row.accepted]
+    used = len(report.presses) - len(rejected)
+    say(
+        f"{calibration.sensor_name}: {used} of {len(report.presses)} presses used, {report.seconds:.0f} s.",
+        quiet,
+    )
+    if rejected:
+        show_table("Presses left out", ("press", "why"), rejected, quiet=quiet)
+    tried = [
+        (one["candidate"] + (" <" if one["chosen"] else ""), figure(one["normal_free_deg"]))
+        for one in report.candidates
+    ]
+    show_table("Color models tried", ("model (< chosen)", "held-out normal (deg)"), tried, quiet=quiet)
+    held_out = [(name, figure(value)) for name, value in report.held_out.items()]
+    show_table("Errors on presses that were held out", ("figure", "value"), held_out, quiet=quiet)
+    for note in report.notes:
+        say(f"note: {note}", quiet)

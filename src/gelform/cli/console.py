@@ -1,0 +1,116 @@
+"""What all commands share with the terminal: common options, progress, tables, JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show neither progress nor tables.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that are already there.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
+]
+Sensor = Annotated[
+    str | None,
+    typer.Option(metavar="PROFILE", help="Sensor profile: gelsight-mini or digit; crop and scale."),
+]
+MmPerPx = Annotated[float | None, typer.Option(metavar="F", help="Width of an image pixel on the gel, mm.")]
+BallDiameter = Annotated[
+    float | None,
+    typer.Option(metavar="F", help="Diameter of the ball, mm, for a folder without presses.csv."),
+]
+Background = Annotated[
+    Path | None, typer.Option(metavar="IMG", help="Image of the untouched gel, instead of the usual one.")
+]
+Crop = Annotated[
+    str | None,
+    typer.Option(metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."),
+]
+
+Progress = Callable[[int, int, str], None]
+
+
+@contextmanager
+def progress_shown(quiet: bool) -> Iterator[Progress]:
+    """A bar for each kind of work on standard error, where that is a terminal; gives what to call."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda done, total, what: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(done: int, total: int, what: str) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done, total=total)
+
+        yield report
+
+
+def say(text: str, quiet: bool = False) -> None:
+    """A line for the user on standard error, where results do not mix with it."""
+    if not quiet:
+        typer.echo(text, err=True)
+
+
+def show_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, quiet: bool = False
+) -> None:
+    """A table on standard output; its first column is text, the others are numbers."""
+    if quiet:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        title=title, title_justify="left", box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0)
+    )
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console = Console(highlight=False, markup=False)
+    console.print(table)
+    console.print()
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """One JSON object on standard output; what is not a number (NaN) becomes null."""
+    typer.echo(json.dumps(_plain(content), indent=2, ensure_ascii=False))
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """The same as a file's content."""
+    return (json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def figure(value: Any, digits: int = 3) -> str:
+    """A number for a table; a dash where there is none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "-"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,88 @@
+"""gelform evaluate: errors of a calibration on presses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gelform.cli.console import (
+    Background,
+    BallDiameter,
+    CalibrationFile,
+    Json,
+    MmPerPx,
+    Quiet,
+    Sensor,
+    figure,
+    print_json,
+    progress_shown,
+    say,
+    show_table,
+)
+
+COLUMNS = ("normal_free_deg", "cap_free_um", "radius_percent", "off_contact_um")
+
+
+def evaluate(
+    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Folder of ball presses.")],
+    calibration: CalibrationFile,
+    sensor: Sensor = None,
+    mm_per_px: MmPerPx = None,
+    ball_diameter_mm: BallDiameter = None,
+    background: Background = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Measure a calibration on presses of a ball: angles in degrees, depth in um, radius in percent.
+
+    Says which presses the calibration was made from: their errors say little.
+
+    \b
+    Examples:
+      gelform evaluate new_presses/ -c cal.npz
+      gelform evaluate new_presses/ -c cal.npz --json > errors.json
+      gelform evaluate frames/ -c cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
+    """
+    from gelform.calibration.evaluate import evaluate as evaluate_presses
+    from gelform.calibration.folder import read_presses
+    from gelform.record import load_calibration
+
+    loaded = load_calibration(calibration)
+    with progress_shown(quiet) as progress:
+        found = read_presses(
+            presses,
+            sensor=sensor,
+            mm_per_px=mm_per_px,
+            ball_diameter_mm=ball_diameter_mm,
+            background=background,
+            progress=progress,
+        )
+        evaluation = evaluate_presses(loaded, found, progress=progress)
+    if evaluation.seen:
+        say(
+            f"warning: the calibration was made from {evaluation.seen} of these presses: "
+            "their errors say little."
+        )
+    if as_json:
+        print_json(evaluation.to_dict())
+        return
+    rows = [
+        (
+            f"{row['name']}{' (seen)' if row['seen'] else ''}",
+            f"{row['ball_diameter_mm']:g}",
+            *(figure(row["errors"][name]) if row["reason"] is None else "-" for name in COLUMNS),
+        )
+        for row in evaluation.rows
+    ]
+    show_table("Presses", ("press", "ball (mm)", *COLUMNS), rows, quiet=quiet)
+    left_out = [(row["name"], row["reason"]) for row in evaluation.rows if row["reason"] is not None]
+    if left_out:
+        show_table("Presses left out", ("press", "why"), left_out, quiet=quiet)
+    show_table(
+        "Over all presses",
+        ("figure", "value"),
+        [(n, figure(v)) for n, v in evaluation.summary.items()],
+        quiet=quiet,
+    )

@@ -1,0 +1,132 @@
+"""gelform info: what a file or folder is, and what it lacks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gelform.cli.console import Json, print_json
+from gelform.errors import DataError, GelformError
+
+
+def info(
+    path: Annotated[
+        Path, typer.Argument(metavar="FILE|FOLDER", help="Calibration, result, image or press folder.")
+    ],
+    as_json: Json = False,
+) -> None:
+    """Say what a calibration, a result, an image or a folder of presses is, and what is missing.
+
+    \b
+    Examples:
+      gelform info cal.npz
+      gelform info out/frame.npz --json
+      gelform info presses/
+    """
+    if not path.exists():
+        raise DataError(f"No file or folder {path}. Check the path.")
+    facts = _folder(path) if path.is_dir() else _file(path)
+    if as_json:
+        print_json(facts)
+        return
+    width = max(len(name) for name in facts)
+    for name, value in facts.items():
+        for line in value if name == "missing" else [value]:
+            typer.echo(f"{name.replace('_', ' '):<{width}}  {_said(value if name != 'missing' else line)}")
+
+
+def _file(path: Path) -> dict[str, Any]:
+    from gelform.npz_files import kind_of_npz
+    from gelform.reconstruction import KIND as RESULT
+    from gelform.record import KIND as CALIBRATION
+
+    kind = kind_of_npz(path)
+    if kind == CALIBRATION:
+        return _calibration(path)
+    if kind == RESULT:
+        return _result(path)
+    if path.suffix == ".npz":
+        raise DataError(f"{path} is neither a calibration nor a result of gelform's, or it is damaged.")
+    from gelform.sensors.files import read_image
+
+    image = read_image(path)
+    levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
+    return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
+
+
+def _calibration(path: Path) -> dict[str, Any]:
+    from gelform.record import load_calibration
+
+    described = load_calibration(path).describe()
+    presses = len(described.pop("training_digests"))
+    return {"kind": "calibration", **described, "training_presses": presses}
+
+
+def _result(path: Path) -> dict[str, Any]:
+    from gelform.reconstruction import load_result
+
+    result = load_result(path)
+    return {
+        "kind": "result",
+        "size_px": list(result.depth_mm.shape),
+        "mm_per_px": result.mm_per_px,
+        "mm_per_px_sigma": result.mm_per_px_sigma,
+        "depth_mm": [round(float(result.depth_mm.min()), 4), round(result.peak_mm, 4)],
+        "contact_px": int(result.contact.sum()),
+        "known_px": int(result.known.sum()),
+        "zero": result.zero,
+        "solver": result.solver,
+        "curl_rms": result.curl_rms,
+        "findings": [finding.message for finding in result.health],
+        "calibration": result.calibration_digest,
+    }
+
+
+def _folder(path: Path) -> dict[str, Any]:
+    """A press folder is read as calibration reads it; what stops it is what is missing."""
+    from gelform.calibration.folder import read_presses
+    from gelform.sensors.files import IMAGE_SUFFIXES
+
+    here = {entry.name for entry in path.iterdir()}
+    images = sum(1 for name in here if Path(name).suffix.lower() in IMAGE_SUFFIXES)
+    table = next((name for name in ("presses.csv", "catalog.csv") if name in here), None)
+    missing = []
+    if not any(Path(name).stem == "background" for name in here):
+        missing.append("background.png, an image of the untouched gel (or --background)")
+    if table is None:
+        missing.append("presses.csv with the columns image,ball_diameter_mm (or --ball-diameter-mm)")
+    if "sensor.toml" not in here:
+        missing.append("sensor.toml with name and mm_per_px (or --sensor, --mm-per-px)")
+    facts: dict[str, Any] = {
+        "kind": "folder of presses" if table else "folder",
+        "table": table,
+        "images_here": images,
+    }
+    if missing:
+        return {**facts, "missing": missing}
+    try:
+        presses = read_presses(path)
+    except (GelformError, ValueError) as problem:
+        return {**facts, "missing": [str(problem)]}
+    balls = Counter(press.ball_diameter_mm for press in presses.presses)
+    return {
+        **facts,
+        "sensor": presses.sensor_name,
+        "size_px": list(presses.image_shape),
+        "mm_per_px": presses.mm_per_px,
+        "presses": len(presses.presses),
+        "balls_mm": {f"{ball:g}": count for ball, count in sorted(balls.items())},
+        "labelled": sum(press.label is not None for press in presses.presses),
+        "missing": ["nothing: gelform calibrate can read it"],
+    }
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_said(one)}" for name, one in value.items()) or "-"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_said(one) for one in value) or "-"
+    return "-" if value in (None, "") else f"{value:.4g}" if isinstance(value, float) else str(value)

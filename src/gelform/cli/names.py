@@ -1,0 +1,72 @@
+"""Which result belongs to which input: names that no two inputs share, checked before any work."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from gelform.errors import DataError
+
+
+def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -> list[dict[str, Path]]:
+    """Where each input's result goes, in each format: `folder/<path below the common folder>.<format>`.
+
+    Where only the suffix tells two inputs apart (a.png, a.jpg), it stays in the name (a.png.npz, a.jpg.npz).
+
+    Raises
+    ------
+    DataError
+        An input is given twice, or two inputs cannot be told apart by any name.
+    """
+    full = [Path(os.path.abspath(path)) for path in inputs]
+    twice = [str(path) for path, count in Counter(full).items() if count > 1]
+    if twice:
+        raise DataError(f"{twice[0]} is given twice. Give each image once.")
+    common = Path(os.path.commonpath([path.parent for path in full]))
+    below = [path.relative_to(common) for path in full]
+    stems = Counter(path.with_suffix("") for path in below)
+    names = [path if stems[path.with_suffix("")] > 1 else path.with_suffix("") for path in below]
+    shared = [str(name) for name, count in Counter(names).items() if count > 1]
+    if shared:
+        raise DataError(f"Two images would both be called {shared[0]}. Reconstruct them into two folders.")
+    return [{one: folder / f"{name}.{one}" for one in formats} for name in names]
+
+
+def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protected: Sequence[Path]) -> None:
+    """Refuse results that are there already (unless `overwrite`), and any that would replace an input.
+
+    Raises
+    ------
+    DataError
+        The message names the first one and how many there are.
+    """
+    inputs = {os.path.realpath(path) for path in protected}
+    results = [path for one in paths for path in one.values()]
+    clashing = [path for path in results if os.path.realpath(path) in inputs]
+    if clashing:
+        raise DataError(f"The result {clashing[0]} would replace an input. Choose another folder with -o.")
+    there = [path for path in results if os.path.lexists(path)]
+    if there and not overwrite:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        raise DataError(f"{there[0]} is already there{more}. Choose another folder, or allow --overwrite.")
+
+
+def make_folder(folder: Path) -> Path:
+    """Make a folder and those above it, and see that it can be written to.
+
+    Raises
+    ------
+    DataError
+        It cannot be made or written to; the message says why.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as problem:
+        raise DataError(f"Expected a folder to write to, got the file {folder}.") from problem
+    except OSError as problem:
+        raise DataError(f"Cannot make the folder {folder}: {problem.strerror or problem}.") from problem
+    if not os.access(folder, os.W_OK):
+        raise DataError(f"Cannot write into {folder}: permission denied.")
+    return folder

@@ -1,0 +1,142 @@
+"""gelform reconstruct: images to depth in mm."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.console import (
+    Background,
+    CalibrationFile,
+    Json,
+    Overwrite,
+    Quiet,
+    figure,
+    print_json,
+    progress_shown,
+    say,
+    show_table,
+)
+from gelform.cli.names import check_results, make_folder, result_paths
+from gelform.errors import GelformError
+
+if TYPE_CHECKING:
+    from gelform.reconstruct import Reconstructor
+
+FORMATS = ("npz", "png")
+
+
+def _formats(text: str) -> list[str]:
+    formats = [one.strip() for one in text.split(",") if one.strip()]
+    unknown = [one for one in formats if one not in FORMATS]
+    if unknown or not formats:
+        raise typer.BadParameter(
+            f"expected formats among {', '.join(FORMATS)}, got {text!r}.", param_hint="--format"
+        )
+    return list(dict.fromkeys(formats))
+
+
+def reconstruct(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")],
+    calibration: CalibrationFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
+    background: Background = None,
+    solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
+    formats: Annotated[
+        str, typer.Option("--format", help="What to write: npz, png, or both: npz,png.")
+    ] = "npz",
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Reconstruct depth in mm from images of a calibrated sensor.
+
+    An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
+    confidence, contact, known and mm_per_px; with --format npz,png a picture beside it.
+
+    \b
+    Examples:
+      gelform reconstruct frame.png -c cal.npz -o out
+      gelform reconstruct session/*/gelsight.png -c cal.npz -o out --format npz,png
+      gelform reconstruct today/*.png -c cal.npz --background today_rest.png -o out --json
+    """
+    wanted = _formats(formats)
+    paths = result_paths(images, output, wanted)
+    protected = [*images, calibration, *([background] if background else [])]
+    check_results(paths, overwrite=overwrite, protected=protected)
+    if "png" in wanted:
+        from gelform.plots import check_matplotlib
+
+        check_matplotlib()
+    with progress_shown(quiet) as progress:
+        progress(0, len(images), "starting (the first run ever compiles for some seconds)")
+        run = _prepared(calibration, background, solver)
+        make_folder(output)
+        rows = []
+        for done, (image, results) in enumerate(zip(images, paths)):
+            rows.append(_reconstruct_one(run, image, results, overwrite))
+            progress(done + 1, len(images), "reconstructing")
+    _report(rows, quiet or as_json)
+    if as_json:
+        print_json({"results": rows})
+
+
+def _prepared(calibration: Path, background: Path | None, solver: str) -> Reconstructor:
+    from gelform.reconstruct import Reconstructor
+    from gelform.record import load_calibration
+    from gelform.sensors.files import read_image
+    from gelform.solvers import SOLVERS
+
+    if solver != "auto" and solver not in SOLVERS:
+        raise typer.BadParameter(
+            f"expected auto or one of {', '.join(SOLVERS)}, got {solver!r}.", param_hint="--solver"
+        )
+    rest = None if background is None else read_image(background)
+    return Reconstructor(load_calibration(calibration), background=rest, solver=solver)
+
+
+def _reconstruct_one(
+    run: Reconstructor, path: Path, results: dict[str, Path], overwrite: bool
+) -> dict[str, Any]:
+    from gelform.reconstruction import save_result
+    from gelform.sensors.files import read_image
+    from gelform.view import image_from_frame
+
+    frame = read_image(path)
+    try:
+        result = run(frame)
+    except (GelformError, ValueError) as problem:
+        raise GelformError(f"{path}: {problem}") from problem
+    make_folder(next(iter(results.values())).parent)
+    if "npz" in results:
+        save_result(result, results["npz"], overwrite=overwrite)
+    if "png" in results:
+        from gelform.plots import picture, save_picture
+
+        shown = picture(result, image_from_frame(frame, run.calibration.view))
+        save_picture(results["png"], shown, overwrite=overwrite)
+    return {
+        "image": str(path),
+        "outputs": [str(one) for one in results.values()],
+        "peak_mm": result.peak_mm,
+        "contact_px": int(result.contact.sum()),
+        "contact_mm2": float(result.contact.sum()) * float(run.calibration.mm_per_px) ** 2,
+        "curl_rms": result.curl_rms,
+        "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in result.health],
+    }
+
+
+def _report(rows: Sequence[dict[str, Any]], quiet: bool) -> None:
+    found = [(finding["name"], finding["message"]) for row in rows for finding in row["findings"]]
+    for name, count in Counter(name for name, _ in found).items():
+        message = next(text for other, text in found if other == name)
+        say(f"warning ({count} of {len(rows)} images): {message}")
+    shown = [
+        (row["outputs"][0], figure(row["peak_mm"]), figure(row["contact_mm2"]), figure(row["curl_rms"]))
+        for row in rows
+    ]
+    show_table("Results", ("file", "peak (mm)", "contact (mm²)", "curl (rms)"), shown, quiet=quiet)

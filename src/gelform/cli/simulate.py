@@ -1,0 +1,128 @@
+"""gelform simulate: images with exact truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gelform.cli.console import Json, Quiet, print_json, progress_shown, say
+from gelform.errors import DataError
+
+if TYPE_CHECKING:
+    from gelform.simulate import HeightMap, SimulatedSensor
+
+MAX_MAP_BYTES = 1 << 28
+
+
+def simulate(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
+    layout: Annotated[str, typer.Option(help="Lights: three-edges, ring-120 or homemade.")] = "three-edges",
+    count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40,
+    ball_diameter_mm: Annotated[
+        list[float], typer.Option(metavar="F", help="Diameter of a ball, mm; give several, they take turns.")
+    ] = [6.0, 9.0],  # noqa: B006, typer reads it and never changes it
+    height_map: Annotated[
+        Path | None, typer.Option(metavar="FILE.npy", help="Press this instead: heights in mm, (h, w).")
+    ] = None,
+    height_map_mm_per_px: Annotated[
+        float | None, typer.Option(metavar="F", help="Its sample pitch, mm.")
+    ] = None,
+    depth_mm: Annotated[
+        float, typer.Option(metavar="F", help="How deep the height map is pressed, mm.")
+    ] = 0.5,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate a sensor: images of pressed balls, or of your own height map, with the exact truth.
+
+    Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels,
+    sensor.toml, images/, and truth/ with depth_mm, gradients and contact of each image. A height map makes
+    background.png, image.png, truth.npz.
+
+    \b
+    Examples:
+      gelform simulate -o presses
+      gelform simulate -o presses --layout homemade --count 60 --ball-diameter-mm 5 --ball-diameter-mm 8
+      gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
+    """
+    import numpy as np
+
+    from gelform.checks import check_positive
+    from gelform.simulate import LAYOUTS
+
+    for ball in ball_diameter_mm:
+        check_positive(ball, "ball_diameter_mm")
+    if layout not in LAYOUTS:
+        raise typer.BadParameter(
+            f"expected one of {', '.join(LAYOUTS)}, got {layout!r}.", param_hint="--layout"
+        )
+    rng = np.random.default_rng(seed)
+    with progress_shown(quiet) as progress:
+        if height_map is None:
+            from gelform.export import save_simulated_presses
+            from gelform.simulate import simulate_ball_presses
+
+            presses = simulate_ball_presses(
+                LAYOUTS[layout],
+                ball_diameters_mm=ball_diameter_mm,
+                count=count,
+                rng=rng,
+                progress=lambda done, total: progress(done, total, "simulating"),
+            )
+            save_simulated_presses(
+                output, presses, progress=lambda done, total: progress(done, total, "writing")
+            )
+        else:
+            face = _height_map(height_map, height_map_mm_per_px)
+            _press_height_map(LAYOUTS[layout], face, depth_mm, rng, output)
+    say(f"Wrote {output}.", quiet or as_json)
+    if as_json:
+        presses_made = count if height_map is None else 1
+        print_json({"folder": output, "layout": layout, "presses": presses_made, "seed": seed})
+
+
+def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
+    import numpy as np
+
+    from gelform.simulate import HeightMap
+
+    if mm_per_px is None:
+        raise typer.BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
+    if not path.is_file():
+        raise DataError(f"No file {path}: expected heights in mm as .npy.")
+    if path.stat().st_size > MAX_MAP_BYTES:
+        raise DataError(
+            f"Expected a height map of at most {MAX_MAP_BYTES >> 20} MB, got {path}. Reduce it first."
+        )
+    try:
+        heights = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as problem:
+        raise DataError(f"{path} is no array file (.npy) of numbers, or a damaged one.") from problem
+    if not isinstance(heights, np.ndarray):
+        raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
+    return HeightMap(heights, mm_per_px)
+
+
+def _press_height_map(
+    sensor: SimulatedSensor, face: HeightMap, depth_mm: float, rng: object, folder: Path
+) -> None:
+    import numpy as np
+
+    from gelform.export import toml_string, truth_from_press, written_whole
+    from gelform.npz_files import written_file
+    from gelform.plots import save_picture
+    from gelform.simulate import simulate_background, simulate_press
+
+    assert isinstance(rng, np.random.Generator)
+    press = simulate_press(sensor, face, depth_mm=depth_mm, rng=rng)
+    with written_whole(folder) as partial:
+        save_picture(partial / "background.png", simulate_background(sensor, rng))
+        save_picture(partial / "image.png", press.image)
+        truth = {**truth_from_press(press), "mm_per_px": np.float64(sensor.mm_per_px)}
+        with written_file(partial / "truth.npz") as file:
+            np.savez_compressed(file, **truth)  # type: ignore[arg-type]
+        text = f"name = {toml_string(sensor.name)}\nmm_per_px = {sensor.mm_per_px!r}\n"
+        (partial / "sensor.toml").write_text(text, encoding="utf-8")

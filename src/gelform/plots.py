@@ -1,0 +1,364 @@
+"""Pictures of a result: image, normals, gradients, depth in mm and a profile through its deepest point.
+
+Needs matplotlib, the extra `plots`. Figures are drawn off screen; matplotlib's global state is not touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image, check_mm_per_px
+from gelform.errors import DataError, GelformError
+from gelform.npz_files import written_file
+from gelform.reconstruction import Reconstruction
+
+DPI, WIDTH = 110, 13.0
+ACCEPTED, REJECTED, INK, FAINT = "#1a9850", "#d73027", "#222222", "#8a8a8a"
+ALONG_X, ALONG_Y = "#f4731c", "#29a3e0"
+TILE_PX, CAPTION_PX, MAX_COLUMNS = 230, 44, 8
+
+
+def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[np.uint8]:
+    """One picture of a result: what came in, what was found, and how deep it is.
+
+    Image (where given), normals, both slopes, depth with a scale bar and the contact's outline, and the
+    profiles along x and y through the deepest point, in mm.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    image : (H, W, 3) RGB, the image that was reconstructed
+
+    Returns
+    -------
+    picture : (h, w, 3) uint8, RGB
+
+    Raises
+    ------
+    GelformError
+        matplotlib is not installed.
+    """
+    shape = result.depth_mm.shape
+    shown = None if image is None else check_image(image, shape=(shape[0], shape[1])).astype(np.uint8)
+    row, column = _deepest(result.depth_mm)
+    heights = _heights(shape[0] / shape[1], 3 if shown is None else 4, len(result.health))
+    figure = _figure(WIDTH, sum(heights))
+    top, bottom = figure.subfigures(2, 1, height_ratios=heights)
+    top.suptitle(_headline(result, row, column), x=0.012, ha="left", fontsize=11, color=INK)
+    _draw_maps(top, result, shown)
+    depth_axes, profile_axes = bottom.subplots(1, 2, width_ratios=[1, 1.05])
+    _draw_depth(bottom, depth_axes, result, row, column)
+    _draw_profiles(profile_axes, result, row, column)
+    return _pixels(figure)
+
+
+def contact_sheet(
+    images: Sequence[ArrayLike],
+    circles_px: Sequence[tuple[float, float, float] | None],
+    captions: Sequence[str],
+    reasons: Sequence[str | None],
+) -> NDArray[np.uint8]:
+    """Every press with the circle that was found on it: green where used, red with the reason where not.
+
+    Parameters
+    ----------
+    images : N times (H, W, 3) RGB, all of one size
+    circles_px : N times (centre x, centre y, contact radius) in px, or None
+    captions : N names, such as "6.310mm/0/gelsight.png, 6.31 mm"
+    reasons : why a press is not used, None where it is
+
+    Returns
+    -------
+    sheet : (h, w, 3) uint8, RGB
+    """
+    if not images or not len(images) == len(circles_px) == len(captions) == len(reasons):
+        raise ValueError(f"Expected as many images as circles, captions and reasons, got {len(images)}.")
+    tiles, scale = _tiles(images)
+    columns = min(MAX_COLUMNS, int(np.ceil(np.sqrt(1.4 * len(tiles)))))
+    height, width = tiles[0].shape[0] + CAPTION_PX, tiles[0].shape[1] + 8
+    rows = -(-len(tiles) // columns)
+    figure = _figure((columns * width + 8) / DPI, (rows * height + 8) / DPI, layout=None)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, columns * width + 8), ylim=(rows * height + 8, 0))
+    axes.set_axis_off()
+    for k, tile in enumerate(tiles):
+        corner = (8 + k % columns * width, 8 + k // columns * height)
+        _draw_press(axes, tile, corner, circles_px[k], scale, captions[k], reasons[k])
+    return _pixels(figure)
+
+
+def error_charts(
+    balls_mm: Sequence[float], errors: Sequence[Mapping[str, float]], *, title: str = "Errors"
+) -> NDArray[np.uint8]:
+    """Errors of presses by ball, one point each, with their mean; the median where a sphere is fitted.
+
+    Parameters
+    ----------
+    balls_mm : N ball diameters, mm
+    errors : N times the fields of `PressErrors`; NaN where a figure does not exist
+    title : str
+
+    Returns
+    -------
+    charts : (h, w, 3) uint8, RGB
+    """
+    if not errors or len(errors) != len(balls_mm):
+        raise ValueError(f"Expected a ball for each of the errors, got {len(balls_mm)} and {len(errors)}.")
+    figure = _figure(WIDTH, 4.2)
+    for axes, (name, label, middle) in zip(figure.subplots(1, len(_CHARTS)), _CHARTS):
+        values = np.abs(np.array([one[name] for one in errors], dtype=np.float64))
+        _draw_strip(axes, np.asarray(balls_mm, dtype=np.float64), values, label, middle)
+    figure.suptitle(f"{title} ({len(errors)} presses)", x=0.012, ha="left", fontsize=11, color=INK)
+    return _pixels(figure)
+
+
+def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bool = False) -> None:
+    """Write an RGB picture (h, w, 3) uint8 as PNG, whole or not at all.
+
+    Raises
+    ------
+    DataError
+        The file is already there and `overwrite` is False, or it cannot be written.
+    """
+    pixels = np.ascontiguousarray(check_image(picture, name="picture").astype(np.uint8)[..., ::-1])
+    done, png = cv2.imencode(".png", pixels)
+    if not done:
+        raise DataError(f"OpenCV cannot encode a picture of {pixels.shape[0]}x{pixels.shape[1]} px as PNG.")
+    with written_file(path, overwrite=overwrite) as handle:
+        handle.write(png.tobytes())
+
+
+def check_matplotlib() -> None:
+    """Raise GelformError, naming the extra, where matplotlib is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as problem:
+        raise GelformError("Pictures need matplotlib. Install it: pip install 'gelform[plots]'.") from problem
+
+
+_CHARTS = (
+    ("normal_free_deg", "normal, centre free (deg), mean", np.mean),
+    ("cap_free_um", "cap, centre free (um), mean", np.mean),
+    ("radius_percent", "radius of the fitted sphere (%), median", np.median),
+    ("off_contact_um", "off contact (um), mean", np.mean),
+)
+
+
+def _figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
+    check_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _pixels(figure: Any) -> NDArray[np.uint8]:
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
+
+
+def _heights(aspect: float, panels: int, lines: int) -> tuple[float, float]:
+    """Inches of the upper and lower row: what the maps need at the picture's width."""
+    return (WIDTH - 1.1) / panels * aspect + 0.75 + 0.2 * lines, max(4.2, (WIDTH / 2 - 1.5) * aspect + 0.9)
+
+
+def _headline(result: Reconstruction, row: int, column: int) -> str:
+    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
+    area = np.count_nonzero(result.contact) * pitch_x * pitch_y
+    facts = [
+        f"deepest {result.depth_mm[row, column]:.3f} mm",
+        f"contact {area:.1f} mm²",
+        f"{pitch_x:.4g} mm/px",
+        f"zero: {result.zero}",
+        f"solver: {result.solver}",
+    ]
+    return "   |   ".join(facts) + "".join(f"\n! {finding.message}" for finding in result.health)
+
+
+def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | None) -> None:
+    slopes = result.gradients
+    limit = max(0.1, float(np.quantile(np.abs(slopes), 0.998)))
+    panels: list[tuple[str, NDArray[Any], dict[str, Any]]] = [
+        ("normals (x right, y down, z to the camera)", (result.normals + 1) / 2, {}),
+        ("slope dz/dx", slopes[..., 0], {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}),
+        ("slope dz/dy", slopes[..., 1], {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}),
+    ]
+    if image is not None:
+        panels.insert(0, ("image", image, {}))
+    grid = figure.subplots(1, len(panels))
+    for axes, (title, values, style) in zip(grid, panels):
+        shown = axes.imshow(values, interpolation="nearest", **style)
+        axes.set_title(title, fontsize=10, color=INK)
+        axes.set_xticks([])
+        axes.set_yticks([])
+    figure.colorbar(shown, ax=list(grid), shrink=0.95, pad=0.01, aspect=16, label="mm/mm")
+
+
+def _deepest(depth_mm: NDArray[np.float32]) -> tuple[int, int]:
+    """Row and column of the deepest point, single noisy pixels aside."""
+    smooth = cv2.GaussianBlur(depth_mm, (0, 0), 1)
+    row, column = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
+    return int(row), int(column)
+
+
+def _extent(result: Reconstruction) -> tuple[float, float, float, float]:
+    """Edges of the picture in mm, with the first pixel's centre at 0."""
+    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
+    height, width = result.depth_mm.shape
+    return -pitch_x / 2, (width - 0.5) * pitch_x, (height - 0.5) * pitch_y, -pitch_y / 2
+
+
+def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column: int) -> None:
+    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
+    left, right, low, high = _extent(result)
+    shown = axes.imshow(
+        result.depth_mm, cmap="viridis", extent=(left, right, low, high), interpolation="nearest"
+    )
+    figure.colorbar(shown, ax=axes, shrink=0.92, pad=0.015, label="depth (mm, 0 at rest)")
+    if result.contact.any() and not result.contact.all():
+        y, x = (np.arange(size) * pitch for size, pitch in zip(result.depth_mm.shape, (pitch_y, pitch_x)))
+        axes.contour(x, y, result.contact, levels=[0.5], colors="white", linewidths=0.8, alpha=0.8)
+    axes.axhline(row * pitch_y, color=ALONG_X, linewidth=1, alpha=0.9)
+    axes.axvline(column * pitch_x, color=ALONG_Y, linewidth=1, alpha=0.9)
+    _draw_scale_bar(axes, left, right, low, high)
+    axes.set_title("depth, the contact outlined", fontsize=10, color=INK)
+    axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
+
+
+def _draw_scale_bar(axes: Any, left: float, right: float, low: float, high: float) -> None:
+    """A white bar of a round length, about a quarter of the width, in the lower left corner."""
+    from matplotlib.patheffects import withStroke
+
+    length = _round_length((right - left) / 4)
+    x, y = left + 0.04 * (right - left), low - 0.06 * (low - high)
+    outline = [withStroke(linewidth=5.5, foreground="black")]
+    axes.plot(
+        [x, x + length], [y, y], color="white", linewidth=3.5, solid_capstyle="butt", path_effects=outline
+    )
+    label = axes.text(x + length / 2, y - 0.02 * (low - high), f"{length:g} mm", ha="center", va="bottom")
+    label.set(color="white", fontsize=10, fontweight="bold")
+    label.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
+
+
+def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> None:
+    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
+    along = (
+        ("along x", ALONG_X, result.depth_mm[row], (np.arange(result.depth_mm.shape[1]) - column) * pitch_x),
+        (
+            "along y",
+            ALONG_Y,
+            result.depth_mm[:, column],
+            (np.arange(result.depth_mm.shape[0]) - row) * pitch_y,
+        ),
+    )
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    for name, color, depth, place in along:
+        axes.plot(place, depth, color=color, linewidth=1.5, label=name)
+    axes.fill_between(along[0][3], along[0][2], 0, color=ALONG_X, alpha=0.1)
+    axes.plot(0, result.depth_mm[row, column], "o", color=INK, markersize=4)
+    deepest = float(result.depth_mm[row, column])
+    axes.annotate(
+        f"{deepest:.3f} mm", (0, deepest), (6, 4), textcoords="offset points", fontsize=9, color=INK
+    )
+    axes.margins(x=0.01, y=0.12)
+    _quiet(axes, "both")
+    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    axes.set_title("profiles through the deepest point", fontsize=10, color=INK)
+    axes.set_xlabel("distance from it (mm)")
+    axes.set_ylabel("depth (mm)")
+
+
+def _round_length(length: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not longer."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)) * power)
+
+
+def _tiles(images: Sequence[ArrayLike]) -> tuple[list[NDArray[np.uint8]], float]:
+    """Thumbnails of one size, and their scale."""
+    first = check_image(images[0])
+    scale = TILE_PX / first.shape[1]
+    size = (TILE_PX, max(1, round(first.shape[0] * scale)))
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    shape = (first.shape[0], first.shape[1])
+    return [
+        np.asarray(cv2.resize(check_image(one, shape=shape).astype(np.uint8), size, interpolation=method))
+        for one in images
+    ], scale
+
+
+def _draw_press(
+    axes: Any,
+    tile: NDArray[np.uint8],
+    corner: tuple[float, float],
+    circle_px: tuple[float, float, float] | None,
+    scale: float,
+    caption: str,
+    reason: str | None,
+) -> None:
+    from matplotlib.patches import Circle, Rectangle
+
+    left, top = corner
+    height, width = tile.shape[:2]
+    color = ACCEPTED if reason is None else REJECTED
+    axes.imshow(tile, extent=(left, left + width, top + height, top), interpolation="nearest", aspect="auto")
+    frame = Rectangle((left, top), width, height, fill=False, edgecolor=color, linewidth=1.2)
+    axes.add_patch(frame)
+    if circle_px is not None:
+        x, y, radius = (
+            left + (circle_px[0] + 0.5) * scale,
+            top + (circle_px[1] + 0.5) * scale,
+            circle_px[2] * scale,
+        )
+        for line, paint in ((2.6, "black"), (1.4, "#5dff8f" if reason is None else "#ff6b5e")):
+            circle = Circle((x, y), radius, fill=False, edgecolor=paint, linewidth=line)
+            axes.add_patch(circle)
+            circle.set_clip_path(frame)
+        mark = axes.plot(x, y, "+", color="white", markersize=6, markeredgewidth=1)[0]
+        mark.set_clip_path(frame)
+    axes.text(left + 1, top + height + 3, _fitted(caption, 38), va="top", fontsize=6.6, color=INK)
+    if reason is not None:
+        axes.text(
+            left + 1, top + height + 16, _fitted(reason, 88, wrap=44), va="top", fontsize=5.8, color=REJECTED
+        )
+
+
+def _fitted(text: str, length: int, *, wrap: int | None = None) -> str:
+    """Text of at most `length` characters, the middle left out, on lines of `wrap`."""
+    import textwrap
+
+    if len(text) > length:
+        text = f"{text[: length // 2 - 1]}…{text[len(text) - length // 2 :]}"
+    return "\n".join(textwrap.wrap(text, wrap)) if wrap else text
+
+
+def _draw_strip(axes: Any, balls_mm: NDArray[Any], values: NDArray[Any], label: str, middle: Any) -> None:
+    sizes = sorted(set(balls_mm.tolist()))
+    for k, ball in enumerate(sizes):
+        own = values[(balls_mm == ball) & np.isfinite(values)]
+        if own.size == 0:
+            continue
+        spread = (np.arange(own.size) - (own.size - 1) / 2) / max(own.size, 8) * 0.6
+        axes.scatter(k + spread, own, s=16, color=ALONG_Y, alpha=0.8, linewidths=0)
+        level = float(middle(own))
+        axes.plot([k - 0.38, k + 0.38], [level, level], color=ALONG_X, linewidth=2.2)
+        axes.annotate(f"{level:.3g}", (k + 0.4, level), va="center", fontsize=9, color=INK)
+    axes.set_ylim(bottom=0)
+    axes.set_xlim(-0.6, len(sizes) - 0.2)
+    axes.set_xticks(range(len(sizes)), [f"{ball:g} mm" for ball in sizes])
+    axes.set_title(label, fontsize=10, color=INK)
+    _quiet(axes, "y")
+
+
+def _quiet(axes: Any, grid: str) -> None:
+    axes.grid(axis=grid, color="#e6e6e6", linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)

@@ -1,0 +1,204 @@
+"""The Reconstruction record: what one frame gave; saved, loaded and shown."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background import Finding
+from gelform.errors import DataError
+from gelform.normals import normals_from_gradients
+from gelform.npz_files import read_npz, write_npz
+
+KIND = "gelform result"
+FORMAT_VERSION = 1
+MAX_BYTES = 4 * 2**30
+_MAPS = ("depth_mm", "depth_sigma_mm", "gradients", "gradients_sigma", "confidence", "contact", "known")
+_OPTIONAL = ("depth_sigma_mm", "gradients_sigma")
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What one frame gave.
+
+    Attributes
+    ----------
+    depth_mm : (H, W) float32, mm, 0 at rest, positive where pressed; finite everywhere
+    depth_sigma_mm : (H, W) float32, mm, one standard deviation, or None
+    gradients : (H, W, 2) float32, slopes dz/dx and dz/dy, mm/mm
+    gradients_sigma : (H, W, 2) float32, their standard deviation, or None
+    confidence : (H, W) float32, 0-1
+    contact : (H, W) bool, where something touches
+    known : (H, W) bool; False where the depth was filled without information
+    mm_per_px : float or (x, y), mm
+    mm_per_px_sigma : its standard deviation, mm, or None; not part of depth_sigma_mm
+    zero : what depth 0 is: "untouched", "border", "mean"
+    solver : the method that integrated
+    curl_rms : RMS of `dp/dy - dq/dx`, slope per pixel: how far the slopes are from those of a surface
+    health : findings that a user should know, each with its figure
+    contacts : figures of each contact, or None where they were not asked for
+    markers : (M, 2) float32, positions x, y in px, or None
+    index, time_s, wall_time_ns : of the frame, or None
+    calibration_digest : of the calibration that was used
+    albedo_source : gives the albedo when it is asked for; not saved
+    """
+
+    depth_mm: NDArray[np.float32]
+    depth_sigma_mm: NDArray[np.float32] | None
+    gradients: NDArray[np.float32]
+    gradients_sigma: NDArray[np.float32] | None
+    confidence: NDArray[np.float32]
+    contact: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    mm_per_px: float | tuple[float, float]
+    mm_per_px_sigma: float | None = None
+    zero: str = "untouched"
+    solver: str = ""
+    curl_rms: float = 0.0
+    health: tuple[Finding, ...] = ()
+    contacts: tuple[dict[str, float], ...] | None = None
+    markers: NDArray[np.float32] | None = None
+    index: int | None = None
+    time_s: float | None = None
+    wall_time_ns: int | None = None
+    calibration_digest: str = ""
+    albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.depth_mm)
+        if len(shape) != 2:
+            raise ValueError(f"Expected depth_mm of shape (H, W), got {shape}.")
+        for name in _MAPS[1:]:
+            wanted = (*shape, 2) if name.startswith("gradients") else shape
+            values = getattr(self, name)
+            if np.shape(values) != wanted and not (values is None and name in _OPTIONAL):
+                raise ValueError(f"Expected {name} of shape {wanted}, as depth_mm, got {np.shape(values)}.")
+
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """Unit normals (H, W, 3), n_z > 0, of the gradients."""
+        return normals_from_gradients(self.gradients)
+
+    @cached_property
+    def albedo(self) -> NDArray[np.float32] | None:
+        """Reflectance (H, W) relative to the gel at rest, where the color model is photometric stereo.
+
+        None for other models, which do not tell a darker gel from a steeper one, and for loaded results.
+        """
+        return None if self.albedo_source is None else self.albedo_source()
+
+    @property
+    def peak_mm(self) -> float:
+        """The deepest point, mm."""
+        return float(self.depth_mm.max())
+
+    def __repr__(self) -> str:
+        figures = ", ".join(f"{name}: {value}" for name, value in self._figures().items())
+        return f"Reconstruction({figures})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the depth as a small picture beside its figures. Nothing is fetched for it."""
+        picture = base64.b64encode(_depth_png(self.depth_mm)).decode("ascii")
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
+            for name, value in [*self._figures().items(), *((f.name, f.message) for f in self.health)]
+        )
+        return (
+            "<div style='display:flex;gap:1em;align-items:flex-start'>"
+            f"<img alt='depth' src='data:image/png;base64,{picture}'/><table>{rows}</table></div>"
+        )
+
+    def _figures(self) -> dict[str, str]:
+        height, width = self.depth_mm.shape
+        pitch = np.broadcast_to(self.mm_per_px, 2)
+        area = np.count_nonzero(self.contact) * float(pitch[0] * pitch[1])
+        return {
+            "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
+            "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm",
+            "contact": f"{area:.1f} mm^2",
+            "zero": self.zero,
+            "solver": self.solver,
+        }
+
+
+def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a result as one `.npz` without pickles, under a temporary name first.
+
+    `numpy.load` gives its maps by name, and `mm_per_px`; `load_result` gives all of it.
+
+    Raises
+    ------
+    DataError
+        The file is already there and `overwrite` is False, or it cannot be written.
+    """
+    arrays = {
+        name: getattr(result, name) for name in (*_MAPS, "markers") if getattr(result, name) is not None
+    }
+    arrays["mm_per_px"] = np.asarray(result.mm_per_px, dtype=np.float64)
+    meta = {name: getattr(result, name) for name in _META}
+    meta["health"] = [asdict(finding) for finding in result.health]
+    write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
+
+
+def load_result(path: str | PathLike[str]) -> Reconstruction:
+    """Read a result.
+
+    Raises
+    ------
+    DataError
+        The file is missing, truncated, altered, no result, or of a newer format: the message says which.
+    """
+    arrays, meta = read_npz(
+        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
+    )
+    try:
+        pitch = arrays.pop("mm_per_px")
+        settings = {name: meta[name] for name in _META}
+        settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
+        settings["contacts"] = None if meta["contacts"] is None else tuple(meta["contacts"])
+        maps: dict[str, Any] = {name: arrays.pop(name, None) for name in (*_MAPS, "markers")}
+        return Reconstruction(
+            **maps, **settings, mm_per_px=pitch.item() if pitch.ndim == 0 else tuple(pitch.tolist())
+        )
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DataError(
+            f"{path} is damaged: {type(problem).__name__}: {problem}. Reconstruct again."
+        ) from problem
+
+
+_META = (
+    "mm_per_px_sigma",
+    "zero",
+    "solver",
+    "curl_rms",
+    "health",
+    "contacts",
+    "index",
+    "time_s",
+    "wall_time_ns",
+    "calibration_digest",
+)
+
+
+def _depth_png(depth_mm: NDArray[np.float32], width_px: int = 240) -> bytes:
+    """A small picture of the depth: dark at rest, bright where deep."""
+    low, high = float(depth_mm.min()), float(depth_mm.max())
+    levels = ((depth_mm - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
+    scale = width_px / depth_mm.shape[1]
+    size = (width_px, max(1, round(depth_mm.shape[0] * scale)))
+    small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    done, png = cv2.imencode(".png", cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
+    if not done:
+        raise DataError(
+            f"OpenCV cannot encode a picture of {depth_mm.shape[0]}x{depth_mm.shape[1]} px as PNG."
+        )
+    return bytes(png.tobytes())

@@ -1,0 +1,197 @@
+"""Images and sensor settings from files. BGR is turned round here, and nowhere after it."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.view import View
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """What a `sensor.toml` says of the sensor that made a folder of images.
+
+    Attributes
+    ----------
+    name : str
+    mm_per_px : mm per image pixel, after the view
+    mm_per_px_sigma : its standard deviation, mm; None where it is not known
+    serial, gel_id : which unit and which gel; empty where they are not known
+    view : from the camera's frames to the images; identity by default
+    """
+
+    name: str
+    mm_per_px: float
+    mm_per_px_sigma: float | None = None
+    serial: str = ""
+    gel_id: str = ""
+    view: View = field(default_factory=View)
+
+
+def read_image(path: str | Path) -> NDArray[np.uint8]:
+    """Read an image file as RGB.
+
+    Parameters
+    ----------
+    path : a PNG, JPEG, BMP, TIFF, WebP or PPM file of 8-bit colour
+
+    Returns
+    -------
+    image : (H, W, 3) uint8, RGB; pixels as they are stored, not turned by an orientation tag
+
+    Raises
+    ------
+    DataError
+        The file is missing, unreadable, truncated or damaged, grey, 16-bit, or has an alpha channel; the
+        message says which and what to do.
+    """
+    path = Path(path)
+    content = _content(path)
+    pixels = _decoded(content, path)
+    if pixels.dtype != np.uint8:
+        raise DataError(
+            f"Expected 8-bit colour, got {pixels.dtype} in {path}. Save the camera's frames with 8 bits per "
+            "channel (0-255)."
+        )
+    if pixels.ndim == 2 or pixels.shape[2] == 1:
+        raise DataError(
+            f"Expected a colour image, got a grey one: {path}. Three lights need three channels: save the "
+            "camera's colour frames."
+        )
+    if pixels.shape[2] != 3:
+        raise DataError(
+            f"Expected an image of three channels, got {pixels.shape[2]} (an alpha channel?): {path}. "
+            "Save it without transparency."
+        )
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def read_sensor_toml(path: str | Path) -> SensorSettings:
+    """Read a `sensor.toml`: `name`, `mm_per_px`, optional `mm_per_px_sigma`, `serial`, `gel_id` and `[view]`.
+
+    Raises
+    ------
+    DataError
+        The file is missing or no TOML, lacks a key, has one that is unknown, or a value that cannot be.
+    """
+    path = Path(path)
+    try:
+        settings = tomllib.loads(_content(path).decode("utf-8"))
+        return _sensor_settings(settings)
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
+        raise DataError(f"{path} is no TOML file: {problem}.") from problem
+    except (ValueError, TypeError) as problem:
+        raise DataError(f"{path}: {problem}") from problem
+
+
+def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
+    known = ("name", "mm_per_px", "mm_per_px_sigma", "serial", "gel_id", "response", "view")
+    unknown = [key for key in settings if key not in known]
+    if unknown:
+        raise ValueError(f"Expected keys among {', '.join(known)}, got {', '.join(unknown)}.")
+    missing = [key for key in known[:2] if key not in settings]
+    if missing:
+        raise ValueError(f"Expected the keys name and mm_per_px, {' and '.join(missing)} missing.")
+    texts = {key: settings[key] for key in ("name", "serial", "gel_id") if key in settings}
+    wrong = [key for key, value in texts.items() if not isinstance(value, str)]
+    if wrong or not isinstance(settings.get("view", {}), dict):
+        raise ValueError(f"Expected {wrong[0]} as text in quotes." if wrong else "Expected a table [view].")
+    sigma = settings.get("mm_per_px_sigma")
+    return SensorSettings(
+        **texts,
+        mm_per_px=check_positive(settings["mm_per_px"], "mm_per_px"),
+        mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
+        view=View.from_dict(settings.get("view", {})),
+    )
+
+
+def _content(path: Path) -> bytes:
+    if path.is_dir():
+        raise DataError(f"Expected a file, got the folder {path}.")
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise DataError(f"No file {path}. Check the path.") from None
+    except OSError as problem:
+        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+
+
+def _decoded(content: bytes, path: Path) -> NDArray[Any]:
+    """Pixels as OpenCV has them (BGR). The bytes are read by Python: names outside ASCII work everywhere."""
+    if not content:
+        raise DataError(f"{path} is empty. Copy or record it again.")
+    if not _is_complete(content):
+        raise DataError(f"{path} is truncated or damaged. Copy or record it again.")
+    try:
+        with _opencv_silent():
+            pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as problem:
+        raise DataError(f"{path} cannot be read as an image: {problem.err}.") from problem
+    if pixels is None:
+        raise DataError(
+            f"{path} is no image that can be read, or a damaged one. Expected one of "
+            f"{', '.join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)}."
+        )
+    return np.asarray(pixels)
+
+
+def _is_complete(content: bytes) -> bool:
+    """Whether a PNG or JPEG runs to its end; some decoders fill what is missing with grey and say nothing."""
+    if content.startswith(_PNG):
+        return _png_is_complete(content)
+    if content.startswith(_JPEG):
+        return b"\xff\xd9" in content[-1024:]
+    return True
+
+
+def _png_is_complete(content: bytes) -> bool:
+    """Whether every chunk agrees with its checksum, up to the last one (PNG specification, section 5.3)."""
+    position = len(_PNG)
+    while position + 12 <= len(content):
+        (length,) = struct.unpack(">I", content[position : position + 4])
+        end = position + 8 + length
+        if end + 4 > len(content):
+            return False
+        if zlib.crc32(content[position + 4 : end]) != struct.unpack(">I", content[end : end + 4])[0]:
+            return False
+        if content[position + 4 : position + 8] == b"IEND":
+            return True
+        position = end + 4
+    return False
+
+
+@contextmanager
+def _opencv_silent() -> Iterator[None]:
+    """OpenCV writes its own complaints to the terminal; ours is raised. Wheels of 4.x have no such switch."""
+    logging = getattr(cv2.utils, "logging", None)
+    if logging is None:
+        yield
+        return
+    level = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)

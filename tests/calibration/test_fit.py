@@ -1,0 +1,101 @@
+"""calibrate: from a folder to depth, never with the simulator's own constants."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.simulate import Ball, simulate_press
+
+
+def test_held_out_errors_are_those_of_new_presses(calibration, simulated):
+    """What the report promises, fresh presses keep: within a factor, on balls that nobody has seen."""
+    reconstruct = gelform.Reconstructor(calibration)
+    rng = np.random.default_rng(11)
+    degrees = []
+    for center in ((0.0, 0.0), (3.0, 2.0), (-3.5, 1.5)):
+        press = simulate_press(simulated.sensor, Ball(3.2), depth_mm=0.6, center_mm=center, rng=rng)
+        errors = gelform.press_errors(
+            reconstruct(press.image).depth_mm,
+            reconstruct(press.image).gradients,
+            circle_px=(*press.center_px, press.contact_radius_px),
+            ball_radius_mm=3.2,
+            mm_per_px=simulated.sensor.mm_per_px,
+        )
+        degrees.append(errors.normal_deg)
+        assert abs(errors.radius_percent) < 8
+    assert np.mean(degrees) < 1.5 * calibration.held_out["normal_free_deg"]
+    assert np.mean(degrees) < 4
+
+
+def test_report_accounts_for_every_press(calibration, presses):
+    report = calibration.report
+    assert [row.name for row in report.presses] == [press.name for press in presses.presses]
+    for row in report.presses:
+        assert row.accepted == (row.reason is None) == (row.errors is not None)
+    assert report.held_out["presses"] == sum(row.accepted for row in report.presses)
+    assert sum(row["chosen"] for row in report.candidates) == 1
+    assert set(calibration.training_digests) == {
+        press.digest for press, row in zip(presses.presses, report.presses) if row.accepted
+    }
+
+
+def test_forward_response_renders_what_the_sensor_shows(calibration, simulated):
+    press = simulated.presses[0]
+    expected = calibration.color_from_gradients(press.gradients)
+    seen = gelform.color_change_from_image(press.image, calibration.background, calibration.change)
+    inside = press.contact & (np.linalg.norm(press.gradients, axis=-1) < 0.5)
+    error = np.sqrt(np.mean((expected - seen)[inside] ** 2))
+    assert error < 0.35 * np.sqrt(np.mean(seen[inside] ** 2))
+
+
+@pytest.mark.parametrize("model", ["lambertian", "polynomial"])
+def test_one_model_can_be_asked_for(presses, model):
+    calibration = gelform.calibrate(presses, color_model=model)
+    assert calibration.color_model.name == model
+    assert calibration.held_out["normal_free_deg"] < 6
+
+
+def test_same_folder_same_calibration(presses, calibration):
+    again = gelform.calibrate(presses)
+    np.testing.assert_array_equal(again.color_model.coefficients, calibration.color_model.coefficients)
+
+
+def test_progress_is_reported_in_words(presses):
+    calls = []
+    gelform.calibrate(presses, color_model="lambertian", progress=lambda *call: calls.append(call))
+    assert {what for _, _, what in calls} >= {"finding contact circles", "measuring on held-out presses"}
+    assert all(0 < done <= total for done, total, _ in calls)
+
+
+def test_unknown_model_fails_before_any_work(presses):
+    with pytest.raises(ValueError, match="auto, lambertian, polynomial, got 'magic'"):
+        gelform.calibrate(presses, color_model="magic")
+
+
+def test_folder_without_a_ball_is_refused_with_counts(presses):
+    noise = np.random.default_rng(0)
+    blank = tuple(
+        replace(
+            press,
+            image=np.clip(presses.background + noise.normal(0, 1, presses.background.shape), 0, 255).astype(np.uint8),
+        )
+        for press in presses.presses[:4]
+    )
+    with pytest.raises(gelform.CalibrationError, match=r"at least 3 presses .* got 0 of 4 .* found"):
+        gelform.calibrate(replace(presses, presses=blank))
+
+
+def test_other_sensors_background_is_refused(presses):
+    other = replace(presses, background=np.ascontiguousarray(presses.background[::-1, ::-1]))
+    with pytest.raises(gelform.CalibrationError, match="background is not of this image"):
+        gelform.calibrate(other)
+
+
+def test_ten_real_presses_are_enough_to_start(data):
+    """Every seventh press of a real sensor: the held-out errors stay within what ten presses can give."""
+    presses = gelform.read_presses(data / "mini-ball")
+    calibration = gelform.calibrate(presses.subset(range(0, 67, 6)))
+    assert calibration.held_out["normal_free_deg"] < 5.5  # recorded: 5.0
+    assert all(row.accepted for row in calibration.report.presses)

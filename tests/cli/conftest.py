@@ -1,0 +1,69 @@
+"""A small simulated sensor, its press folder and its calibration, made once for the tests of the commands."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.calibration.fit import calibrate
+from gelform.calibration.folder import read_presses
+from gelform.cli import main
+from gelform.export import save_simulated_presses
+from gelform.simulate import LAYOUTS, simulate_ball_presses
+
+SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
+
+
+@pytest.fixture(scope="session")
+def press_folder(tmp_path_factory):
+    presses = simulate_ball_presses(
+        SMALL, ball_diameters_mm=(6, 9), count=10, rng=np.random.default_rng(0), oversample=1
+    )
+    return save_simulated_presses(tmp_path_factory.mktemp("small") / "presses", presses)
+
+
+@pytest.fixture(scope="session")
+def calibration_file(press_folder, tmp_path_factory):
+    path = tmp_path_factory.mktemp("calibration") / "cal.npz"
+    calibrate(read_presses(press_folder), color_model="polynomial").save(path)
+    return path
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; gives its exit status, standard output and standard error."""
+
+    def command(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main([str(one) for one in arguments])
+        said = capsys.readouterr()
+        return stopped.value.code or 0, said.out, said.err
+
+    return command
+
+
+@pytest.fixture
+def fails(run):
+    """Run a command that must fail with one line and no traceback; gives the line."""
+
+    def command(*arguments, status=1):
+        code, out, err = run(*arguments)
+        assert code == status, (out, err)
+        assert "Traceback" not in err
+        if status == 1:
+            assert err.count("\n") == 1, err
+            assert err.startswith("gelform: error: ")
+        return err
+
+    return command
+
+
+@pytest.fixture
+def run_json(run):
+    def command(*arguments):
+        code, out, err = run(*arguments, "--json")
+        assert code == 0, err
+        return json.loads(out)
+
+    return command

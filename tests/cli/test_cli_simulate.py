@@ -1,0 +1,70 @@
+"""gelform simulate: a folder that calibrate reads, with its truth; height maps; the same bytes for a seed."""
+
+import numpy as np
+import pytest
+
+from gelform.calibration.folder import read_presses
+from gelform.simulate import LAYOUTS
+
+
+@pytest.fixture(autouse=True)
+def small_layout(monkeypatch):
+    from tests.cli.conftest import SMALL
+
+    monkeypatch.setitem(LAYOUTS, "small", SMALL)
+
+
+def test_presses_with_their_truth(run_json, tmp_path):
+    arguments = ("simulate", "--layout", "small", "--count", "3", "--ball-diameter-mm", "5", "--seed", "4")
+    assert run_json(*arguments, "-o", tmp_path / "a")["presses"] == 3
+    presses = read_presses(tmp_path / "a")
+    assert [press.ball_diameter_mm for press in presses.presses] == [5, 5, 5]
+    assert all(press.label is not None for press in presses.presses)
+    with np.load(tmp_path / "a" / "truth" / "0001.npz") as truth:
+        assert truth["depth_mm"].shape == presses.image_shape
+    run_json(*arguments, "-o", tmp_path / "b")
+    for path in (tmp_path / "a").rglob("*.png"):
+        assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes()
+
+
+def test_a_height_map(run, tmp_path):
+    _, x = np.mgrid[-2:2:41j, -2:2:41j]
+    np.save(tmp_path / "roof.npy", -0.3 * np.abs(x))
+    arguments = ("--height-map", tmp_path / "roof.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
+    code, _, err = run("simulate", "-o", tmp_path / "out", "--layout", "small", *arguments)
+    assert code == 0, err
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        assert np.isclose(truth["depth_mm"].max(), 0.4, atol=0.02)
+        assert truth["contact"].any()
+    assert (tmp_path / "out" / "image.png").is_file()
+
+
+def test_mistakes_are_one_line(fails, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    (tmp_path / "text.npy").write_text("hello")
+    np.savez(tmp_path / "many.npz", a=np.zeros(3))
+    np.save(tmp_path / "nan.npy", np.full((4, 4), np.nan))
+    height_map = (
+        "simulate",
+        "-o",
+        tmp_path / "out",
+        "--layout",
+        "small",
+        "--height-map-mm-per-px",
+        "0.1",
+        "--height-map",
+    )
+    assert "holds something" in fails(
+        "simulate", "-o", tmp_path / "full", "--layout", "small", "--count", "1"
+    )
+    assert "ball" in fails("simulate", "-o", tmp_path / "out", "--layout", "small", "--ball-diameter-mm", "0")
+    assert "damaged" in fails(*height_map, tmp_path / "text.npy")
+    assert "got an archive" in fails(*height_map, tmp_path / "many.npz")
+    assert "NaN" in fails(*height_map, tmp_path / "nan.npy")
+    assert "No file" in fails(*height_map, tmp_path / "missing.npy")
+    assert "three-edges" in fails("simulate", "-o", tmp_path / "out", "--layout", "x", status=2)
+    assert "--height-map-mm-per-px" in fails(
+        "simulate", "-o", tmp_path / "out", "--height-map", tmp_path / "nan.npy", status=2
+    )
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,62 @@
+"""Shared, simulated once per run: a sensor, its press folder, a calibration; and where the real data is."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.simulate import LAYOUTS, SimulatedPresses, SimulatedSensor, simulate_ball_presses
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real sensor data; tests that ask for it are skipped where it is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"no real sensor data in {DATA}: set GELFORM_DATA")
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def sensor() -> SimulatedSensor:
+    """Three near lights, half the usual size: quick to simulate."""
+    return replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
+
+
+@pytest.fixture(scope="session")
+def simulated(sensor) -> SimulatedPresses:
+    """Presses of two balls all over the gel, some cut by the border."""
+    return simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=np.random.default_rng(3))
+
+
+@pytest.fixture(scope="session")
+def folder(simulated, tmp_path_factory) -> Path:
+    """The same as a press folder on disk, without labels: nothing to peek at."""
+    path = tmp_path_factory.mktemp("presses") / "folder"
+    gelform.save_press_folder(
+        path,
+        background=simulated.background,
+        images=[press.image for press in simulated.presses],
+        ball_diameters_mm=[press.ball_diameter_mm for press in simulated.presses],
+        mm_per_px=simulated.sensor.mm_per_px,
+        name="simulated",
+    )
+    return path
+
+
+@pytest.fixture(scope="session")
+def presses(folder):
+    """The folder, read."""
+    return gelform.read_presses(folder)
+
+
+@pytest.fixture(scope="session")
+def calibration(presses):
+    """A calibration made from the folder alone."""
+    return gelform.calibrate(presses)

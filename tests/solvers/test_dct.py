@@ -1,0 +1,118 @@
+"""The uniform solver: exact on quadratics, the least-squares minimiser, free at the border."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.fft import dctn, idctn
+
+from gelform.solvers.dct import DctSolver
+from gelform.solvers.edges import differences, divergence, edges_from_gradients
+from scenes import PEAKS, gaussian, polynomial, rmse_um, scene
+
+SHAPES = [(1, 1), (1, 2), (2, 1), (1, 37), (37, 1), (2, 2), (3, 2), (5, 7), (31, 53), (64, 256), (97, 40)]
+PITCHES = [(0.0634, 0.0634), (0.05, 0.08), (0.2, 0.03)]
+QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
+
+
+def spectral_answer(gradients, pitch):
+    """The same minimiser by the plain two-dimensional transform in float64."""
+    height, width = gradients.shape[:2]
+    eigen_x = (2 * np.sin(np.pi * np.arange(width) / (2 * width)) / pitch[0]) ** 2
+    eigen_y = (2 * np.sin(np.pi * np.arange(height) / (2 * height)) / pitch[1]) ** 2
+    eigen = eigen_y[:, None] + eigen_x
+    eigen[0, 0] = np.inf
+    right = divergence(edges_from_gradients(gradients), pitch)
+    return idctn(dctn(right, norm="ortho") / eigen, norm="ortho")
+
+
+@pytest.mark.parametrize("pitch", PITCHES)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_is_the_minimiser_on_any_slopes(shape, pitch):
+    gradients = np.random.default_rng(1).standard_normal((*shape, 2))
+    expected = spectral_answer(gradients, pitch)
+    depth = DctSolver(shape, pitch)(gradients.astype(np.float32))
+    assert depth.dtype == np.float32
+    assert np.max(np.abs(depth - expected)) <= 1e-5 * max(np.ptp(expected), 1e-3)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("pitch", PITCHES)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_is_exact_on_quadratics(shape, pitch, order):
+    truth, gradients, _ = scene(QUADRATIC, shape, pitch)
+    depth = DctSolver(shape, pitch, order=order)(gradients.astype(np.float32))
+    assert np.max(np.abs(depth - (truth - truth.mean()))) <= 3e-6 * max(np.ptp(truth), 1e-3)
+
+
+def test_order_four_is_exact_on_quartics_where_order_two_is_not():
+    surface = polynomial({(4, 0): 0.01, (1, 3): 0.02, (2, 2): -0.01, (3, 0): 0.05})
+    truth, gradients, pitch = scene(surface, (40, 50), (0.05, 0.08))
+    errors = [rmse_um(DctSolver((40, 50), pitch, order=order)(gradients), truth) for order in (2, 4)]
+    assert errors[0] > 0.02
+    assert errors[1] < 1e-3
+
+
+@pytest.mark.parametrize(("order", "observed"), [(2, 2.0), (4, 4.0)])
+def test_converges_with_its_order(order, observed):
+    errors = []
+    for n in (1, 2, 4):
+        shape, pitch = (24 * n, 32 * n), (0.4 / n, 0.4 / n)
+        truth, gradients, _ = scene(gaussian(1.0, 2.0), shape, pitch)
+        errors.append(rmse_um(DctSolver(shape, pitch, order=order)(gradients), truth))
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert rates == pytest.approx(observed, abs=0.35)
+
+
+@pytest.mark.parametrize("pitch", PITCHES)
+def test_difference_and_divergence_are_adjoint(pitch):
+    rng = np.random.default_rng(2)
+    depth, ex, ey = rng.standard_normal((9, 13)), rng.standard_normal((9, 12)), rng.standard_normal((8, 13))
+    dx, dy = differences(depth, pitch)
+    left = np.sum(dx * ex) + np.sum(dy * ey)
+    assert left == pytest.approx(np.sum(depth * divergence((ex, ey), pitch)), rel=1e-12)
+
+
+def test_differences_of_a_plane_are_its_slopes():
+    truth, _, pitch = scene(polynomial({(1, 0): 0.3, (0, 1): -0.2}), (5, 6), (0.05, 0.08))
+    dx, dy = differences(truth, pitch)
+    assert dx == pytest.approx(0.3)
+    assert dy == pytest.approx(-0.2)
+
+
+def test_answer_is_linear_in_the_slopes():
+    rng = np.random.default_rng(3)
+    a, b = rng.standard_normal((2, 20, 31, 2)).astype(np.float32)
+    solve = DctSolver((20, 31), (0.05, 0.08))
+    assert solve(2 * a - b) == pytest.approx(2 * solve(a) - solve(b), abs=2e-6)
+
+
+def test_mirrored_slopes_give_the_mirrored_surface():
+    _, gradients, pitch = scene(PEAKS, (45, 60))
+    solve = DctSolver((45, 60), pitch)
+    flipped = gradients[:, ::-1] * [-1, 1]
+    turned = np.swapaxes(gradients, 0, 1)[..., ::-1]
+    assert solve(flipped)[:, ::-1] == pytest.approx(solve(gradients), abs=2e-6)
+    depth = DctSolver((60, 45), pitch)(turned)
+    assert pytest.approx(solve(gradients), abs=2e-6) == depth.T
+
+
+@pytest.mark.parametrize("shape", [(12, 17), (5, 256), (1, 4)])
+def test_a_stack_gives_the_bytes_of_its_frames(shape):
+    stack = np.random.default_rng(4).standard_normal((2, 3, *shape, 2)).astype(np.float32)
+    solve = DctSolver(shape, (0.05, 0.08))
+    depth = solve(stack)
+    assert depth.shape == (2, 3, *shape)
+    for index in np.ndindex(2, 3):
+        assert np.array_equal(depth[index], solve(stack[index]))
+
+
+def test_mean_is_zero_also_for_large_frames():
+    gradients = 0.05 + 0.05 * np.random.default_rng(5).standard_normal((300, 512, 2))
+    depth = DctSolver((300, 512), (0.0634, 0.0634))(gradients)
+    assert abs(float(depth.mean(dtype=np.float64))) < 1e-6 * np.ptp(depth)
+
+
+def test_unknown_order_is_refused():
+    with pytest.raises(ValueError, match="Expected order 2 or 4, got 3"):
+        DctSolver((4, 4), (1.0, 1.0), order=3)

@@ -1,0 +1,147 @@
+"""The door to the solvers: scenes with known depth, offsets, levels, what is reported, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.depth import depth_from_gradients, integrate
+from scenes import BALL, BUMP, CUT_BALL, MM_PER_PX, PLANE, SHAPE, SMALL_BALL, gaussian, polynomial, scene
+
+
+def peak_above_untouched(depth, truth):
+    return depth.max() - np.median(depth[truth == 0])
+
+
+@pytest.mark.parametrize(
+    ("surface", "height", "tolerance"),
+    [
+        (BUMP, lambda z, _: np.ptp(z), 0.005),
+        (BALL, peak_above_untouched, 0.005),
+        (SMALL_BALL, peak_above_untouched, 0.02),
+        (CUT_BALL, peak_above_untouched, 0.005),
+        (PLANE, lambda z, _: np.ptp(z), 0.005),
+    ],
+    ids=["bump", "ball R 4", "ball R 2", "cut ball", "plane"],
+)
+def test_recovers_the_height_of_scenes(surface, height, tolerance):
+    truth, gradients, pitch = scene(surface)
+    depth = depth_from_gradients(gradients, mm_per_px=pitch)
+    assert depth.shape == SHAPE
+    assert height(depth, truth) == pytest.approx(height(truth, truth), rel=tolerance)
+
+
+class TestZero:
+    truth, gradients, pitch = scene(BALL, (60, 80), 0.25)
+
+    def test_mean(self):
+        assert abs(depth_from_gradients(self.gradients, mm_per_px=0.25).mean()) < 1e-6
+
+    def test_border(self):
+        depth = depth_from_gradients(self.gradients, mm_per_px=0.25, zero="border")
+        border = np.concatenate([depth[0], depth[-1], depth[1:-1, 0], depth[1:-1, -1]])
+        assert abs(np.median(border)) < 1e-6
+        assert depth.max() == pytest.approx(self.truth.max(), rel=0.02)
+
+    def test_given_region(self):
+        region = np.zeros((60, 80), dtype=bool)
+        region[5:9, 60:70] = True
+        depth = depth_from_gradients(self.gradients, mm_per_px=0.25, zero=region)
+        assert abs(np.median(depth[region])) < 1e-6
+
+    def test_frame_that_is_all_border(self):
+        depth = depth_from_gradients(np.ones((1, 9, 2)), mm_per_px=0.5, zero="border")
+        assert depth == pytest.approx(0.5 * (np.arange(9) - 4)[None])
+
+    def test_unknown_word(self):
+        with pytest.raises(ValueError, match="Expected zero as 'mean', 'border' or a boolean"):
+            depth_from_gradients(self.gradients, mm_per_px=0.25, zero="corner")
+
+
+class TestLevel:
+    truth, gradients, pitch = scene(gaussian(1.0, 1.2), (60, 80), 0.25)
+    untouched = truth < 1e-7
+
+    def with_drift(self, coefficients):
+        return self.gradients + scene(polynomial(coefficients), (60, 80), 0.25).gradients
+
+    def test_slope_removes_a_tilt(self):
+        tilted = self.with_drift({(1, 0): 0.01, (0, 1): -0.006})
+        raw = depth_from_gradients(tilted, mm_per_px=0.25, zero=self.untouched)
+        level = depth_from_gradients(tilted, mm_per_px=0.25, zero=self.untouched, level="slope")
+        assert np.max(np.abs(raw - self.truth)) > 0.05
+        assert np.max(np.abs(level - self.truth)) < 0.01
+
+    def test_plane_removes_a_tilt(self):
+        tilted = self.with_drift({(1, 0): 0.01, (0, 1): -0.006})
+        flat = depth_from_gradients(self.gradients, mm_per_px=0.25, zero=self.untouched, level="plane")
+        level = depth_from_gradients(tilted, mm_per_px=0.25, zero=self.untouched, level="plane")
+        assert level == pytest.approx(flat, abs=1e-5)
+
+    def test_quadratic_removes_a_bow(self):
+        bow = {(1, 0): 0.01, (0, 1): -0.006, (2, 0): 0.002, (1, 1): 0.001, (0, 2): -0.001}
+        flat = depth_from_gradients(self.gradients, mm_per_px=0.25, zero=self.untouched, level="quadratic")
+        level = depth_from_gradients(
+            self.with_drift(bow), mm_per_px=0.25, zero=self.untouched, level="quadratic"
+        )
+        assert level == pytest.approx(flat, abs=1e-5)
+        assert np.max(np.abs(level - self.truth)) < 0.01
+
+    def test_nothing_is_levelled_unless_asked_for(self):
+        truth, gradients, _ = scene(PLANE, (60, 80), 0.25)
+        assert depth_from_gradients(gradients, mm_per_px=0.25) == pytest.approx(truth, abs=1e-5)
+
+    def test_too_few_pixels_for_a_surface(self):
+        region = np.zeros((60, 80), dtype=bool)
+        region[0, :5] = True
+        with pytest.raises(ValueError, match="at least 6 zero pixels to fit a surface, got 5"):
+            depth_from_gradients(self.gradients, mm_per_px=0.25, zero=region, level="quadratic")
+
+
+def test_report_of_a_true_surface():
+    _, gradients, pitch = scene(BUMP)
+    solution = integrate(gradients, mm_per_px=pitch)
+    assert solution.solver == "dct"
+    assert solution.iterations == 0
+    assert solution.islands == 1
+    assert solution.known.all()
+    assert solution.residual < 1e-3
+    assert solution.curl_rms < 1e-3
+
+
+def test_residual_and_curl_show_slopes_that_no_surface_has():
+    rotation = np.zeros((40, 50, 2))
+    rotation[..., 0], rotation[..., 1] = np.mgrid[:40, :50] * 0.01 * np.array([1, -1])[:, None, None]
+    solution = integrate(rotation, mm_per_px=MM_PER_PX)
+    assert solution.curl_rms == pytest.approx(0.02, rel=1e-4)
+    assert solution.residual > 0.05
+
+
+@pytest.mark.parametrize("pitch", [(0.0634, 0.0634), (0.05, 0.08)])
+def test_pitch_is_x_then_y(pitch):
+    truth, gradients, _ = scene(polynomial({(1, 0): 0.1, (0, 2): 0.01}), (30, 20), pitch)
+    depth = depth_from_gradients(gradients, mm_per_px=pitch)
+    assert depth == pytest.approx(truth - truth.mean(), abs=1e-6)
+
+
+def test_round_trip_with_gradients_from_depth():
+    truth, _, pitch = scene(BUMP)
+    depth = depth_from_gradients(gelform.gradients_from_depth(truth, mm_per_px=pitch), mm_per_px=pitch)
+    assert depth == pytest.approx(truth - truth.mean(), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"gradients": np.zeros((2, 240, 320))}, r"Expected gradients of shape \(240, 320, 2\)"),
+        ({"gradients": np.full((4, 5, 2), np.nan)}, "Expected finite gradients, got 40 values"),
+        ({"mm_per_px": 0.0}, "Expected mm_per_px > 0"),
+        ({"mm_per_px": -0.1}, "Expected mm_per_px > 0"),
+        ({"solver": "poisson"}, "Expected a solver among auto, .*dct.*got 'poisson'"),
+    ],
+)
+def test_bad_input_is_refused(change, text):
+    arguments = {"gradients": np.zeros((4, 5, 2)), "mm_per_px": 0.1} | change
+    with pytest.raises(ValueError, match=text):
+        depth_from_gradients(arguments.pop("gradients"), **arguments)

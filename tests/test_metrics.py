@@ -1,0 +1,102 @@
+"""Angles, balls and sphere fits against what they must be."""
+
+import numpy as np
+import pytest
+
+from gelform.metrics import angle_deg, ball_center, ball_gradients, fit_sphere, press_errors
+
+MM_PER_PX = 0.06
+BALL_MM = 3.0
+SHAPE = (120, 160)
+
+
+def pressed_ball(center=(80.3, 59.6), contact_px=30.0):
+    """Depth, gradients and contact of a ball's cap on a flat gel."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    radius = BALL_MM / MM_PER_PX
+    square = (x - center[0]) ** 2 + (y - center[1]) ** 2
+    inside = square < contact_px**2
+    height = np.sqrt(np.where(inside, radius**2 - square, 1))
+    rim = np.sqrt(radius**2 - contact_px**2)
+    depth = np.where(inside, (height - rim) * MM_PER_PX, 0)
+    gradients = ball_gradients(x, y, center, radius) * inside[..., None]
+    return depth, gradients, inside
+
+
+def test_ball_slopes_fall_away_from_the_middle():
+    slopes = ball_gradients([70.0, 90.0], [60.0, 60.0], (80.0, 60.0), 50.0)
+    np.testing.assert_allclose(slopes[:, 0], [10 / np.sqrt(2400), -10 / np.sqrt(2400)])
+    np.testing.assert_allclose(slopes[:, 1], 0)
+
+
+def test_ball_slopes_are_those_of_its_depth():
+    depth, gradients, inside = pressed_ball()
+    numeric = np.stack(np.gradient(depth, MM_PER_PX)[::-1], axis=-1)
+    core = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]][::-1] - np.array([80.3, 59.6])[:, None, None])) < 25
+    np.testing.assert_allclose(gradients[core], numeric[core], atol=5e-4)
+    assert inside.sum() > core.sum()
+
+
+def test_angles():
+    assert angle_deg([0.0, 0.0], [1.0, 0.0]) == pytest.approx(45)
+    assert angle_deg([1.0, 0.0], [-1.0, 0.0]) == pytest.approx(90)
+    assert angle_deg([0.3, -0.2], [0.3, -0.2]) == pytest.approx(0, abs=1e-12)
+    assert angle_deg([1e-5, 0.0], [0.0, 0.0]) == pytest.approx(np.degrees(1e-5))
+
+
+def test_center_is_found_despite_a_bad_third():
+    y, x = (axis.ravel() for axis in np.mgrid[40:80, 60:100])
+    gradients = ball_gradients(x, y, (80.3, 59.6), 50.0)
+    gradients[x > 90] += 0.4
+    robust, plain = (
+        np.hypot(*np.subtract(ball_center(gradients, x, y, (77.0, 62.0), 50.0, scale=s), (80.3, 59.6)))
+        for s in (0.05, 100.0)
+    )
+    assert robust < 0.8
+    assert robust < 0.25 * plain
+    exact = ball_center(ball_gradients(x, y, (80.3, 59.6), 50.0), x, y, (77.0, 62.0), 50.0)
+    np.testing.assert_allclose(exact, (80.3, 59.6), atol=1e-3)
+
+
+def test_sphere_fit_recovers_the_ball():
+    depth, _, inside = pressed_ball()
+    fit = fit_sphere(depth, inside, mm_per_px=MM_PER_PX, radius_mm=2.0)
+    assert fit.radius_mm == pytest.approx(BALL_MM, rel=1e-3)
+    np.testing.assert_allclose(fit.center_mm[:2], (80.3 * MM_PER_PX, 59.6 * MM_PER_PX), atol=1e-3)
+
+
+def test_perfect_press_has_no_error():
+    depth, gradients, _ = pressed_ball()
+    errors = press_errors(
+        depth, gradients, circle_px=(80.3, 59.6, 30.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
+    )
+    assert errors.normal_deg < 1e-3
+    assert errors.normal_free_deg < 1e-2
+    assert errors.cap_um < 1e-3
+    assert abs(errors.radius_percent) < 0.1
+    assert errors.off_contact_um == 0
+
+
+def test_errors_are_those_put_in():
+    depth, gradients, inside = pressed_ball()
+    scaled = press_errors(
+        1.1 * depth, 1.1 * gradients, circle_px=(80.3, 59.6, 30.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
+    )
+    assert scaled.radius_percent == pytest.approx(-8.0, abs=2.0)  # too deep: the sphere is too small
+    assert scaled.cap_um > 5
+    assert scaled.normal_deg > 0.5
+    lifted = press_errors(
+        depth + 0.02, gradients, circle_px=(80.3, 59.6, 30.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
+    )
+    assert lifted.off_contact_um == pytest.approx(20.0)
+    assert lifted.cap_um < 1e-3  # the offset is free, the scale is not
+
+
+def test_wrong_circle_costs_the_label_but_not_the_free_centre():
+    depth, gradients, _ = pressed_ball()
+    errors = press_errors(
+        depth, gradients, circle_px=(81.8, 59.6, 28.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
+    )
+    assert errors.normal_deg > 1.0
+    assert errors.normal_free_deg < 0.2
+    assert errors.cap_free_um < 1 < errors.cap_um

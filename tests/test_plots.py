@@ -1,0 +1,134 @@
+"""Pictures show what they are given where it is: depth the right way round, circles on the ball."""
+
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.errors import DataError, GelformError
+from gelform.metrics import PressErrors
+from gelform.plots import TILE_PX, _round_length, contact_sheet, error_charts, picture, save_picture
+from gelform.reconstruction import Reconstruction
+from gelform.sensors.files import read_image
+
+pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
+
+
+def result_with_bump(row, column, *, shape=(48, 64), contact=True):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    depth = np.exp(-((x - column) ** 2 + (y - row) ** 2) / 20).astype(np.float32)
+    slopes = np.stack(np.gradient(depth, 0.05)[::-1], axis=-1)
+    return Reconstruction(
+        depth_mm=depth,
+        depth_sigma_mm=None,
+        gradients=slopes,
+        gradients_sigma=None,
+        confidence=np.ones(shape, dtype=np.float32),
+        contact=(depth > 0.3) & contact,
+        known=np.ones(shape, dtype=bool),
+        mm_per_px=0.05,
+    )
+
+
+def near(image, color, tolerance=12):
+    """Where the picture has a colour."""
+    return np.abs(image.astype(int) - color).max(axis=-1) <= tolerance
+
+
+def largest_patch(drawn):
+    """(left, top, width, height) of the largest thing that is not white: the depth map."""
+    boxes = cv2.connectedComponentsWithStats((drawn.min(axis=-1) < 200).astype(np.uint8))[2]
+    return boxes[1 + np.argmax(boxes[1:, 4])][:4]
+
+
+VIRIDIS_TOP = (253, 231, 37)
+
+
+@pytest.mark.parametrize(("row", "column"), [(8, 8), (8, 56), (40, 8), (40, 56)])
+def test_the_depth_is_shown_where_it_is(row, column):
+    drawn = picture(result_with_bump(row, column))
+    left, top, width, height = largest_patch(drawn)
+    rows, columns = np.nonzero(near(drawn[top : top + height, left : left + width], VIRIDIS_TOP))
+    assert drawn.dtype == np.uint8
+    assert np.allclose((rows.mean() / height, columns.mean() / width), (row / 48, column / 64), atol=0.03)
+
+
+def test_the_image_is_shown_and_no_image_is_needed():
+    result = result_with_bump(20, 30)
+    magenta = np.zeros((48, 64, 3), dtype=np.uint8)
+    magenta[..., [0, 2]] = 255
+    assert near(picture(result, magenta), (255, 0, 255)).sum() > 10_000
+    assert near(picture(result), (255, 0, 255)).sum() == 0
+    with pytest.raises(ValueError, match="48x64"):
+        picture(result, magenta[:-1])
+
+
+@pytest.mark.parametrize("shape", [(24, 96), (96, 24), (2, 2)])
+def test_odd_shapes_and_an_empty_contact(shape):
+    assert picture(result_with_bump(1, 1, shape=shape, contact=False)).shape[2] == 3
+
+
+@pytest.mark.parametrize(
+    ("length", "rounded"),
+    [(1, 1), (1.99, 1), (2, 2), (4.9, 2), (5.07, 5), (0.03, 0.02), (99, 50), (1000, 1000)],
+)
+def test_scale_bars_are_of_round_lengths(length, rounded):
+    assert np.isclose(_round_length(length), rounded)
+
+
+def test_circles_lie_on_their_presses():
+    shape, circle = (120, 160), (110.0, 40.0, 25.0)
+    grey = np.full((*shape, 3), 128, dtype=np.uint8)
+    sheet = contact_sheet([grey, grey], [circle, circle], ["a", "b"], [None, "no ball"])
+    scale = TILE_PX / shape[1]
+    for color, column in (((93, 255, 143), 0), ((255, 107, 94), 1)):
+        y, x = np.nonzero(near(sheet[: 8 + round(120 * scale)], color, 30))
+        tile_left = 8 + column * (TILE_PX + 8)
+        centre = (x.min() + x.max()) / 2 - tile_left, (y.min() + y.max()) / 2 - 8
+        assert np.allclose(centre, ((circle[0] + 0.5) * scale, (circle[1] + 0.5) * scale), atol=1.5)
+        assert np.isclose(np.ptp(x) / 2, circle[2] * scale, atol=2)
+
+
+def test_a_reason_is_written_in_red():
+    grey = np.full((60, 80, 3), 128, dtype=np.uint8)
+    fine = contact_sheet([grey], [None], ["a"], [None])
+    bad = contact_sheet([grey], [None], ["a"], ["the contact is wider than the ball"])
+    red = (215, 48, 39)
+    assert near(fine, red, 40).sum() == 0
+    assert near(bad[int(TILE_PX * 0.75) + 16 :], red, 40).sum() > 50
+
+
+def test_sheets_need_as_many_of_everything():
+    grey = np.full((60, 80, 3), 128, dtype=np.uint8)
+    with pytest.raises(ValueError, match="as many images as circles"):
+        contact_sheet([grey, grey], [None], ["a"], [None])
+    with pytest.raises(ValueError, match="60x80"):
+        contact_sheet([grey, grey[:-1]], [None] * 2, ["a", "b"], [None] * 2)
+
+
+def test_error_charts_leave_out_what_does_not_exist():
+    errors = [PressErrors(2.0, 2.0 + k, 10.0, 12.0, -3.0, float("nan")).__dict__ for k in range(5)]
+    assert error_charts([6.31, 6.31, 9.5, 9.5, 9.5], errors).shape[2] == 3
+    with pytest.raises(ValueError, match="a ball for each"):
+        error_charts([6.31], errors)
+
+
+def test_pictures_are_saved_as_they_are(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    save_picture(tmp_path / "x.png", pixels)
+    assert np.array_equal(read_image(tmp_path / "x.png"), pixels)
+    with pytest.raises(DataError, match="already there"):
+        save_picture(tmp_path / "x.png", pixels)
+    save_picture(tmp_path / "x.png", pixels, overwrite=True)
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(GelformError, match=r"pip install 'gelform\[plots\]'"):
+        picture(result_with_bump(20, 30))
+
+
+def test_pyplot_is_not_touched():
+    picture(result_with_bump(20, 30))
+    assert "matplotlib.pyplot" not in sys.modules

@@ -1,0 +1,54 @@
+"""Profiles cut the same part of the gel out of frames of any size, with square pixels."""
+
+import numpy as np
+import pytest
+
+from gelform.errors import SensorError
+from gelform.sensors.profiles import PROFILES, profile_named
+from gelform.view import View, image_from_frame
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("factor", [1, 2, 3.5])
+def test_every_profile_gives_its_image_from_frames_of_any_size(name, factor):
+    profile = profile_named(name)
+    shape = tuple(int(side * factor) for side in profile.image_shape)
+    image = image_from_frame(np.zeros((*shape, 3), dtype=np.uint8), profile.view(shape))
+    assert image.shape == (*profile.image_shape, 3)
+
+
+def test_the_mini_cuts_a_seventh_of_each_side():
+    view = profile_named("gelsight-mini").view((2464, 3280))
+    left, top, width, height = view.crop
+    assert np.allclose((left, top), (3280 / 7, 352))
+    assert np.allclose((width / 320) / (height / 240), 1, atol=0.002)
+    frame = np.zeros((2464, 3280, 3), dtype=np.uint8)
+    frame[355:-355, 472:-472] = 200  # what is left after the cut, 3 px less on each side
+    image = image_from_frame(frame, view)
+    assert image[2:-2, 2:-2].min() == 200
+    assert image[0].max() < 160
+
+
+def test_a_frame_of_the_image_size_is_an_image():
+    assert profile_named("gelsight-mini").view((240, 320)) == View()
+
+
+def test_a_turned_sensor_gives_turned_images():
+    assert profile_named("gelsight-mini").view((3280, 2464)).shape == (320, 240)
+    assert profile_named("digit").view((480, 640)).shape == (240, 320)
+
+
+def test_other_aspects_would_not_have_square_pixels():
+    with pytest.raises(SensorError, match=r"aspect of 240x320 px .*got 1080x1920"):
+        profile_named("gelsight-mini").view((1080, 1920))
+
+
+def test_scales_carry_their_doubt():
+    assert profile_named("gelsight-mini").mm_per_px == 0.0634
+    assert not profile_named("digit").verified
+    assert all(0 < profile.mm_per_px_sigma < profile.mm_per_px / 10 for profile in PROFILES.values())
+
+
+def test_unknown_profiles_name_the_known_ones():
+    with pytest.raises(SensorError, match="gelsight-mini, digit, got 'gelsight'"):
+        profile_named("gelsight")

@@ -1,0 +1,131 @@
+"""The Reconstructor: a pure function of the image, zero at rest, levelled, and honest about its input."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.frames import Frame
+from gelform.simulate import Ball, simulate_press
+
+
+@pytest.fixture(scope="module")
+def press(sensor):
+    return simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.0, -0.5), rng=np.random.default_rng(5))
+
+
+def test_depth_in_millimetres(calibration, press):
+    result = gelform.Reconstructor(calibration)(press.image)
+    error = result.depth_mm - press.depth_mm
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert result.depth_mm.max() == pytest.approx(press.depth_mm.max(), rel=0.1)
+    assert result.contact[round(press.center_px[1]), round(press.center_px[0])]
+    assert not result.contact[:10].any()
+    assert result.known.all()
+
+
+def test_pure_function_of_the_image(calibration, press, simulated):
+    reconstruct = gelform.Reconstructor(calibration)
+    first = reconstruct(press.image)
+    for other in simulated.presses[:3]:
+        reconstruct(other.image)
+    again = reconstruct(press.image)
+    np.testing.assert_array_equal(first.depth_mm, again.depth_mm)
+    np.testing.assert_array_equal(first.gradients, again.gradients)
+
+
+def test_threads_share_one_reconstructor(calibration, simulated):
+    reconstruct = gelform.Reconstructor(calibration)
+    images = [p.image for p in simulated.presses[:6]]
+    alone = [reconstruct(image).depth_mm for image in images]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda image: reconstruct(image).depth_mm, images * 3))
+    for i, depth in enumerate(together):
+        np.testing.assert_array_equal(depth, alone[i % len(images)])
+
+
+def test_image_is_not_written_to(calibration, press):
+    image = press.image.copy()
+    gelform.Reconstructor(calibration)(image)
+    np.testing.assert_array_equal(image, press.image)
+
+
+def test_background_is_flat(calibration, simulated):
+    result = gelform.Reconstructor(calibration)(simulated.background)
+    assert np.abs(result.depth_mm).max() < 0.005
+    assert not result.contact.any()
+
+
+def test_drift_of_all_light_is_no_slope(calibration, press):
+    """3 % brighter: the bias of the untouched pixels is taken out, and the depth stays."""
+    reconstruct = gelform.Reconstructor(calibration)
+    plain = reconstruct(press.image).depth_mm
+    brighter = reconstruct(np.clip(press.image * 1.03, 0, 255)).depth_mm
+    assert np.sqrt(np.mean((plain - brighter) ** 2)) < 0.03
+
+
+def test_new_background_takes_a_larger_drift(calibration, press, simulated):
+    today = np.clip(simulated.background * 1.08, 0, 255)
+    image = np.clip(press.image * 1.08, 0, 255)
+    result = gelform.Reconstructor(calibration, background=today)(image)
+    plain = gelform.Reconstructor(calibration)(press.image)
+    assert np.sqrt(np.mean((result.depth_mm - plain.depth_mm) ** 2)) < 0.01
+
+
+def test_drift_is_a_named_finding(calibration, press):
+    result = gelform.Reconstructor(calibration)(np.clip(press.image * 0.85, 0, 255))
+    assert [finding.name for finding in result.health] == ["background_ratio"]
+    assert result.health[0].figure == pytest.approx(0.85, abs=0.02)
+
+
+def test_saturated_pixels_lose_confidence(calibration, press):
+    image = press.image.copy()
+    image[5:15, 5:15] = 255
+    result = gelform.Reconstructor(calibration)(image)
+    assert result.confidence[10, 10] < 0.1
+    assert result.gradients_sigma[10, 10].min() >= 1
+    assert result.confidence[-10, 10] == 1
+
+
+def test_frame_times_pass_through(calibration, press):
+    frame = Frame(press.image, time_s=time.monotonic(), wall_time_ns=time.time_ns(), index=7)
+    result = gelform.Reconstructor(calibration)(frame)
+    assert (result.index, result.time_s, result.wall_time_ns) == (7, frame.time_s, frame.wall_time_ns)
+    assert result.calibration_digest == calibration.digest
+
+
+def test_bgr_is_refused(calibration, press):
+    with pytest.raises(gelform.CalibrationError, match="looks like BGR"):
+        gelform.Reconstructor(calibration)(press.image[..., ::-1])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda image: image[..., 0], "grey image"),
+        (lambda image: image[:-2], "132x176"),
+        (lambda image: image / 255, "0-1 range"),
+        (lambda image: image.astype(float) * 2, "within 0-255"),
+        (lambda image: np.where(image > 90, np.nan, image), "within 0-255"),
+        (lambda image: np.moveaxis(image, -1, 0), "channel axis last"),
+        (lambda image: np.dstack([image, image[..., 0]]), "alpha"),
+    ],
+)
+def test_bad_images_are_refused(calibration, press, spoil, message):
+    with pytest.raises(ValueError, match=message):
+        gelform.Reconstructor(calibration)(spoil(press.image))
+
+
+def test_integer_images_of_other_depth_are_refused(calibration, press):
+    with pytest.raises(TypeError, match="uint16"):
+        gelform.Reconstructor(calibration)(press.image.astype(np.uint16))
+
+
+def test_albedo_where_the_model_is_photometric_stereo(presses, press):
+    lambertian = gelform.calibrate(presses, color_model="lambertian")
+    result = gelform.Reconstructor(lambertian)(press.image)
+    assert result.albedo.shape == press.image.shape[:2]
+    assert np.median(result.albedo) == pytest.approx(1, abs=0.05)
+    np.testing.assert_allclose(np.linalg.norm(result.normals, axis=-1), 1, atol=1e-5)

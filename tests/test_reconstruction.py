@@ -1,0 +1,146 @@
+"""A result comes back from its file to the bit, and shows itself without anything from outside."""
+
+import base64
+import re
+from dataclasses import fields, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.background import Finding
+from gelform.errors import DataError
+from gelform.npz_files import write_npz
+from gelform.reconstruction import KIND, Reconstruction, load_result, save_result
+
+
+@pytest.fixture
+def result():
+    rng = np.random.default_rng(0)
+    shape = (24, 32)
+    return Reconstruction(
+        depth_mm=rng.normal(0, 1, shape).astype(np.float32),
+        depth_sigma_mm=None,
+        gradients=rng.normal(0, 1, (*shape, 2)).astype(np.float32),
+        gradients_sigma=rng.uniform(0, 1, (*shape, 2)).astype(np.float32),
+        confidence=rng.uniform(0, 1, shape).astype(np.float32),
+        contact=rng.uniform(0, 1, shape) > 0.5,
+        known=np.ones(shape, dtype=bool),
+        mm_per_px=0.0634,
+        mm_per_px_sigma=0.0009,
+        zero="untouched",
+        solver="dct",
+        curl_rms=0.01,
+        health=(Finding("background_ratio", "<b>darker</b> & older", 0.87),),
+        contacts=({"peak_mm": 0.5},),
+        index=3,
+        time_s=1.5,
+        wall_time_ns=1_700_000_000_123_456_789,
+        calibration_digest="ab12",
+    )
+
+
+def same(first, second):
+    for entry in fields(Reconstruction):
+        a, b = getattr(first, entry.name), getattr(second, entry.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype, entry.name
+            assert a.tobytes() == b.tobytes(), entry.name
+        else:
+            assert a == b, entry.name
+
+
+def test_a_saved_result_comes_back_to_the_bit(tmp_path, result):
+    save_result(result, tmp_path / "x.npz")
+    same(result, load_result(tmp_path / "x.npz"))
+
+
+def test_every_optional_part_comes_back(tmp_path, result):
+    bare = replace(result, gradients_sigma=None, mm_per_px=(0.06, 0.05), contacts=None, health=(), index=None)
+    full = replace(result, depth_sigma_mm=result.confidence * 0.1, markers=np.ones((4, 2), dtype=np.float32))
+    for k, one in enumerate((bare, full)):
+        save_result(one, tmp_path / f"{k}.npz")
+        same(one, load_result(tmp_path / f"{k}.npz"))
+
+
+def test_numpy_reads_the_maps_and_the_scale(tmp_path, result):
+    save_result(result, tmp_path / "x.npz")
+    with np.load(tmp_path / "x.npz", allow_pickle=False) as file:
+        assert {"depth_mm", "gradients", "confidence", "contact", "known", "mm_per_px"} <= set(file.files)
+        assert float(file["mm_per_px"]) == 0.0634
+        assert np.array_equal(file["depth_mm"], result.depth_mm)
+
+
+def test_normals_are_computed_when_asked_for(result):
+    n = result.normals
+    assert n.shape == (24, 32, 3)
+    assert np.allclose(-n[..., :2] / n[..., 2:], result.gradients, atol=1e-5)
+    assert result.normals is n
+
+
+def test_albedo_only_where_the_model_gives_it(result, tmp_path):
+    assert result.albedo is None
+    known = replace(result, albedo_source=lambda: np.full((24, 32), 0.5, dtype=np.float32))
+    assert known.albedo.mean() == 0.5
+    save_result(known, tmp_path / "x.npz")
+    assert load_result(tmp_path / "x.npz").albedo is None
+
+
+def test_an_existing_result_stays(tmp_path, result):
+    (tmp_path / "x.npz").write_text("mine")
+    with pytest.raises(DataError, match="already there"):
+        save_result(result, tmp_path / "x.npz")
+    assert (tmp_path / "x.npz").read_text() == "mine"
+    save_result(result, tmp_path / "x.npz", overwrite=True)
+    same(result, load_result(tmp_path / "x.npz"))
+
+
+def test_damaged_files_are_said_to_be(tmp_path, result):
+    path = tmp_path / "x.npz"
+    save_result(result, path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(DataError, match=r"truncated or damaged, or no gelform result"):
+        load_result(path)
+    broken = bytearray(content)
+    broken[len(content) // 2] ^= 1
+    path.write_bytes(bytes(broken))
+    with pytest.raises(DataError, match=r"truncated or damaged|altered"):
+        load_result(path)
+    with pytest.raises(DataError, match="No file"):
+        load_result(tmp_path / "missing.npz")
+
+
+def test_a_future_and_an_incomplete_file(tmp_path):
+    write_npz(tmp_path / "new.npz", {}, {}, kind=KIND, version=99)
+    with pytest.raises(DataError, match=r"format version 99.*Install that release or a newer one"):
+        load_result(tmp_path / "new.npz")
+    write_npz(tmp_path / "part.npz", {"depth_mm": np.zeros((3, 4))}, {}, kind=KIND, version=1)
+    with pytest.raises(DataError, match="is damaged: KeyError: 'mm_per_px'"):
+        load_result(tmp_path / "part.npz")
+
+
+def test_parts_of_other_shapes_are_refused(result):
+    with pytest.raises(ValueError, match=r"gradients of shape \(24, 32, 2\), as depth_mm, got \(2, 24, 32\)"):
+        replace(result, gradients=np.moveaxis(result.gradients, -1, 0))
+    with pytest.raises(ValueError, match=r"contact of shape \(24, 32\)"):
+        replace(result, contact=result.contact[:-1])
+    with pytest.raises(ValueError, match="confidence"):
+        replace(result, confidence=None)
+    with pytest.raises(ValueError, match=r"depth_mm of shape \(H, W\)"):
+        replace(result, depth_mm=result.depth_mm[None])
+
+
+def test_a_notebook_shows_a_picture_and_the_figures(result):
+    bump = np.zeros((24, 32), dtype=np.float32)
+    bump[:, 24:] = 0.75
+    shown = replace(result, depth_mm=bump)._repr_html_()
+    assert "&lt;b&gt;darker&lt;/b&gt; &amp; older" in shown
+    assert "0.000 to 0.750 mm" in shown
+    assert not re.search(r"https?://|<script", shown)
+    png = base64.b64decode(re.search(r"base64,([^']+)'", shown)[1])
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (180, 240, 3)
+    assert picture[90, 220].astype(int).sum() > picture[90, 20].astype(int).sum() + 200
+    assert len(shown) < 100_000
+    assert "0.750 mm" in repr(replace(result, depth_mm=bump))
