@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gelform.simulate.sensor import SimulatedSensor
+from gelform.simulate.sensor import SHADING_DEGREES, SimulatedSensor
 
 _NO_NOISE = np.zeros(0, dtype=np.float32)
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -120,7 +120,8 @@ def _gain(sensor: SimulatedSensor, dtype: str) -> NDArray[Any]:
     if sensor.shading is None:
         return np.asarray(np.repeat(vignette, 3, axis=-1), dtype=dtype)
     u, v = np.broadcast_arrays(x / x[0, -1], y / y[-1, 0])
-    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    degree = SHADING_DEGREES[len(sensor.shading[0])]
+    terms = np.stack([u ** (d - k) * v**k for d in range(degree + 1) for k in range(d + 1)], axis=-1)
     coefficients = np.asarray(sensor.shading, dtype=np.float64)
     scaled = np.concatenate([coefficients[:, :1], coefficients[:, :1] * coefficients[:, 1:]], axis=1)
     return np.asarray(vignette * np.maximum(terms @ scaled.T, 0), dtype=dtype)

@@ -15,6 +15,7 @@ from gelform.simulate.optics import Optics
 from gelform.simulate.timing import Timing
 
 Triple = tuple[float, float, float]
+SHADING_DEGREES = {6: 2, 15: 4}  # numbers of a polynomial in two variables: its degree
 IDENTITY: tuple[Triple, Triple, Triple] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
@@ -97,10 +98,9 @@ class SimulatedSensor:
         Projection, distortion, response curve, exposure, JPEG.
     timing : Timing
         Frame rate, flicker, drift, dropped frames; only sequences know it.
-    shading : three tuples of six numbers, or None
-        Per channel the gain over the image as `1 + a x + b y + c x^2 + d x y + e y^2` times the first
-        number, x and
-        y in -1..1: light guides and lenses that no LED position explains.
+    shading : three tuples of 6 or 15 numbers, or None
+        Per channel the gain over the image, for light guides and lenses that no LED position explains: the first
+        number times `1 + a x + b y + c x^2 + d x y + e y^2` (and so on to the fourth degree), x and y in -1..1.
     cast_shadows : bool
         Whether the surface shades itself; attached shadows are always there.
     """
@@ -140,8 +140,8 @@ class SimulatedSensor:
                 raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
         for led in self.leds:
             _check_outside_gel(led, self)
-        if self.shading is not None and np.shape(self.shading) != (3, 6):
-            raise ValueError(f"Expected shading as three tuples of six numbers, got {self.shading}.")
+        if self.shading is not None and np.shape(self.shading) not in [(3, n) for n in SHADING_DEGREES]:
+            raise ValueError(f"Expected shading as three tuples of 6 or 15 numbers, got {self.shading}.")
         if not 0 <= self.vignetting < 1:
             raise ValueError(f"Expected vignetting in 0-1 (1 excluded), got {self.vignetting}.")
 
