@@ -1,5 +1,11 @@
-"""gradients -> depth: one method per file, listed in SOLVERS."""
+"""gradients -> depth: one method per file, listed here."""
 
 from gelform.solvers.dct import DctSolver
+from gelform.solvers.multigrid import MultigridSolver
+from gelform.solvers.sparse import SparseSolver
 
-SOLVERS = {"dct": DctSolver}
+# solver(gradients) -> depth
+UNIFORM = {"dct": DctSolver}
+# solver(gradients, weights, mask, anchor) -> Solution
+WEIGHTED = {"multigrid": MultigridSolver, "sparse": SparseSolver}
+SOLVERS = {**UNIFORM, **WEIGHTED}
