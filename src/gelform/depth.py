@@ -114,8 +114,8 @@ def integrate(
     mask : (H, W) bool
         Pixels that belong to the surface. Each island of them gets its own zero; beyond, depth is filled.
     anchor : float or (H, W), >= 0
-        How firmly depth is held at 0, relative to weight 1: (sigma0 mm_per_px / sigma_zero_mm)^2. An island that
-        holds an anchor takes its offset from it, and `zero` moves the others only.
+        How firmly depth is held at 0, relative to weight 1: (sigma0 mm_per_px / sigma_zero_mm)^2. An island
+        that holds an anchor takes its offset from it, and `zero` moves the others only.
     zero : "mean", "border" or a boolean (H, W) of untouched pixels
         Where depth is 0: its mean over the frame, its median over the frame's outermost pixels, or its
         median over the given pixels.
@@ -200,8 +200,8 @@ def _chosen(solver: str, uniform: bool) -> str:
     if solver in UNIFORM and not uniform:
         takers = ", ".join(name for name in SOLVERS if name not in UNIFORM)
         raise ValueError(
-            f"Expected no weights, mask or anchor for solver {solver!r}, which treats all slopes alike, got some. "
-            f"Leave them out, or use one of auto, {takers}."
+            f"Expected no weights, mask or anchor for solver {solver!r}, which treats all slopes alike, got "
+            f"some. Leave them out, or use one of auto, {takers}."
         )
     return solver
 

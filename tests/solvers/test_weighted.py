@@ -1,4 +1,4 @@
-"""What every solver that takes weights must do: the same minimiser, holes, islands, channels, scaling, errors."""
+"""What every solver that takes weights must do: the same minimiser, holes, islands, channels, scaling."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_multigrid_agrees_with_elimination_to_its_tolerance(shape, kind, anchore
     slow = SparseSolver(shape, pitch)(gradients, weights, None, anchor)
     difference = (fast.depth_mm - slow.depth_mm).astype(np.float64)
     assert np.max(np.abs(difference if anchored else centred(difference))) < 1.2e-3 * np.ptp(slow.depth_mm)
-    assert 0 < fast.iterations < 40
+    assert 0 < fast.iterations < 60
     assert fast.tolerance <= 4e-4
 
 
@@ -195,7 +195,7 @@ class TestMask:
 
     def test_scattered_pixels(self, solver):
         mask = np.random.default_rng(6).uniform(size=(40, 40)) < 0.45
-        truth, gradients, pitch = scene(QUADRATIC, (40, 40), 0.2)
+        _, gradients, pitch = scene(QUADRATIC, (40, 40), 0.2)
         solution = integrate(gradients, mm_per_px=pitch, mask=mask, solver=solver)
         assert solution.islands > 20
         assert solution.residual < 1e-3
@@ -224,7 +224,7 @@ class TestAnchor:
         truth, gradients, pitch = scene(PEAKS, (60, 80), 0.2)
         untouched = np.abs(truth) < 1e-3
         anchor = np.where(untouched, 1e-2, 0)
-        biased = gradients + [0.01, -0.006]
+        biased = gradients + np.array([0.01, -0.006])
         both, alone = (
             depth_from_gradients(
                 biased, mm_per_px=pitch, anchor=anchor, zero=untouched, level=level, solver=solver

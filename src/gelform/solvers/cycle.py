@@ -1,10 +1,10 @@
 """One V-cycle of the multigrid hierarchy: numba kernels, float32.
 
-All levels live in one array `data[plane, row, column]`: a level's frame pixel (i, j) is at row `top + 1 + i`,
-column `1 + j`, between zeros (one row and column before, two after), so that no loop asks where the border is.
-A level is given by `(top, height, width)`, a row of the table `levels`. The coarse point (I, J) is the fine
-point (2I, 2J). Couplings are the positive off-diagonals of the operator: EAST ties (i, j) to (i, j+1), SOUTH to
-(i+1, j), SOUTHEAST to (i+1, j+1), SOUTHWEST to (i+1, j-1).
+All levels live in one array `data[plane, row, column]`: a level's frame pixel (i, j) is at row
+`top + 1 + i`, column `1 + j`, between zeros (one row and column before, two after), so that no loop asks
+where the border is. A level is given by `(top, height, width)`, a row of the table `levels`. The coarse point
+(I, J) is the fine point (2I, 2J). Couplings are the positive off-diagonals of the operator: EAST ties (i, j) to
+(i, j+1), SOUTH to (i+1, j), SOUTHEAST to (i+1, j+1), SOUTHWEST to (i+1, j-1).
 
 The kernels use plain loops over few arrays each: that is what compiles quickly and uses the vector unit.
 """
@@ -38,8 +38,8 @@ REST = np.float32(0.2)
 
 
 @njit(**INNER)  # type: ignore[misc]
-def cycle(data: Any, levels: Any, dense: Any, line: Any) -> float:
-    """Answer of the finest level, nearly the inverse of the operator times its right side; returns their product.
+def cycle(data: Any, levels: Any, dense: Any, line: Any) -> Any:
+    """Answer of the finest level, nearly the operator's inverse times its right side; returns their product.
 
     Symmetric and positive, so that conjugate gradients may be preconditioned with it. `line` is scratch,
     (3, W + 3).
@@ -70,7 +70,7 @@ def descend(data: Any, levels: Any, level: int, line: Any) -> None:
 
 
 @njit(**INNER)  # type: ignore[misc]
-def ascend(data: Any, levels: Any, level: int, line: Any) -> float:
+def ascend(data: Any, levels: Any, level: int, line: Any) -> Any:
     """Add the coarser level's answer, then one Jacobi step; returns right side times answer."""
     top, height, width = levels[level, 0], levels[level, 1], levels[level, 2]
     coarse_top, coarse_width = levels[level + 1, 0], levels[level + 1, 2]
@@ -81,7 +81,7 @@ def ascend(data: Any, levels: Any, level: int, line: Any) -> float:
         if i > top + 1:
             k = i - 1
             neighbours(data, level, k, width, line)
-            part = np.float32(0)
+            part: Any = np.float32(0)
             for j in range(1, width + 1):
                 step = JACOBI * data[INVERSE, k, j] * (line[0, j] + JACOBI * data[RIGHT_SIDE, k, j])
                 data[ANSWER, k, j] = REST * data[GUESS, k, j] + step
@@ -93,7 +93,7 @@ def ascend(data: Any, levels: Any, level: int, line: Any) -> float:
 
 @njit(**INNER)  # type: ignore[misc]
 def neighbours(data: Any, level: int, i: int, width: int, line: Any) -> None:
-    """Into line 0: the share of the right side that Jacobi leaves, and coupling times guess of all neighbours."""
+    """Into line 0: what Jacobi leaves of the right side, and coupling times guess of all neighbours."""
     for j in range(1, width + 1):
         line[0, j] = (
             REST * data[RIGHT_SIDE, i, j]
@@ -114,7 +114,7 @@ def neighbours(data: Any, level: int, i: int, width: int, line: Any) -> None:
 
 @njit(**INNER)  # type: ignore[misc]
 def restrict(data: Any, row: int, coarse_top: int, coarse_width: int, line: Any) -> None:
-    """Add line 0, the residual of fine row `row` (from 1), to the coarse rows that it is interpolated from."""
+    """Add line 0, the residual of fine row `row` (from 1), to the coarse rows it is interpolated from."""
     i = coarse_top + (row + 1) // 2
     for j in range(coarse_width + 1):
         line[1, j] = line[0, 2 * j]
@@ -166,7 +166,7 @@ def interpolate(data: Any, fine: int, row: int, coarse_top: int, coarse_width: i
 
 
 @njit(**INNER)  # type: ignore[misc]
-def solve_coarsest(data: Any, top: int, height: int, width: int, dense: Any) -> float:
+def solve_coarsest(data: Any, top: int, height: int, width: int, dense: Any) -> Any:
     product = 0.0
     for row in range(height * width):
         value = np.float32(0)

@@ -2,9 +2,9 @@
 
 Black-box multigrid (J. E. Dendy, Black box multigrid, J. Comput. Phys. 48, 1982): interpolation weights come
 from the operator itself, so that they follow jumps of the weights by any factor. A point between two coarse
-points takes its collapsed couplings to the left and right column (or the rows above and below) as weights; the
-point in the middle of four is eliminated exactly. The coarse operator is P^T A P, assembled cell by cell as in
-finite elements: a cell has four coarse corners, four edge points and one middle point.
+points takes its collapsed couplings to the left and right column (or the rows above and below) as weights;
+the point in the middle of four is eliminated exactly. The coarse operator is P^T A P, assembled cell by cell
+as in finite elements: a cell has four coarse corners, four edge points and one middle point.
 
 The diagonal is never stored: it is the sum of the couplings and the anchor, which keeps row sums exact in
 float32. Without an anchor P 1 = 1. With one, P 1 = 1 - lack, and the coarse anchor P^T A P 1 is computed from
@@ -85,7 +85,7 @@ def invert_diagonal(data: Any, top: int, height: int, width: int, level: int) ->
 
 @njit(**INNER)  # type: ignore[misc]
 def coarsen(data: Any, levels: Any, level: int, t: Any) -> None:
-    """Interpolation weights and couplings of the next coarser level, in strips of cells from top to bottom."""
+    """Interpolation weights and couplings of the next coarser level, in strips of cells, downwards."""
     top = levels[level, 0]
     coarse_top, height, width = levels[level + 1, 0], levels[level + 1, 1], levels[level + 1, 2]
     for plane in range(ANCHOR + 1):
@@ -155,9 +155,9 @@ def clear(t: Any, line: int, n: int) -> None:
 
 @njit(**INNER)  # type: ignore[misc]
 def between(t: Any, n: int) -> None:
-    """Weights of points between two coarse points, and what the two fine edges they sit on hand to the coarse edge.
+    """Weights of points between two coarse points, and what their two fine edges hand to the coarse edge.
 
-    In: couplings to both (IN_1, IN_2), collapsed diagonal couplings to both sides (IN_4, IN_5), anchor (IN_3).
+    In: couplings to both (IN_1, IN_2), anchor (IN_3), collapsed diagonal couplings to both sides (IN_4, 5).
     Out: both weights, lack, the coarse coupling (TO_EAST), the anchors of both coarse points (A_NW, A_NE).
     """
     for j in range(n):
@@ -199,7 +199,7 @@ def horizontal_points(data: Any, i: int, k: int, start: int, n: int, level: int,
 
 @njit(**INNER)  # type: ignore[misc]
 def vertical_points(data: Any, i: int, k: int, start: int, n: int, level: int, t: Any) -> None:
-    """Points below coarse row i, fine row k: the left sides of a row of cells, and the right side of the last."""
+    """Points below coarse row i, fine row k: the left sides of a row of cells, and the last right side."""
     c = 2 * start - 1
     get(t, IN_1, n + 1, data, SOUTH, k - 1, c)
     get(t, IN_2, n + 1, data, SOUTH, k, c)
@@ -220,7 +220,7 @@ def vertical_points(data: Any, i: int, k: int, start: int, n: int, level: int, t
 
 @njit(**INNER)  # type: ignore[misc]
 def cells(data: Any, k: int, start: int, n: int, level: int, t: Any) -> None:
-    """Eliminate the middle points (fine row k) of a row of cells; what that hands to couplings and anchors."""
+    """Eliminate the middle points (fine row k) of a row of cells."""
     c = 2 * start
     get(t, IN_1, n, data, SOUTH, k - 1, c)
     get(t, IN_2, n, data, SOUTH, k, c)
@@ -314,7 +314,7 @@ def write(data: Any, i: int, k: int, start: int, n: int, t: Any) -> None:
 def invert(data: Any, top: int, height: int, width: int, level: int, dense: Any) -> None:
     """Inverse of the coarsest operator by Gauss-Jordan elimination in float64.
 
-    A group of points without an anchor has no absolute height: its last pivot is 0, and that point stays at 0.
+    Points tied to no anchor have no absolute height: the last pivot among them is 0, and it stays at 0.
     """
     n = height * width
     a = np.zeros((n, 2 * n))

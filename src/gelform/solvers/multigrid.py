@@ -1,8 +1,8 @@
 """Weighted least squares at video rate: conjugate gradients, preconditioned by black-box multigrid.
 
 J. E. Dendy, Black box multigrid, J. Comput. Phys. 48, 1982; R. Kettler, in Multigrid Methods, LNM 960, 1982
-(as a preconditioner). The operator-dependent interpolation is what makes 4 to 6 iterations suffice at jumps of
-the weights by 1000, where plain multigrid needs 24 to 80 or stalls.
+(as a preconditioner). The operator-dependent interpolation is what makes 4 to 6 iterations suffice at jumps
+of the weights by 1000, where plain multigrid needs 24 to 80 or stalls.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Hierarchy:
         self._built = False
 
     def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
-        """Take a frame; the coarse levels are computed anew only if its couplings differ from the last frame's."""
+        """Take a frame; the coarse levels are computed anew only if its couplings differ from the last's."""
         if load(self.data, problem, mm_per_px) or not self._built:
             self.rebuild()
 
@@ -58,9 +58,9 @@ class Hierarchy:
         if not estimate <= tolerance:
             self._built = False
             raise ConvergenceError(
-                f"Expected depth to within {tolerance:.1e} of its range, got an estimated error of {estimate:.1e} "
-                f"after {done} iterations. Very long channels one pixel wide in the mask can do this: open them, "
-                "use solver='sparse', or allow more iterations."
+                f"Expected depth to within {tolerance:.1e} of its range, got an estimated error of "
+                f"{estimate:.1e} after {done} iterations. Very long channels one pixel wide in the mask can "
+                "do this: open them, use solver='sparse', or allow more iterations."
             )
         return self.data[DEPTH][self._frame].copy(), done, estimate
 

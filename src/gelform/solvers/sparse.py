@@ -58,5 +58,5 @@ def normal_equations(
     coupling = csr_matrix((tie, (one, other)), shape=(pixel.size, pixel.size))
     coupling = coupling + coupling.T
     coupling.eliminate_zeros()
-    diagonal = np.asarray(coupling.sum(axis=1)).ravel() + planes[2].ravel()
-    return csr_matrix(diags([diagonal], [0]) - coupling), planes[3].ravel()
+    diagonal: Any = np.asarray(coupling.sum(axis=1)).ravel() + planes[2].ravel()
+    return csr_matrix(diags(diagonal) - coupling), planes[3].ravel()

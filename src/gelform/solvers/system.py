@@ -120,7 +120,8 @@ def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -
         changed = bool(_load_confidence(data, problem.confidence, problem.anchor, kx, ky))
         _load_right_side(data, problem.gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1])
         return changed
-    assert problem.edges is not None and problem.edge_weights is not None
+    assert problem.edges is not None
+    assert problem.edge_weights is not None
     load_couplings(data, problem.edge_weights, problem.anchor, mm_per_px)
     flux = tuple(e * w for e, w in zip(problem.edges, problem.edge_weights))
     area = mm_per_px[0] * mm_per_px[1]
@@ -139,7 +140,7 @@ def load_couplings(
 
 
 @njit(**FAST, cache=True)  # type: ignore[misc]
-def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float) -> bool:
+def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float) -> Any:
     """Couplings are the harmonic means of two pixels' confidence: the variance of an averaged slope."""
     height, width = confidence.shape
     sx, sy, tiny = np.float32(2 * kx), np.float32(2 * ky), np.float32(1e-30)
