@@ -15,12 +15,15 @@ _HOME = {
     "curl": "gelform.gradients",
     "gradients_from_normals": "gelform.gradients",
     "gradients_from_depth": "gelform.gradients",
+    "fill": "gelform.gradients",
     "normals_from_image": "gelform.normals",
     "normals_from_gradients": "gelform.normals",
     "image_from_normals": "gelform.normals",
     "depth_from_gradients": "gelform.depth",
     "integrate": "gelform.depth",
     "Integration": "gelform.depth",
+    "edge_residuals": "gelform.depth",
+    "depth_sigma": "gelform.uncertainty",
     "GelformError": "gelform.errors",
     "CalibrationError": "gelform.errors",
     "SensorError": "gelform.errors",
@@ -29,11 +32,12 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from gelform.depth import Integration, depth_from_gradients, integrate
+    from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.frames import Frame
-    from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
+    from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.uncertainty import depth_sigma
 
 __all__ = ["__version__", *_HOME]
 

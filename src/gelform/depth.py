@@ -176,7 +176,7 @@ def _checked(
     shape = (g.shape[-3], g.shape[-2])
     if level not in (None, "slope", "plane", "quadratic"):
         raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
-    region = _zero_region(zero, shape)
+    region = zero_region(zero, shape)
     if level == "slope":
         g = g - np.median(g[..., region, :], axis=-2)[..., None, None, :]
     return _Request(
@@ -184,7 +184,7 @@ def _checked(
         pitch=pitch,
         weights=None if weights is None else _checked_weights(weights, g.shape[:-1]),
         mask=None if mask is None else check_mask(mask, shape=shape),
-        anchor=None if anchor is None else _checked_anchor(anchor, shape),
+        anchor=None if anchor is None else checked_anchor(anchor, shape),
         zero=zero,
         region=region,
         level=level,
@@ -228,7 +228,8 @@ def _checked_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
     return array
 
 
-def _checked_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+def checked_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """An anchor map (H, W) of a map or a number."""
     array = np.asarray(anchor)
     return check_map(
         np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True
@@ -291,10 +292,11 @@ def _levelled(
 ) -> NDArray[np.float32]:
     if request.level not in ("plane", "quadratic"):
         return depth
-    return depth - _fitted_surface(depth, region, 1 if request.level == "plane" else 2)
+    return depth - fitted_surface(depth, region, 1 if request.level == "plane" else 2)
 
 
-def _zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The pixels that say where depth is 0, (H, W) bool."""
     if isinstance(zero, str):
         if zero not in ("mean", "border"):
             raise ValueError(f"Expected zero as 'mean', 'border' or a boolean (H, W), got {zero!r}.")
@@ -305,7 +307,7 @@ def _zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDAr
     return check_mask(zero, shape=shape, name="zero")
 
 
-def _fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
+def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
     """Least-squares polynomial surface of the depth at the region, evaluated over the frame."""
     height, width = region.shape
     x = np.linspace(-1, 1, width)[None, :].repeat(height, 0)

@@ -28,8 +28,8 @@ def solve(data: Any, levels: Any, dense: Any, scale: float, tolerance: float, li
 
     Stops when the estimated largest error, as a share of `scale` (0: of the range of the first answer), is
     below the tolerance. One V-cycle's answer is an estimate of the whole error; 4 rate/(1 - rate) says what
-    is left of it after it was added, on the safe side in trials. The rate is the mean so far, or over the last
-    four iterations where that is slower; and where many iterations are needed, a V-cycle sees less of the
+    is left of it after it was added, on the safe side in trials. The rate is the mean so far, or over the
+    last four iterations where that is slower; and where many iterations are needed, a V-cycle sees less of the
     error, hence the count in place of 4.
 
     Returns

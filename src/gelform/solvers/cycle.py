@@ -3,8 +3,8 @@
 All levels live in one array `data[plane, row, column]`: a level's frame pixel (i, j) is at row
 `top + 1 + i`, column `1 + j`, between zeros (one row and column before, two after), so that no loop asks
 where the border is. A level is given by `(top, height, width)`, a row of the table `levels`. The coarse point
-(I, J) is the fine point (2I, 2J). Couplings are the positive off-diagonals of the operator: EAST ties (i, j) to
-(i, j+1), SOUTH to (i+1, j), SOUTHEAST to (i+1, j+1), SOUTHWEST to (i+1, j-1).
+(I, J) is the fine point (2I, 2J). Couplings are the positive off-diagonals of the operator: EAST ties (i, j)
+to (i, j+1), SOUTH to (i+1, j), SOUTHEAST to (i+1, j+1), SOUTHWEST to (i+1, j-1).
 
 The kernels use plain loops over few arrays each: that is what compiles quickly and uses the vector unit.
 """

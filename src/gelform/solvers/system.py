@@ -118,7 +118,7 @@ def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -
     height, width = problem.mask.shape
     if problem.gradients is not None:
         changed = bool(_load_confidence(data, problem.confidence, problem.anchor, kx, ky))
-        _load_right_side(data, problem.gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1])
+        load_right_side(data, problem.gradients, mm_per_px)
         return changed
     assert problem.edges is not None
     assert problem.edge_weights is not None
@@ -127,6 +127,11 @@ def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -
     area = mm_per_px[0] * mm_per_px[1]
     data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = divergence(flux, mm_per_px) * area  # type: ignore[arg-type]
     return True
+
+
+def load_right_side(data: NDArray[Any], gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> None:
+    """Write the right side of slopes (H, W, 2) for the couplings that are there."""
+    _load_right_side(data, gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1])
 
 
 def load_couplings(
