@@ -158,7 +158,9 @@ def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Fin
             f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
         )
     if ratio.min() < RATIO_WARN[0] or ratio.max() > RATIO_WARN[1]:
-        message = f"Untouched pixels are {figures} times as bright as in the background: take a new background."
+        message = (
+            f"Untouched pixels are {figures} times as bright as in the background: take a new background."
+        )
         return (Finding("background_ratio", message, float(ratio[np.argmax(np.abs(np.log(ratio)))])),)
     return ()
 

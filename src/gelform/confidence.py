@@ -48,14 +48,18 @@ class SlopeSigma:
         clean = float(np.sqrt(np.average(variance, weights=count)))
         return cls(float(np.sqrt(rest)), float(np.sqrt(growth)), clean, correlation_px)
 
-    def at(self, gradients: NDArray[np.float32], image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def at(
+        self, gradients: NDArray[np.float32], image: NDArray[Any]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Standard deviation (H, W, 2) and confidence (H, W) of a frame's slopes.
 
         A pixel with a channel at 0 or 255 is clipped: its slope is not known better than `SATURATED_SIGMA`.
         """
         sigma = np.empty(gradients.shape, dtype=np.float32)
         confidence = np.empty(gradients.shape[:2], dtype=np.float32)
-        _sigma_and_confidence(gradients, image, self.rest**2, self.growth**2, self.clean**2, sigma, confidence)
+        _sigma_and_confidence(
+            gradients, image, self.rest**2, self.growth**2, self.clean**2, sigma, confidence
+        )
         return sigma, confidence
 
 

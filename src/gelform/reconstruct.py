@@ -123,8 +123,12 @@ class Reconstructor:
         if share >= MIN_UNTOUCHED:
             return untouched, ()
         change_size = np.linalg.norm(change, axis=-1)
-        message = f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
-        return change_size <= np.quantile(change_size, MIN_UNTOUCHED), (Finding("few_untouched", message, share),)
+        message = (
+            f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
+        )
+        return change_size <= np.quantile(change_size, MIN_UNTOUCHED), (
+            Finding("few_untouched", message, share),
+        )
 
 
 def _pixels(frame: ArrayLike | Frame) -> Any:

@@ -73,11 +73,19 @@ class Score:
     @property
     def standard_error_deg(self) -> float:
         """Standard error of that mean."""
-        return float(self.errors_deg.std(ddof=1) / np.sqrt(len(self.errors_deg))) if len(self.errors_deg) > 1 else 0.0
+        return (
+            float(self.errors_deg.std(ddof=1) / np.sqrt(len(self.errors_deg)))
+            if len(self.errors_deg) > 1
+            else 0.0
+        )
 
 
 def make_folds(
-    presses: Sequence[PreparedPress], found: Sequence[Contact], usable: Sequence[int], *, progress: Progress = no_progress
+    presses: Sequence[PreparedPress],
+    found: Sequence[Contact],
+    usable: Sequence[int],
+    *,
+    progress: Progress = no_progress,
 ) -> list[Fold]:
     """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles."""
     ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
