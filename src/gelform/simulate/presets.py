@@ -16,7 +16,8 @@ from gelform.simulate.timing import Timing
 def _gelsight_mini() -> SimulatedSensor:
     """A GelSight Mini without markers, 240x320.
 
-    Lights and shading were fitted to the ratio of pressed to untouched light in 23 ball presses of a real one, and to
+    Lights and shading were fitted to the ratio of pressed to untouched light in 23 ball presses of a real
+    one, and to
     its background; they are places that explain the picture, not where the LEDs are soldered.
     """
     leds = (
@@ -175,7 +176,8 @@ def _digit() -> SimulatedSensor:
 def _gelslim() -> SimulatedSensor:
     """After GelSlim 3.0: low grazing light from the edges, a lens from the side; 240x320.
 
-    From its published description (Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022), not fitted: no images of one were at
+    From its published description (Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022), not fitted: no
+    images of one were at
     hand.
     """
     leds = (

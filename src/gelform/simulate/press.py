@@ -255,20 +255,35 @@ def simulate_ball_presses(
     shift = place_rng.random(2)
     presses = []
     for k, press_rng in enumerate(press_rngs):
-        ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
-        presses.append(
-            simulate_press(
-                sensor,
-                ball,
-                depth_mm=_depth_of(sensor, ball, press_rng.uniform(*RIM_SLOPES)),
-                center_mm=_place(sensor, k, shift),
-                rng=press_rng,
-                oversample=oversample,
-            )
-        )
+        presses.append(_ball_press(sensor, ball_diameters_mm, k, shift, press_rng, oversample))
         if progress is not None:
             progress(k + 1, count)
     return SimulatedPresses(sensor, simulate_background(sensor, background_rng), tuple(presses))
+
+
+def ball_press_of_set(
+    sensor: SimulatedSensor, ball_diameters_mm: Sequence[float], k: int, *, seed: int, oversample: int = 3
+) -> SimulatedPress:
+    """The k-th press of `simulate_ball_presses` with `rng=numpy.random.default_rng(seed)`, alone."""
+    place_rng, press_rng = (
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n,))) for n in (1, k + 2)
+    )
+    return _ball_press(sensor, ball_diameters_mm, k, place_rng.random(2), press_rng, oversample)
+
+
+def _ball_press(
+    sensor: SimulatedSensor,
+    ball_diameters_mm: Sequence[float],
+    k: int,
+    shift: NDArray[np.float64],
+    rng: np.random.Generator,
+    oversample: int,
+) -> SimulatedPress:
+    ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
+    depth = _depth_of(sensor, ball, rng.uniform(*RIM_SLOPES))
+    return simulate_press(
+        sensor, ball, depth_mm=depth, center_mm=_place(sensor, k, shift), rng=rng, oversample=oversample
+    )
 
 
 def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:

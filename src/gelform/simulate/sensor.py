@@ -99,8 +99,10 @@ class SimulatedSensor:
     timing : Timing
         Frame rate, flicker, drift, dropped frames; only sequences know it.
     shading : three tuples of 6 or 15 numbers, or None
-        Per channel the gain over the image, for light guides and lenses that no LED position explains: the first
-        number times `1 + a x + b y + c x^2 + d x y + e y^2` (and so on to the fourth degree), x and y in -1..1.
+        Per channel the gain over the image, for light guides and lenses that no LED position explains: the
+        first
+        number times `1 + a x + b y + c x^2 + d x y + e y^2` (and so on to the fourth degree), x and y in
+        -1..1.
     cast_shadows : bool
         Whether the surface shades itself; attached shadows are always there.
     """

@@ -38,7 +38,8 @@ def sensor_named(name: str) -> SimulatedSensor:
 
 
 def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
-    """Everything about a sensor, in lists, numbers and words that JSON can hold; an albedo map as its values."""
+    """Everything about a sensor, in lists, numbers and words that JSON can hold; an albedo map as its
+    values."""
     return {field.name: _plain(getattr(sensor, field.name)) for field in fields(sensor)}
 
 
@@ -48,7 +49,8 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
     Parameters
     ----------
     settings : mapping
-        `base` (a ready sensor to start from; without it `leds` is needed), the fields of `SimulatedSensor`, `leds` as a list of
+        `base` (a ready sensor to start from; without it `leds` is needed), the fields of
+        `SimulatedSensor`, `leds` as a list of
         tables with the fields of `Led` (`peak_nm`, `width_nm` and `power` may stand for `color`), the tables
         `gel`, `coating`, `optics`, `timing`, and `exposed_levels`, the wished mean level per channel.
 
@@ -57,14 +59,18 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
     ValueError, TypeError
         An unknown key (the nearest known one is suggested), a value of the wrong kind or out of range.
     """
-    allowed = [field.name for field in fields(SimulatedSensor)]
-    _check_keys(settings, (*OWN_KEYS, *allowed), "the sensor")
-    given = {key: _frozen(value) for key, value in settings.items() if key not in (*OWN_KEYS, *SECTIONS, "leds")}
+    _check_keys(settings, (*OWN_KEYS, *(field.name for field in fields(SimulatedSensor))), "the sensor")
+    _check_kinds(settings, SimulatedSensor)
+    given = {
+        key: _frozen(value) for key, value in settings.items() if key not in (*OWN_KEYS, *SECTIONS, "leds")
+    }
     if "leds" in settings:
         given["leds"] = tuple(_led(led) for led in _tables(settings["leds"]))
     base = sensor_named(str(settings["base"])) if "base" in settings else None
     if base is None and "leds" not in given:
-        raise ValueError(f"Expected base (one of {', '.join(sensors_by_name())}) or a list of [[leds]], got neither.")
+        raise ValueError(
+            f"Expected base (one of {', '.join(sensors_by_name())}) or a list of [[leds]], got neither."
+        )
     for name, kind in SECTIONS.items():
         if name in settings:
             given[name] = _section(name, kind, settings[name], base)
@@ -76,19 +82,26 @@ def _section(name: str, kind: Any, table: Any, base: SimulatedSensor | None) -> 
     if not isinstance(table, Mapping):
         raise TypeError(f"Expected [{name}] as a table, got {table!r}.")
     _check_keys(table, [field.name for field in fields(kind)], f"[{name}]")
-    values = {key: np.asarray(value) if key == "albedo" and value is not None else _frozen(value) for key, value in table.items()}
+    _check_kinds(table, kind)
+    values = {
+        key: np.asarray(value) if key == "albedo" and value is not None else _frozen(value)
+        for key, value in table.items()
+    }
     start = kind() if base is None else getattr(base, name)
     return replace(start, **values)
 
 
 def _led(table: Mapping[str, Any]) -> Led:
     _check_keys(table, (*LED_KEYS, *(field.name for field in fields(Led))), "[[leds]]")
+    _check_kinds(table, Led)
     values = {key: _frozen(value) for key, value in table.items() if key not in LED_KEYS}
     if "position_mm" not in values:
         raise ValueError("Expected position_mm = [x, y, z] in every [[leds]], got one without.")
     if "color" in values or "peak_nm" not in table:
         if "color" not in values:
-            raise ValueError("Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without.")
+            raise ValueError(
+                "Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without."
+            )
         return Led(**values)
     strength = float(table.get("power", 1.0))
     red, green, blue = led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
@@ -104,7 +117,28 @@ def _tables(leds: Any) -> Sequence[Mapping[str, Any]]:
 def _check_keys(given: Mapping[str, Any], known: Sequence[str], where: str) -> None:
     for key in given:
         if key not in known:
-            raise ValueError(f"Unknown key {key!r} in {where}.{_nearest(key, known)} Known: {', '.join(known)}.")
+            raise ValueError(
+                f"Unknown key {key!r} in {where}.{_nearest(key, known)} Known: {', '.join(known)}."
+            )
+
+
+def _check_kinds(given: Mapping[str, Any], kind: Any) -> None:
+    """Refuse words where numbers belong and the like: a value is of the kind of its default."""
+    for field in fields(kind):
+        value, default = given.get(field.name), field.default
+        if field.name not in given or value is None:
+            continue
+        for what, kinds in (
+            ("true or false", bool),
+            ("a number", (int, float)),
+            ("text", str),
+            ("a list", (list, tuple)),
+        ):
+            wanted = isinstance(default, tuple if what == "a list" else kinds)
+            if wanted and not isinstance(value, kinds):
+                raise TypeError(f"Expected {field.name} as {what}, got {value!r}.")
+            if wanted:
+                break
 
 
 def _nearest(word: str, known: Any) -> str:

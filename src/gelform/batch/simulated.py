@@ -1,0 +1,165 @@
+"""Simulated data sets of any size, by several processes, the same bytes whatever their number."""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.export import toml_string, truth_from_press, written_whole
+from gelform.progress import Progress, no_progress
+from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
+from gelform.simulate.press import ball_press_of_set
+from gelform.simulate.settings import settings_from_sensor
+
+COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px")
+
+
+@dataclass(frozen=True)
+class SetOfPresses:
+    """What a data set of ball presses is made from: everything that its bytes depend on."""
+
+    sensor: SimulatedSensor
+    ball_diameters_mm: tuple[float, ...]
+    count: int
+    seed: int
+    oversample: int = 3
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or len(self.ball_diameters_mm) == 0:
+            raise ValueError(
+                f"Expected count >= 1 and a ball, got {self.count} and {list(self.ball_diameters_mm)}."
+            )
+        if self.seed < 0:
+            raise ValueError(f"Expected seed >= 0, got {self.seed}.")
+        for diameter in self.ball_diameters_mm:
+            check_positive(diameter, "ball_diameter_mm")
+
+    def press(self, k: int) -> SimulatedPress:
+        """The k-th press; it depends on no other."""
+        return ball_press_of_set(
+            self.sensor, self.ball_diameters_mm, k, seed=self.seed, oversample=self.oversample
+        )
+
+    def parameters(self) -> dict[str, Any]:
+        """All of it, as JSON can hold it."""
+        from gelform import __version__
+
+        return {
+            "sensor": settings_from_sensor(self.sensor),
+            "ball_diameters_mm": list(self.ball_diameters_mm),
+            "count": self.count,
+            "seed": self.seed,
+            "oversample": self.oversample,
+            "gelform_version": __version__,
+        }
+
+
+def save_simulated_set(
+    folder: str | os.PathLike[str],
+    presses: SetOfPresses,
+    *,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write ball presses as a press folder with labels, truth and all parameters.
+
+    Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ...
+    (depth_mm, gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`:
+    pose,
+    seed, number). Each press has its own random stream, so the bytes do not depend on the number of
+    workers. The folder appears whole or
+    not at all.
+
+    Raises
+    ------
+    DataError
+        The folder holds something already or cannot be written.
+    """
+    if workers < 1:
+        raise ValueError(f"Expected workers >= 1, got {workers}.")
+    target = Path(folder)
+    with written_whole(target) as partial:
+        for name in ("images", "truth"):
+            (partial / name).mkdir()
+        background_rng = np.random.default_rng(np.random.SeedSequence(presses.seed, spawn_key=(0,)))
+        _write_png(partial / "background.png", simulate_background(presses.sensor, background_rng))
+        rows = []
+        for row in _made(presses, partial, workers):
+            rows.append(row)
+            progress(len(rows), presses.count, "simulating")
+        with (partial / "presses.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        text = json.dumps(presses.parameters(), indent=1, sort_keys=True)
+        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
+        sensor = (
+            f"name = {toml_string(presses.sensor.name)}\nmm_per_px = {float(presses.sensor.mm_per_px)!r}\n"
+        )
+        (partial / "sensor.toml").write_text(sensor, encoding="utf-8")
+    return target
+
+
+def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[str, str]]:
+    """Write each press, in this process or in several; its lines of presses.csv in order."""
+    numbers: Sequence[int] = range(presses.count)
+    if workers == 1:
+        for k in numbers:
+            yield _write_press(presses, folder, k)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _one_thread) as pool:
+        jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
+        try:
+            for job in jobs:
+                yield job.result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+
+
+def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
+    press = presses.press(k)
+    _write_png(folder / f"images/{k:04d}.png", press.image)
+    _write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
+    x, y = press.center_px
+    numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
+    return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers)))
+
+
+def _write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any]) -> None:
+    pose = {"depth_mm": press.press_depth_mm, "center_mm": list(press.center_mm), "time_s": press.time_s}
+    arrays: dict[str, Any] = {
+        **truth_from_press(press),
+        "albedo": press.albedo,
+        "shadowed": press.shadowed,
+        "saturated": press.saturated,
+        "markers_px": press.markers_px,
+        "markers_shift_mm": press.markers_shift_mm,
+        "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
+    }
+    with path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def _write_png(path: Path, image: Any) -> None:
+    done, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise DataError(f"Cannot encode {path.name} as PNG.")
+    path.write_bytes(encoded.tobytes())

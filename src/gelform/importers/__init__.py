@@ -1,0 +1,1 @@
+"""What others made: their calibrations, data folders, meshes and height images."""

@@ -1,0 +1,84 @@
+"""Things to press into a simulated gel, from files: meshes (STL, PLY, OBJ) and height images."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.simulate import HeightMap, Mesh
+
+MESH_SUFFIXES = (".stl", ".ply", ".obj")
+MAX_MESH_BYTES = 1 << 29
+MAX_IMAGE_BYTES = 1 << 28
+
+
+def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
+    """Read a closed mesh; its +z side faces the gel, y goes down in the image.
+
+    Parameters
+    ----------
+    path : .stl, .ply or .obj
+    mm_per_unit : 1 for files in mm, 1000 for metres, 25.4 for inches
+
+    Raises
+    ------
+    DataError
+        No such file, another kind of file, one that is too large or damaged, or a mesh that is empty,
+        open, or of a
+        size that suggests another unit.
+    ImportError
+        trimesh is not installed: `pip install "gelform[mesh]"`.
+    """
+    path = Path(path)
+    scale = check_positive(mm_per_unit, "mm_per_unit")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise DataError(f"Expected a mesh as {', '.join(MESH_SUFFIXES)}, got {path.name}.")
+    _check_file(path, "a mesh", MAX_MESH_BYTES)
+    try:
+        import trimesh
+    except ImportError as problem:
+        raise ImportError('Reading meshes needs trimesh: pip install "gelform[mesh]".') from problem
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+        vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    except Exception as problem:  # its readers raise whatever their parsing meets
+        raise DataError(f"{path} is damaged, or no {path.suffix[1:].upper()} file: {problem}.") from problem
+    if triangles.size == 0:
+        raise DataError(f"{path}: Expected a mesh with triangles, got an empty one.")
+    try:
+        return Mesh(vertices * scale, triangles)
+    except ValueError as problem:
+        raise DataError(f"{path}: {problem}") from problem
+
+
+def read_height_image(path: str | PathLike[str], *, mm_per_px: float, height_mm: float) -> HeightMap:
+    """Read a height map from a grey image, 8 or 16 bits: black is lowest, white `height_mm` higher.
+
+    Raises
+    ------
+    DataError
+        No such file, no image, or one in colour.
+    """
+    path = Path(path)
+    _check_file(path, "a grey image", MAX_IMAGE_BYTES)
+    grey = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if grey is None:
+        raise DataError(f"{path} is no image, or a damaged one.")
+    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16):
+        raise DataError(
+            f"Expected a grey image of 8 or 16 bits, got {path} of shape {grey.shape}, {grey.dtype}."
+        )
+    scale = check_positive(height_mm, "height_mm") / float(np.iinfo(grey.dtype).max)
+    return HeightMap(grey.astype(np.float64) * scale, mm_per_px)
+
+
+def _check_file(path: Path, what: str, max_bytes: int) -> None:
+    if not path.is_file():
+        raise DataError(f"No file {path}: expected {what}.")
+    if path.stat().st_size > max_bytes:
+        raise DataError(f"Expected {what} of at most {max_bytes >> 20} MB, got {path}. Reduce it first.")
