@@ -18,7 +18,9 @@ def test_an_untouched_twin_is_the_background(calibration):
 def test_the_colour_is_the_calibrations_forward_response(calibration):
     press = Twin(calibration).press(Ball(3), Pose(0.5), rng=None)
     expected = calibration.color_from_gradients(press.gradients.astype(np.float32))
-    seen = color_change_from_image(press.image, calibration.background, replace(calibration.change, blur_px=0.0))
+    seen = color_change_from_image(
+        press.image, calibration.background, replace(calibration.change, blur_px=0.0)
+    )
     level = 0.51 / (calibration.background + calibration.change.offset)
     assert np.all(np.abs(seen - expected)[~press.saturated] <= level[~press.saturated] + 1e-5)
     assert np.abs(seen).max() > 0.1
@@ -44,7 +46,8 @@ def test_steep_slopes_are_rendered_as_the_steepest_known(calibration):
 def test_the_same_seed_gives_the_same_presses_with_noise(calibration):
     twin = Twin(calibration)
     one, two, other = (
-        twin.ball_presses(ball_diameters_mm=[6.0], count=2, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
+        twin.ball_presses(ball_diameters_mm=[6.0], count=2, rng=np.random.default_rng(seed))
+        for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(one.presses[1].image, two.presses[1].image)
     assert np.any(one.presses[1].image != other.presses[1].image)

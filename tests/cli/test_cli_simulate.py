@@ -68,3 +68,31 @@ def test_mistakes_are_one_line(fails, tmp_path):
         "simulate", "-o", tmp_path / "out", "--height-map", tmp_path / "nan.npy", status=2
     )
     assert not (tmp_path / "out").exists()
+
+
+def test_a_sensor_of_ones_own_and_several_workers(run_json, fails, tmp_path):
+    (tmp_path / "mine.toml").write_text('base = "digit"\nshape = [40, 30]\nmm_per_px = 0.4\n')
+    arguments = ("simulate", "--sensor", tmp_path / "mine.toml", "--count", "2")
+    assert run_json(*arguments, "-o", tmp_path / "one")["sensor"] == "digit"
+    assert read_presses(tmp_path / "one").image_shape == (40, 30)
+    (tmp_path / "bad.toml").write_text('base = "digit"\nshap = [40, 30]\n')
+    line = fails("simulate", "--sensor", tmp_path / "bad.toml", "-o", tmp_path / "out")
+    assert "Did you mean 'shape'" in line
+    assert "Did you mean 'digit'" in fails("simulate", "--sensor", "digi", "-o", tmp_path / "out", status=2)
+
+
+def test_presses_like_a_calibration(run_json, calibration_file, tmp_path):
+    run_json("simulate", "--like", calibration_file, "--count", "2", "-o", tmp_path / "twin")
+    assert len(read_presses(tmp_path / "twin").presses) == 2
+
+
+def test_a_mesh(run, fails, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((4, 3, 2)).export(tmp_path / "box.stl")
+    code, _, err = run(
+        "simulate", "--mesh", tmp_path / "box.stl", "--layout", "small", "-o", tmp_path / "out"
+    )
+    assert code == 0, err
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        assert truth["contact"].sum() * 0.1268**2 == pytest.approx(12, rel=0.1)
+    assert "Expected a mesh as" in fails("simulate", "--mesh", tmp_path / "box.step", "-o", tmp_path / "b")

@@ -11,7 +11,7 @@ from gelform.cli.console import Json, Quiet, print_json, progress_shown, say
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
-    from gelform.simulate import HeightMap, SimulatedSensor
+    from gelform.simulate import HeightMap, Indenter, SimulatedSensor
 
 MAX_MAP_BYTES = 1 << 28
 
@@ -19,6 +19,16 @@ MAX_MAP_BYTES = 1 << 28
 def simulate(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
     layout: Annotated[str, typer.Option(help="Lights: three-edges, ring-120 or homemade.")] = "three-edges",
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.toml",
+            help="Instead of a layout: gelsight-mini, digit, gelslim, homemade, or your own as TOML.",
+        ),
+    ] = None,
+    like: Annotated[
+        Path | None, typer.Option(metavar="CAL.npz", help="Instead: answer as this calibrated sensor does.")
+    ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40,
     ball_diameter_mm: Annotated[
         list[float], typer.Option(metavar="F", help="Diameter of a ball, mm; give several, they take turns.")
@@ -30,23 +40,36 @@ def simulate(
         float | None, typer.Option(metavar="F", help="Its sample pitch, mm.")
     ] = None,
     depth_mm: Annotated[
-        float, typer.Option(metavar="F", help="How deep the height map is pressed, mm.")
+        float, typer.Option(metavar="F", help="How deep the height map or mesh is pressed, mm.")
     ] = 0.5,
+    mesh: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
+    ] = None,
+    mesh_mm_per_unit: Annotated[
+        float, typer.Option(metavar="F", help="Its unit: 1 for mm, 1000 for metres.")
+    ] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Processes; the bytes are the same for any number.")
+    ] = 1,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate a sensor: images of pressed balls, or of your own height map, with the exact truth.
+    """Simulate a sensor: images of pressed balls, or of your own height map or mesh, with the exact truth.
 
     Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels,
-    sensor.toml, images/, and truth/ with depth_mm, gradients and contact of each image. A height map makes
-    background.png, image.png, truth.npz.
+    sensor.toml, images/, and truth/ with depth_mm, gradients, contact and more of each image. A height map
+    or a mesh makes background.png, image.png, truth.npz.
 
     \b
     Examples:
       gelform simulate -o presses
       gelform simulate -o presses --layout homemade --count 60 --ball-diameter-mm 5 --ball-diameter-mm 8
+      gelform simulate -o presses --sensor digit --count 10000 --workers 8
+      gelform simulate -o presses --sensor mine.toml
+      gelform simulate -o twin --like cal.npz
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
+      gelform simulate -o gear --mesh gear.stl --sensor gelsight-mini
     """
     import numpy as np
 
@@ -59,29 +82,68 @@ def simulate(
         raise typer.BadParameter(
             f"expected one of {', '.join(LAYOUTS)}, got {layout!r}.", param_hint="--layout"
         )
-    rng = np.random.default_rng(seed)
+    if sum(given is not None for given in (sensor, like)) > 1 or None not in (height_map, mesh):
+        raise typer.BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
+    made = LAYOUTS[layout] if sensor is None else _sensor(sensor)
     with progress_shown(quiet) as progress:
-        if height_map is None:
-            from gelform.export import save_simulated_presses
-            from gelform.simulate import simulate_ball_presses
-
-            presses = simulate_ball_presses(
-                LAYOUTS[layout],
-                ball_diameters_mm=ball_diameter_mm,
-                count=count,
-                rng=rng,
-                progress=lambda done, total: progress(done, total, "simulating"),
+        if like is not None:
+            if height_map is not None or mesh is not None:
+                raise typer.BadParameter("presses balls only.", param_hint="--like")
+            _save_like(like, ball_diameter_mm, count, seed, output)
+        elif height_map is not None or mesh is not None:
+            face = (
+                _mesh(mesh, mesh_mm_per_unit)
+                if height_map is None
+                else _height_map(height_map, height_map_mm_per_px)
             )
-            save_simulated_presses(
-                output, presses, progress=lambda done, total: progress(done, total, "writing")
-            )
+            _press_one(made, face, depth_mm, np.random.default_rng(seed), output)
         else:
-            face = _height_map(height_map, height_map_mm_per_px)
-            _press_height_map(LAYOUTS[layout], face, depth_mm, rng, output)
+            from gelform.batch.simulated import SetOfPresses, save_simulated_set
+
+            wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed)
+            save_simulated_set(output, wanted, workers=workers, progress=progress)
     say(f"Wrote {output}.", quiet or as_json)
     if as_json:
-        presses_made = count if height_map is None else 1
-        print_json({"folder": output, "layout": layout, "presses": presses_made, "seed": seed})
+        presses = count if height_map is None and mesh is None else 1
+        name = made.name if like is None else f"like {like}"
+        print_json({"folder": output, "layout": layout, "sensor": name, "presses": presses, "seed": seed})
+
+
+def _sensor(name_or_file: str) -> SimulatedSensor:
+    """A ready sensor by name, or one from a TOML file."""
+    from gelform.sensors.simulated import read_simulated_sensor
+    from gelform.simulate.settings import sensor_named
+
+    if name_or_file.endswith(".toml"):
+        return read_simulated_sensor(name_or_file)
+    try:
+        return sensor_named(name_or_file)
+    except ValueError as problem:
+        raise typer.BadParameter(str(problem), param_hint="--sensor") from problem
+
+
+def _save_like(path: Path, ball_diameters_mm: list[float], count: int, seed: int, output: Path) -> None:
+    import numpy as np
+
+    from gelform.export import save_simulated_presses
+    from gelform.record import load_calibration
+    from gelform.simulate.like import Twin
+
+    twin = Twin(load_calibration(path))
+    presses = twin.ball_presses(
+        ball_diameters_mm=ball_diameters_mm, count=count, rng=np.random.default_rng(seed)
+    )
+    save_simulated_presses(output, presses)
+
+
+def _mesh(path: Path | None, mm_per_unit: float) -> Indenter:
+    from gelform.importers.relief import read_mesh
+
+    assert path is not None
+    try:
+        return read_mesh(path, mm_per_unit=mm_per_unit)
+    except ImportError as problem:
+        raise DataError(str(problem)) from problem
 
 
 def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
@@ -106,9 +168,7 @@ def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
     return HeightMap(heights, mm_per_px)
 
 
-def _press_height_map(
-    sensor: SimulatedSensor, face: HeightMap, depth_mm: float, rng: object, folder: Path
-) -> None:
+def _press_one(sensor: SimulatedSensor, face: Indenter, depth_mm: float, rng: object, folder: Path) -> None:
     import numpy as np
 
     from gelform.export import toml_string, truth_from_press, written_whole

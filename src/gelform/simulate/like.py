@@ -26,8 +26,10 @@ _ANY_LIGHT = Led((0.0, 0.0, 1e3), (1.0, 1.0, 1.0))
 class Twin:
     """A sensor that answers as a calibration says the real one does.
 
-    The surface comes from the simulator's gel, the colour from `calibration.color_from_gradients`, the background is
-    the calibration's own, the noise that of its background pixels. Dust, scratches and drift of the real sensor are in
+    The surface comes from the simulator's gel, the colour from `calibration.color_from_gradients`, the
+    background is
+    the calibration's own, the noise that of its background pixels. Dust, scratches and drift of the real
+    sensor are in
     its background; cast shadows, which depend on more than the slope at a pixel, are not made.
 
     Parameters
@@ -48,7 +50,9 @@ class Twin:
     ) -> None:
         pitch_x, pitch_y = np.broadcast_to(np.asarray(calibration.mm_per_px, dtype=np.float64), 2)
         if abs(pitch_x / pitch_y - 1) > 1e-6:
-            raise ValueError(f"Expected a calibration of square pixels, got mm_per_px={calibration.mm_per_px}.")
+            raise ValueError(
+                f"Expected a calibration of square pixels, got mm_per_px={calibration.mm_per_px}."
+            )
         self.calibration = calibration
         self.steepest = check_positive(steepest, "steepest")
         self.sensor = SimulatedSensor(
@@ -85,11 +89,10 @@ class Twin:
         change = self.color_change(press.gradients)
         levels = image_from_color_change(change, calibration.background, calibration.change)
         if rng is not None:
-            levels = levels + calibration.background_noise * rng.standard_normal(levels.shape)
+            noise = calibration.background_noise * rng.standard_normal(levels.shape)
+            levels = levels + noise.astype(np.float32)
         nowhere = np.zeros(press.contact.shape, dtype=bool)
-        return replace(
-            press, image=_grey(levels), shadowed=nowhere, saturated=saturated_from_levels(levels)
-        )
+        return replace(press, image=_grey(levels), shadowed=nowhere, saturated=saturated_from_levels(levels))
 
 
 def _grey(levels: NDArray[Any]) -> NDArray[np.uint8]:
