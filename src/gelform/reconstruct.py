@@ -25,6 +25,7 @@ from gelform.record import Calibration
 from gelform.view import image_from_frame
 
 MIN_UNTOUCHED = 0.02
+BIAS_SAMPLES = 10_000
 
 
 class Reconstructor:
@@ -136,8 +137,10 @@ def _pixels(frame: ArrayLike | Frame) -> Any:
 
 
 def _bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Median slope (2,) of the untouched pixels; every third one of a large frame is plenty."""
-    rest = gradients[untouched]
-    step = max(1, len(rest) // 20_000)
-    bias: NDArray[np.float32] = np.median(rest[::step], axis=0)
+    """Median slope (2,) of the untouched pixels, on a lattice that is fine enough to be sure of it."""
+    step = max(1, round((untouched.size / BIAS_SAMPLES) ** 0.5))
+    rest = gradients[::step, ::step][untouched[::step, ::step]]
+    if not len(rest):
+        rest = gradients[untouched]
+    bias: NDArray[np.float32] = np.median(rest, axis=0)
     return bias
