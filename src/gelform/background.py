@@ -16,7 +16,7 @@ from gelform.errors import CalibrationError
 RATIO_WARN = (0.9, 1.1)
 RATIO_REFUSE = (0.7, 1.4)
 CORRELATION_REFUSE = 0.8
-CHECKED_PIXELS = 2000
+CHECKED_PIXELS = 1200
 TOUCHED_SHARE = 0.4
 
 
@@ -113,7 +113,7 @@ def untouched_from_color_change(color_change: NDArray[np.float32], threshold: fl
 
     The median is taken on a coarse grid: an exposure step moves all pixels alike and touches none.
     """
-    common = np.median(color_change[::6, ::6].reshape(-1, 3), axis=0).astype(np.float32)
+    common = np.median(color_change[::8, ::8].reshape(-1, 3), axis=0).astype(np.float32)
     inside: NDArray[np.bool_] = _within(color_change, common, float(threshold) ** 2)
     return inside
 

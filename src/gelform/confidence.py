@@ -66,14 +66,16 @@ class SlopeSigma:
 @njit(cache=True, fastmath=True, nogil=True)
 def _sigma_and_confidence(gradients, image, rest2, growth2, clean2, sigma, confidence):  # type: ignore[no-untyped-def]
     height, width, _ = gradients.shape
+    rest, growth, clean = np.float32(rest2), np.float32(growth2), np.float32(clean2)
+    clipped = np.float32(SATURATED_SIGMA**2)
     for y in range(height):
         for x in range(width):
             p, q = gradients[y, x, 0], gradients[y, x, 1]
-            variance = rest2 + growth2 * (p * p + q * q)
-            for c in range(3):
-                if image[y, x, c] <= 0 or image[y, x, c] >= 255:
-                    variance = max(variance, SATURATED_SIGMA**2)
+            variance = rest + growth * (p * p + q * q)
+            darkest = min(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+            brightest = max(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+            variance = max(variance, clipped if (darkest <= 0) | (brightest >= 255) else variance)
             deviation = np.sqrt(variance)
             sigma[y, x, 0] = deviation
             sigma[y, x, 1] = deviation
-            confidence[y, x] = min(1.0, clean2 / variance)
+            confidence[y, x] = min(np.float32(1), clean / variance)

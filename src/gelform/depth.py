@@ -17,7 +17,7 @@ from gelform.solvers import SOLVERS, UNIFORM
 from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
 from gelform.solvers.system import Solution, Weights
 
-MEDIAN_SAMPLES = 10_000
+MEDIAN_SAMPLES = 5_000
 
 Zero = Literal["mean", "border"]
 Level = Literal["slope", "plane", "quadratic"]

@@ -25,7 +25,7 @@ from gelform.record import Calibration
 from gelform.view import image_from_frame
 
 MIN_UNTOUCHED = 0.02
-BIAS_SAMPLES = 10_000
+BIAS_SAMPLES = 5_000
 
 
 class Reconstructor:
@@ -84,7 +84,7 @@ class Reconstructor:
         change = change_with_gain(image, self.background, self._gain, calibration.change.blur_px)
         gradients, sigma = self._model.gradients_from_color(change)
         untouched, scarce = self._untouched(change)
-        gradients -= _bias(gradients, untouched)  # colour that drifted everywhere is no slope
+        _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
         spread, confidence = calibration.slope_sigma.at(gradients, image)
         solution = integrate(gradients, mm_per_px=calibration.mm_per_px, zero=untouched, solver=self.solver)
         return Reconstruction(
@@ -136,11 +136,11 @@ def _pixels(frame: ArrayLike | Frame) -> Any:
     return frame.image if isinstance(frame, Frame) else frame
 
 
-def _bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Median slope (2,) of the untouched pixels, on a lattice that is fine enough to be sure of it."""
+def _remove_bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> None:
+    """Subtract the untouched pixels' median slope, found on a lattice that is fine enough to be sure of it."""
     step = max(1, round((untouched.size / BIAS_SAMPLES) ** 0.5))
     rest = gradients[::step, ::step][untouched[::step, ::step]]
     if not len(rest):
         rest = gradients[untouched]
-    bias: NDArray[np.float32] = np.median(rest, axis=0)
-    return bias
+    for component, bias in enumerate(np.median(rest, axis=0)):
+        gradients[..., component] -= bias
