@@ -86,10 +86,15 @@ def color_change_from_image(
 
 
 def change_with_gain(
-    image: NDArray[Any], background: NDArray[np.float32], gain: NDArray[np.float32], blur_px: float
+    image: NDArray[Any],
+    background: NDArray[np.float32],
+    gain: NDArray[np.float32],
+    blur_px: float,
+    out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """`color_change_from_image` with what a frame needs prepared: the path of `Reconstructor`."""
-    change = cv2.subtract(image, background, dtype=cv2.CV_32F)
+    change: NDArray[np.float32] = np.empty(image.shape, dtype=np.float32) if out is None else out
+    cv2.subtract(image, background, dst=change, dtype=cv2.CV_32F)
     cv2.multiply(change, gain, dst=change)
     if blur_px > 0:
         cv2.GaussianBlur(change, (0, 0), blur_px, dst=change, borderType=cv2.BORDER_REFLECT_101)

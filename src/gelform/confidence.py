@@ -51,16 +51,16 @@ class SlopeSigma:
     def at(
         self, gradients: NDArray[np.float32], image: NDArray[Any]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Standard deviation (H, W, 2) and confidence (H, W) of a frame's slopes.
+        """Standard deviation (H, W, 2), the same for both components, and confidence (H, W) of a frame's slopes.
 
         A pixel with a channel at 0 or 255 is clipped: its slope is not known better than `SATURATED_SIGMA`.
         """
-        sigma = np.empty(gradients.shape, dtype=np.float32)
+        sigma = np.empty(gradients.shape[:2], dtype=np.float32)
         confidence = np.empty(gradients.shape[:2], dtype=np.float32)
         _sigma_and_confidence(
             gradients, image, self.rest**2, self.growth**2, self.clean**2, sigma, confidence
         )
-        return sigma, confidence
+        return np.broadcast_to(sigma[..., None], gradients.shape), confidence
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -75,7 +75,5 @@ def _sigma_and_confidence(gradients, image, rest2, growth2, clean2, sigma, confi
             darkest = min(image[y, x, 0], image[y, x, 1], image[y, x, 2])
             brightest = max(image[y, x, 0], image[y, x, 1], image[y, x, 2])
             variance = max(variance, clipped if (darkest <= 0) | (brightest >= 255) else variance)
-            deviation = np.sqrt(variance)
-            sigma[y, x, 0] = deviation
-            sigma[y, x, 1] = deviation
+            sigma[y, x] = np.sqrt(variance)
             confidence[y, x] = min(np.float32(1), clean / variance)
