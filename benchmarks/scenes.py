@@ -140,34 +140,46 @@ class Corrupted(NamedTuple):
     valid: NDArray[np.bool_]
 
 
-def with_liars(
-    gradients: Array,
-    share: float,
-    rng: np.random.Generator,
-    *,
-    slope: float = 0.7,
-    radius_px: tuple[int, int] = (2, 9),
-) -> Corrupted:
-    """Slopes with discs that lie until `share` of the pixels do, as shadows, highlights and dust do.
+def with_liars(gradients: Array, share: float, rng: np.random.Generator) -> Corrupted:
+    """Slopes with specks (0 to 2 px in radius) that lie until `share` of the pixels do: dust, highlights.
 
-    Half of the discs carry one wrong slope added throughout, a quarter lost their slopes (0), a quarter are
-    independent noise; the wrong slopes have standard deviation `slope`.
+    The wrong slopes scatter by 0.7 about the true ones plus (0.15, 0.1): lies that lean one way are what
+    tilts depth over the whole frame.
     """
     height, width = gradients.shape[:2]
-    rows, cols = np.mgrid[:height, :width]
+    valid = np.ones((height, width), dtype=bool)
+    while np.count_nonzero(~valid) < share * valid.size:
+        for _ in range(max(1, valid.size // 500)):
+            _clear_disc(valid, rng.integers(0, height), rng.integers(0, width), rng.integers(0, 3))
+    lies = gradients + (0.15, 0.1) + 0.7 * rng.standard_normal(gradients.shape)
+    return Corrupted(np.where(valid[..., None], gradients, lies), valid)
+
+
+def with_patches(gradients: Array, share: float, rng: np.random.Generator) -> Corrupted:
+    """Slopes with discs (2 to 9 px in radius) that lie coherently until `share` of the pixels do: shadows.
+
+    Half of the discs carry one wrong slope (scatter 0.85) throughout, a quarter lost their slopes (0), a
+    quarter are independent noise. A coherent lie is nearly a surface: only its rim shows.
+    """
+    height, width = gradients.shape[:2]
     valid = np.ones((height, width), dtype=bool)
     lying = gradients.copy()
     while np.count_nonzero(~valid) < share * valid.size:
-        center = rng.integers(0, height), rng.integers(0, width)
-        radius = rng.integers(radius_px[0], radius_px[1] + 1)
-        disc = (rows - center[0]) ** 2 + (cols - center[1]) ** 2 <= radius**2
+        disc = np.ones((height, width), dtype=bool)
+        _clear_disc(disc, rng.integers(0, height), rng.integers(0, width), rng.integers(2, 10))
         kind = rng.integers(0, 4)
         if kind < 2:
-            lying[disc] = gradients[disc] + slope * rng.standard_normal(2)
+            lying[~disc] = gradients[~disc] + 0.85 * rng.standard_normal(2)
         else:
-            lying[disc] = 0 if kind == 2 else slope * rng.standard_normal((np.count_nonzero(disc), 2))
-        valid &= ~disc
+            lying[~disc] = 0 if kind == 2 else 0.85 * rng.standard_normal((np.count_nonzero(~disc), 2))
+        valid &= disc
     return Corrupted(lying, valid)
+
+
+def _clear_disc(flags: NDArray[np.bool_], row: int, col: int, radius: int) -> None:
+    rows, cols = slice(max(row - radius, 0), row + radius + 1), slice(max(col - radius, 0), col + radius + 1)
+    i, j = np.ogrid[: flags.shape[0], : flags.shape[1]]
+    flags[rows, cols] &= (i[rows] - row) ** 2 + (j[:, cols] - col) ** 2 > radius**2
 
 
 def confidence_from_valid(valid: NDArray[np.bool_], *, low: float = 1e-3, blur_px: float = 0.0) -> Array:

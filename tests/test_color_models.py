@@ -8,8 +8,19 @@ from hypothesis import strategies as st
 from gelform.color_models import COLOR_MODELS, LambertianModel, PolynomialModel, Samples
 from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.lambertian import inverse_lights
-from gelform.color_models.least_squares import monomials, polynomial_terms, position_powers, robust_ridge, unit_position
-from gelform.normals import image_from_normals, lights_from_normals, normals_from_gradients, normals_from_image
+from gelform.color_models.least_squares import (
+    monomials,
+    polynomial_terms,
+    position_powers,
+    robust_ridge,
+    unit_position,
+)
+from gelform.normals import (
+    image_from_normals,
+    lights_from_normals,
+    normals_from_gradients,
+    normals_from_image,
+)
 
 SHAPE = (48, 64)
 LIGHTS = np.array([[0.8, 0.1, 0.9], [-0.5, 0.6, 0.8], [-0.2, -0.9, 1.1]])
@@ -60,7 +71,9 @@ def test_saved_arrays_give_the_same_model(name):
     model = COLOR_MODELS[name].fit(ball_samples(shading_change))
     again = COLOR_MODELS[name].from_arrays(*model.to_arrays())
     samples = ball_samples(shading_change, seed=2)
-    for a, b in zip(*(m.gradients_at(samples.color_change, samples.x_px, samples.y_px) for m in (model, again))):
+    for a, b in zip(
+        *(m.gradients_at(samples.color_change, samples.x_px, samples.y_px) for m in (model, again))
+    ):
         np.testing.assert_array_equal(a, b)
 
 
@@ -75,7 +88,9 @@ def test_lambertian_finds_its_lights_and_inverts_them():
 
 def test_lambertian_in_shadow_stays_finite():
     model = LambertianModel(LIGHTS / LIGHTS[:, 2:])
-    gradients = model.gradients_at(np.array([[-1.0, -1.0, 5.0], [-1.0, -1.0, -1.0]]), np.zeros(2), np.zeros(2))
+    gradients = model.gradients_at(
+        np.array([[-1.0, -1.0, 5.0], [-1.0, -1.0, -1.0]]), np.zeros(2), np.zeros(2)
+    )
     assert np.isfinite(gradients).all()
     assert np.linalg.norm(gradients, axis=1).max() <= 5.0 + 1e-6
 

@@ -80,7 +80,11 @@ def test_perfect_press_has_no_error():
 def test_errors_are_those_put_in():
     depth, gradients, inside = pressed_ball()
     scaled = press_errors(
-        1.1 * depth, 1.1 * gradients, circle_px=(80.3, 59.6, 30.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
+        1.1 * depth,
+        1.1 * gradients,
+        circle_px=(80.3, 59.6, 30.0),
+        ball_radius_mm=BALL_MM,
+        mm_per_px=MM_PER_PX,
     )
     assert scaled.radius_percent == pytest.approx(-8.0, abs=2.0)  # too deep: the sphere is too small
     assert scaled.cap_um > 5

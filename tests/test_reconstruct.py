@@ -13,7 +13,9 @@ from gelform.simulate import Ball, simulate_press
 
 @pytest.fixture(scope="module")
 def press(sensor):
-    return simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.0, -0.5), rng=np.random.default_rng(5))
+    return simulate_press(
+        sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.0, -0.5), rng=np.random.default_rng(5)
+    )
 
 
 def test_depth_in_millimetres(calibration, press):

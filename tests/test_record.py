@@ -84,7 +84,9 @@ def test_newer_format_names_the_version_to_install(saved):
 def test_a_result_is_no_calibration(calibration, simulated, tmp_path):
     path = tmp_path / "result.npz"
     gelform.save_result(gelform.Reconstructor(calibration)(simulated.presses[0].image), path)
-    with pytest.raises(gelform.CalibrationError, match="Expected a gelform calibration, got a gelform result"):
+    with pytest.raises(
+        gelform.CalibrationError, match="Expected a gelform calibration, got a gelform result"
+    ):
         gelform.load_calibration(path)
 
 

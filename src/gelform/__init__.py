@@ -26,9 +26,12 @@ _HOME = {
     "gradients_from_normals": "gelform.gradients",
     "gradients_from_depth": "gelform.gradients",
     "curl": "gelform.gradients",
+    "fill": "gelform.gradients",
     "depth_from_gradients": "gelform.depth",
     "integrate": "gelform.depth",
     "Integration": "gelform.depth",
+    "edge_residuals": "gelform.depth",
+    "depth_sigma": "gelform.uncertainty",
     "contact_from_depth": "gelform.contact",
     "read_presses": "gelform.calibration.folder",
     "calibrate": "gelform.calibration.fit",
@@ -57,11 +60,11 @@ if TYPE_CHECKING:
     from gelform.calibration.fit import calibrate
     from gelform.calibration.folder import read_presses
     from gelform.contact import contact_from_depth
-    from gelform.depth import Integration, depth_from_gradients, integrate
+    from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
-    from gelform.gradients import curl, gradients_from_depth, gradients_from_normals
+    from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
     from gelform.metrics import press_errors
     from gelform.normals import (
         image_from_normals,
@@ -74,6 +77,7 @@ if TYPE_CHECKING:
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration
     from gelform.sensors.files import read_image
+    from gelform.uncertainty import depth_sigma
     from gelform.view import View, frame_from_image, image_from_frame
 
 __all__ = ["__version__", *_HOME]

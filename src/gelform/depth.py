@@ -7,12 +7,17 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_gradients, check_mask, check_mm_per_px
-from gelform.gradients import curl
-from gelform.solvers import SOLVERS
+from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
+from gelform.gradients import curl_rms, fill
+from gelform.solvers import SOLVERS, UNIFORM
+from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
+from gelform.solvers.system import Solution, Weights
+
+MEDIAN_SAMPLES = 5_000
 
 Zero = Literal["mean", "border"]
 Level = Literal["slope", "plane", "quadratic"]
@@ -28,15 +33,18 @@ class Integration:
     solver : str
         The method that ran.
     iterations : int
-        0 for a direct method.
+        0 for a direct method; of a stack, the most that a frame took.
     residual : float
-        RMS over the edges of recovered minus given slope, mm/mm: what no surface can satisfy.
+        RMS over the edges of recovered minus given slope, mm/mm: what no surface can satisfy. Edges between
+        known pixels only, weighted as they were in the solution.
     curl_rms : float
         RMS of `dp/dy - dq/dx`, in slope per pixel.
     islands : int
-        Regions whose depths are not connected by any known slope.
+        Regions whose depths are not connected by any known slope; of a stack, the most in a frame.
     known : (..., H, W) bool
         False where depth was filled without information.
+    tolerance : float
+        Estimated largest error of the iteration, relative to the range of depth; 0 for a direct method.
     """
 
     depth_mm: NDArray[np.float32]
@@ -46,13 +54,33 @@ class Integration:
     curl_rms: float
     islands: int
     known: NDArray[np.bool_]
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Request:
+    """The arguments, checked."""
+
+    gradients: NDArray[np.float32]
+    pitch: tuple[float, float]
+    weights: Weights
+    mask: NDArray[np.bool_] | None
+    anchor: NDArray[np.float32] | None
+    zero: str | NDArray[np.bool_]
+    region: NDArray[np.bool_]
+    level: Level | None
+    solver: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.gradients.shape[-3], self.gradients.shape[-2]
 
 
 def depth_from_gradients(
     gradients: ArrayLike,
     *,
     mm_per_px: float | Sequence[float],
-    weights: ArrayLike | None = None,
+    weights: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     mask: ArrayLike | None = None,
     anchor: ArrayLike | None = None,
     zero: Zero | NDArray[np.bool_] = "mean",
@@ -60,14 +88,14 @@ def depth_from_gradients(
     solver: str = "auto",
 ) -> NDArray[np.float32]:
     """Depth from slopes by least squares with a free border; see `integrate` for the arguments."""
-    return _solve(gradients, mm_per_px, zero, level, solver)[0]
+    return _solved(_checked(gradients, mm_per_px, weights, mask, anchor, zero, level, solver)).depth_mm
 
 
 def integrate(
     gradients: ArrayLike,
     *,
     mm_per_px: float | Sequence[float],
-    weights: ArrayLike | None = None,
+    weights: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     mask: ArrayLike | None = None,
     anchor: ArrayLike | None = None,
     zero: Zero | NDArray[np.bool_] = "mean",
@@ -76,51 +104,140 @@ def integrate(
 ) -> Integration:
     """Depth from slopes by least squares with a free border, and how it was found.
 
+    Minimises `sum wx (z_x - p)^2 + wy (z_y - q)^2 + anchor z^2/(hx hy)` over the edges between pixels.
+
     Parameters
     ----------
     gradients : (H, W, 2) or a stack (N, H, W, 2), mm/mm
     mm_per_px : float or (x, y), mm
+    weights : (H, W), a stack of them, or a pair (wx, wy) of shapes (H, W-1) and (H-1, W); >= 0
+        Confidence of each pixel's slopes, or of each edge. Slopes of weight under 1e-3 of the largest are
+        replaced by a fill from their neighbours: their own values have no influence.
+    mask : (H, W) bool
+        Pixels that belong to the surface. Each island of them gets its own zero; beyond, depth is filled.
+    anchor : float or (H, W), >= 0
+        How firmly depth is held at 0, relative to weight 1: (sigma0 mm_per_px / sigma_zero_mm)^2. An island
+        that holds an anchor takes its offset from it, and `zero` moves the others only.
     zero : "mean", "border" or a boolean (H, W) of untouched pixels
         Where depth is 0: its mean over the frame, its median over the frame's outermost pixels, or its
         median over the given pixels.
     level : None, "slope", "plane" or "quadratic"
         What is removed beside the offset: the median slope of the zero pixels before integrating, or a
-        surface fitted to their depth after it.
+        surface fitted to their depth after it. With an anchor, "slope" is the one to take: bias first, then
+        the anchor (2 um left of a bias where the anchor alone leaves 19).
     solver : "auto" or a name in `SOLVERS`
+        "auto" takes `dct` where neither weights, mask nor anchor are given, else `multigrid`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument of the wrong shape or range; weights for a solver that takes none.
+    ConvergenceError
+        The solver did not reach its tolerance.
     """
-    depth, g, pitch, name = _solve(gradients, mm_per_px, zero, level, solver)
+    request = _checked(gradients, mm_per_px, weights, mask, anchor, zero, level, solver)
+    solution = _solved(request)
     return Integration(
-        depth_mm=depth,
-        solver=name,
-        iterations=0,
-        residual=_residual(depth, g, pitch),
-        curl_rms=float(np.sqrt(np.mean(curl(g, mm_per_px=1.0) ** 2, dtype=np.float64))),
-        islands=1,
-        known=np.ones(depth.shape, dtype=bool),
+        depth_mm=solution.depth_mm,
+        solver=request.solver,
+        iterations=solution.iterations,
+        residual=_residual(solution, request),
+        curl_rms=_curl_rms(request.gradients, solution.known),
+        islands=1
+        if request.solver in UNIFORM
+        else max(_islands(known)[0] for known in solution.known.reshape(-1, *request.shape)),
+        known=solution.known,
+        tolerance=solution.tolerance,
     )
 
 
-def _solve(
+def edge_residuals(depth_mm: ArrayLike, gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> Pair:
+    """Recovered minus given slope along each edge, mm/mm: which slopes no surface satisfies.
+
+    Returns
+    -------
+    rx : (..., H, W-1) float32
+    ry : (..., H-1, W) float32
+    """
+    g = check_gradients(gradients)
+    depth = check_map(depth_mm, "depth_mm", shape=(g.shape[-3], g.shape[-2]))
+    recovered, given = differences(depth, check_mm_per_px(mm_per_px)), edges_from_gradients(g)
+    return recovered[0] - given[0], recovered[1] - given[1]
+
+
+def _checked(
     gradients: ArrayLike,
     mm_per_px: float | Sequence[float],
+    weights: ArrayLike | tuple[ArrayLike, ArrayLike] | None,
+    mask: ArrayLike | None,
+    anchor: ArrayLike | None,
     zero: Zero | NDArray[np.bool_],
     level: Level | None,
     solver: str,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple[float, float], str]:
+) -> _Request:
     pitch = check_mm_per_px(mm_per_px)
     g = check_gradients(gradients)
-    name = "dct" if solver == "auto" else solver
-    if name not in SOLVERS:
-        raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
-    region = _zero_region(zero, g.shape[-3:-1])
+    shape = (g.shape[-3], g.shape[-2])
+    if level not in (None, "slope", "plane", "quadratic"):
+        raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
+    region = zero_region(zero, shape)
     if level == "slope":
-        g = g - np.median(g[..., region, :], axis=-2)[..., None, None, :]
-    depth = _prepared(name, g.shape[-3:-1], pitch)(g)
-    if level in ("plane", "quadratic"):
-        depth = depth - _fitted_surface(depth, region, 1 if level == "plane" else 2)
-    elif not (isinstance(zero, str) and zero == "mean"):
-        depth = depth - np.median(depth[..., region], axis=-1)[..., None, None]
-    return depth, g, pitch, name
+        g = g - np.stack([_median(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]
+    return _Request(
+        gradients=g,
+        pitch=pitch,
+        weights=None if weights is None else _checked_weights(weights, g.shape[:-1]),
+        mask=None if mask is None else check_mask(mask, shape=shape),
+        anchor=None if anchor is None else checked_anchor(anchor, shape),
+        zero=zero,
+        region=region,
+        level=level,
+        solver=_chosen(solver, weights is None and mask is None and anchor is None),
+    )
+
+
+def _chosen(solver: str, uniform: bool) -> str:
+    if solver == "auto":
+        return "dct" if uniform else "multigrid"
+    if solver not in SOLVERS:
+        raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
+    if solver in UNIFORM and not uniform:
+        takers = ", ".join(name for name in SOLVERS if name not in UNIFORM)
+        raise ValueError(
+            f"Expected no weights, mask or anchor for solver {solver!r}, which treats all slopes alike, got "
+            f"some. Leave them out, or use one of auto, {takers}."
+        )
+    return solver
+
+
+def _checked_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
+    height, width = shape[-2:]
+    if (
+        isinstance(weights, (tuple, list))
+        and len(weights) == 2
+        and np.ndim(weights[0]) == np.ndim(weights[1]) == 2
+    ):
+        wx, wy = (np.asarray(w) for w in weights)
+        if wx.shape != (height, width - 1) or wy.shape != (height - 1, width):
+            raise ValueError(
+                f"Expected weights per edge of shapes ({height}, {width - 1}) and ({height - 1}, {width}), "
+                f"got {wx.shape} and {wy.shape}. For weights per pixel give one map ({height}, {width})."
+            )
+        return tuple(  # type: ignore[return-value]
+            check_map(w, "weights", nonnegative=True) if w.size else w.astype(np.float32) for w in (wx, wy)
+        )
+    array = check_map(weights, "weights", shape=(height, width), nonnegative=True)
+    if array.ndim > 2 and array.shape != shape:
+        raise ValueError(f"Expected weights of shape {shape[-2:]} or {shape}, got {array.shape}.")
+    return array
+
+
+def checked_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """An anchor map (H, W) of a map or a number."""
+    array = np.asarray(anchor)
+    return check_map(
+        np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True
+    )
 
 
 @lru_cache(maxsize=8)
@@ -128,7 +245,62 @@ def _prepared(name: str, shape: tuple[int, int], pitch: tuple[float, float]) -> 
     return SOLVERS[name](shape, pitch)
 
 
-def _zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _solved(request: _Request) -> Solution:
+    solver = _prepared(request.solver, request.shape, request.pitch)
+    g = request.gradients
+    if request.solver in UNIFORM:
+        depth = _levelled(solver(g), request, request.region)
+        if request.level in (None, "slope") and not (
+            isinstance(request.zero, str) and request.zero == "mean"
+        ):
+            depth -= _median(depth, request.region)[..., None, None]
+        return Solution(depth, np.ones(depth.shape, dtype=bool), 0, 0.0)
+    stacked = isinstance(request.weights, np.ndarray) and request.weights.ndim > 2
+    frames = []
+    for index in np.ndindex(g.shape[:-3]):
+        weights = request.weights[index] if stacked else request.weights  # type: ignore[index,call-overload]
+        frame = solver(g[index], weights, request.mask, request.anchor)
+        frames.append(frame._replace(depth_mm=_placed(frame.depth_mm, request)))
+    return Solution(
+        np.stack([f.depth_mm for f in frames]).reshape(g.shape[:-1]),
+        np.stack([f.known for f in frames]).reshape(g.shape[:-1]),
+        max(f.iterations for f in frames),
+        max(f.tolerance for f in frames),
+    )
+
+
+def _placed(depth: NDArray[np.float32], request: _Request) -> NDArray[np.float32]:
+    """Each island at its own zero, then levelled, then filled beyond the mask."""
+    mask = request.mask
+    labels = None if mask is None else _islands(mask)[1]
+    for island in range(1, 2 if labels is None else int(labels.max()) + 1):
+        inside = np.ones(request.shape, dtype=bool) if labels is None else labels == island
+        if request.anchor is None or not request.anchor[inside].any():
+            depth[inside] -= np.float32(_offset(depth, inside, request))
+    depth = _levelled(depth, request, request.region if mask is None else request.region & mask)
+    if mask is None or mask.all():
+        return depth
+    return fill(depth[..., None], mask)[..., 0]
+
+
+def _offset(depth: NDArray[np.float32], inside: NDArray[np.bool_], request: _Request) -> float:
+    """Depth of an island's zero; its mean where it holds none of the zero pixels."""
+    zero = inside & request.region
+    if (isinstance(request.zero, str) and request.zero == "mean") or not zero.any():
+        return float(depth[inside].mean(dtype=np.float64))
+    return float(np.median(depth[zero]))
+
+
+def _levelled(
+    depth: NDArray[np.float32], request: _Request, region: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    if request.level not in ("plane", "quadratic"):
+        return depth
+    return depth - fitted_surface(depth, region, 1 if request.level == "plane" else 2)
+
+
+def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The pixels that say where depth is 0, (H, W) bool."""
     if isinstance(zero, str):
         if zero not in ("mean", "border"):
             raise ValueError(f"Expected zero as 'mean', 'border' or a boolean (H, W), got {zero!r}.")
@@ -139,7 +311,7 @@ def _zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDAr
     return check_mask(zero, shape=shape, name="zero")
 
 
-def _fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
+def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
     """Least-squares polynomial surface of the depth at the region, evaluated over the frame."""
     height, width = region.shape
     x = np.linspace(-1, 1, width)[None, :].repeat(height, 0)
@@ -154,8 +326,33 @@ def _fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int)
     return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)
 
 
-def _residual(depth: NDArray[Any], g: NDArray[Any], pitch: tuple[float, float]) -> float:
-    rx = np.diff(depth, axis=-1) / pitch[0] - (g[..., :, 1:, 0] + g[..., :, :-1, 0]) / 2
-    ry = np.diff(depth, axis=-2) / pitch[1] - (g[..., 1:, :, 1] + g[..., :-1, :, 1]) / 2
-    squares = np.sum(rx**2, dtype=np.float64) + np.sum(ry**2, dtype=np.float64)
-    return float(np.sqrt(squares / max(rx.size + ry.size, 1)))
+def _median(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
+    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
+    lattice = region[::step, ::step]
+    if np.count_nonzero(lattice) < MEDIAN_SAMPLES / 20:
+        step, lattice = 1, region
+    median: NDArray[np.float32] = np.median(maps[..., ::step, ::step][..., lattice], axis=-1)
+    return median
+
+
+def _islands(known: NDArray[np.bool_]) -> tuple[int, NDArray[Any]]:
+    """Number of 4-connected regions, and their labels from 1."""
+    count, labels = cv2.connectedComponents(known.astype(np.uint8), connectivity=4)
+    return count - 1, labels
+
+
+def _residual(solution: Solution, request: _Request) -> float:
+    """RMS over edges between known pixels."""
+    shape = (-1, *request.shape)
+    return residual_rms(
+        solution.depth_mm.reshape(shape),
+        request.gradients.reshape(*shape, 2),
+        solution.known.reshape(shape),
+        *request.pitch,
+    )
+
+
+def _curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
+    shape = (-1, *known.shape[-2:])
+    return curl_rms(gradients.reshape(*shape, 2), known.reshape(shape))

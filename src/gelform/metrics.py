@@ -175,7 +175,11 @@ def press_errors(
 
     sphere = fit_sphere(depth_mm, inside, mm_per_px=mm_per_px, radius_mm=ball_radius_mm)
     far = rho > 2.5 * contact
-    off = float(1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64)))) if far.any() else float("nan")
+    off = (
+        float(1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64))))
+        if far.any()
+        else float("nan")
+    )
     return PressErrors(
         normal_deg=normal((cx, cy), inside),
         normal_free_deg=normal(free[0], inside_free[0]),

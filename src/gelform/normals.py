@@ -11,7 +11,9 @@ from gelform.checks import check_finite, check_gradients, check_normals
 from gelform.color_models.lambertian import inverse_lights
 
 
-def normals_from_image(image: ArrayLike, lights: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def normals_from_image(
+    image: ArrayLike, lights: ArrayLike
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Normals and albedo from linear intensities under three fixed lights.
 
     Solves `I = L rho n` for `g = rho n = L^-1 I`; then `n = g/|g|` and `rho = |g|`.
@@ -106,7 +108,9 @@ def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike 
     intensity = np.asarray(image, dtype=np.float64).reshape(-1, 3)
     scaled = (np.asarray(albedo, dtype=np.float64)[..., None] * check_normals(normals)).reshape(-1, 3)
     if scaled.shape != intensity.shape:
-        raise ValueError(f"Expected image and normals of one shape, got {np.shape(image)} and {np.shape(normals)}.")
+        raise ValueError(
+            f"Expected image and normals of one shape, got {np.shape(image)} and {np.shape(normals)}."
+        )
     lights = np.empty((3, 3))
     for channel in range(3):
         lit = intensity[:, channel] > 0

@@ -78,7 +78,9 @@ class Calibration:
         """Forward response: expected color change (H, W, 3) of gradients (H, W, 2)."""
         height, width = self.image_shape
         if np.shape(gradients) != (height, width, 2):
-            raise ValueError(f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}.")
+            raise ValueError(
+                f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
+            )
         y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
         change = self.forward.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
         return change.reshape(height, width, 3).astype(np.float32)
@@ -92,7 +94,9 @@ class Calibration:
             The file is there already and `overwrite` is False, or it cannot be written.
         """
         arrays, meta = self._contents()
-        write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, error=CalibrationError, overwrite=overwrite)
+        write_npz(
+            path, arrays, meta, kind=KIND, version=FORMAT_VERSION, error=CalibrationError, overwrite=overwrite
+        )
 
     def describe(self) -> dict[str, Any]:
         """What it is, in numbers and words that JSON can hold."""
@@ -140,7 +144,9 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     CalibrationError
         The file is missing, truncated, altered, not a calibration, or of a newer format: the message says which.
     """
-    arrays, meta = read_npz(path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError)
+    arrays, meta = read_npz(
+        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
+    )
     try:
         return _from_contents(arrays, meta)
     except (KeyError, TypeError, ValueError) as problem:

@@ -79,7 +79,9 @@ def test_folder_without_a_ball_is_refused_with_counts(presses):
     blank = tuple(
         replace(
             press,
-            image=np.clip(presses.background + noise.normal(0, 1, presses.background.shape), 0, 255).astype(np.uint8),
+            image=np.clip(presses.background + noise.normal(0, 1, presses.background.shape), 0, 255).astype(
+                np.uint8
+            ),
         )
         for press in presses.presses[:4]
     )

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from gelform.background import ChangeSettings, color_change_from_image
-from gelform.calibration.presses import contact_radius, find_contact, magnitude, ring_mean, scale_of, why_no_contact
+from gelform.calibration.presses import (
+    contact_radius,
+    find_contact,
+    magnitude,
+    ring_mean,
+    scale_of,
+    why_no_contact,
+)
 from gelform.sensors.files import read_image
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -16,7 +16,7 @@ from gelform.background import ChangeSettings, check_background, color_change_fr
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
-from gelform.calibration.refine import Refined, refine, why_impossible
+from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
 from gelform.calibration.samples import PreparedPress, contact_samples
 from gelform.calibration.select import (
@@ -44,7 +44,9 @@ MIN_PRESSES = 3
 UNTOUCHED_PERCENTILE = 99.0
 
 
-def calibrate(presses: Presses, *, color_model: str = "auto", progress: Progress = no_progress) -> Calibration:
+def calibrate(
+    presses: Presses, *, color_model: str = "auto", progress: Progress = no_progress
+) -> Calibration:
     """Calibrate a sensor from presses of a ball.
 
     Finds each contact circle, deals the presses into folds to choose the color model and its training zone on
@@ -173,7 +175,9 @@ def _choose(
     return chosen, scores + [s for s in zoned if s is not best]
 
 
-def _draft(presses: Presses, prepared: list[PreparedPress], refined: Refined, chosen: Candidate) -> Calibration:
+def _draft(
+    presses: Presses, prepared: list[PreparedPress], refined: Refined, chosen: Candidate
+) -> Calibration:
     """The calibration fitted on every accepted press; held-out figures are filled in later."""
     offset = COLOR_MODELS[chosen.model].change_offset
     if offset != COLOR_MODELS["polynomial"].change_offset:
@@ -289,5 +293,7 @@ def _untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Conta
 def _pixel_noise(background: NDArray[np.float32]) -> NDArray[np.float64]:
     """Standard deviation of a pixel per channel, grey levels, from second differences (robust)."""
     second = background[:, 2:] - 2 * background[:, 1:-1] + background[:, :-2]
-    noise: NDArray[np.float64] = 1.4826 * np.median(np.abs(second), axis=(0, 1)).astype(np.float64) / np.sqrt(6)
+    noise: NDArray[np.float64] = (
+        1.4826 * np.median(np.abs(second), axis=(0, 1)).astype(np.float64) / np.sqrt(6)
+    )
     return noise

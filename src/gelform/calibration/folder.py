@@ -176,7 +176,9 @@ def _view(
 
 
 def _background_of(folder: Path) -> Path:
-    found = sorted(p for p in folder.iterdir() if p.stem == "background" and p.suffix.lower() in IMAGE_SUFFIXES)
+    found = sorted(
+        p for p in folder.iterdir() if p.stem == "background" and p.suffix.lower() in IMAGE_SUFFIXES
+    )
     if not found:
         raise DataError(
             f"No background in {folder}: expected background.png, an image of the untouched gel. "
@@ -245,7 +247,10 @@ def _table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str
             )
         for row in reader:
             if any((value or "").strip() for value in row.values() if isinstance(value, str)):
-                yield f"{path}, line {reader.line_num}", {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)}
+                yield (
+                    f"{path}, line {reader.line_num}",
+                    {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)},
+                )
 
 
 def _labelled(row: dict[str, str]) -> bool:

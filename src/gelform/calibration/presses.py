@@ -80,7 +80,9 @@ def magnitude(change: NDArray[np.float32]) -> NDArray[np.float32]:
     return size
 
 
-def contact_radius(size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None) -> float:
+def contact_radius(
+    size: NDArray[np.float32], x_px: float, y_px: float, near_px: float | None = None
+) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a centre; near a given one if any."""
     scale = scale_of(size.shape)
     slope = gaussian_filter1d(ring_mean(size, x_px, y_px), 2 * scale, order=1)

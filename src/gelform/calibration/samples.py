@@ -38,7 +38,9 @@ class PreparedPress:
     size: NDArray[np.float32]
     ball_radius_px: float
 
-    def pixels(self, contact: Contact, zone: float, count: int | None = None) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def pixels(
+        self, contact: Contact, zone: float, count: int | None = None
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of about `count` pixels inside `zone` of the contact radius, on a regular lattice."""
         radius = min(zone * contact.radius_px, STEEPEST_FRACTION * self.ball_radius_px)
         height, width = self.size.shape
@@ -53,11 +55,15 @@ class PreparedPress:
         found_rows, found_cols = np.nonzero(inside)
         return found_rows + top, found_cols + left
 
-    def ball_gradients(self, contact: Contact, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.float64]:
+    def ball_gradients(
+        self, contact: Contact, rows: NDArray[np.intp], cols: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
         """The ball's slopes at pixels."""
         return ball_gradients(cols, rows, (contact.x_px, contact.y_px), self.ball_radius_px)
 
-    def gradients(self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.float64]:
+    def gradients(
+        self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
         """The slopes that a model reads there."""
         return model.gradients_at(self.color_change[rows, cols], cols, rows)
 
@@ -81,7 +87,9 @@ def with_rest_samples(
     parts = []
     for press, contact in zip(presses, contacts):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
-        rows, cols = (axis.ravel() for axis in np.mgrid[: press.size.shape[0] : step, : press.size.shape[1] : step])
+        rows, cols = (
+            axis.ravel() for axis in np.mgrid[: press.size.shape[0] : step, : press.size.shape[1] : step]
+        )
         distance = np.hypot(cols - contact.x_px, rows - contact.y_px)
         far = distance > REST_DISTANCE * contact.radius_px
         parts.append((press.color_change[rows[far], cols[far]], cols[far], rows[far]))

@@ -24,7 +24,7 @@ from gelform.progress import Progress, no_progress
 FOLDS = 5
 ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
 SCORED_ZONE = 0.8
-MIN_TO_JUDGE = 20
+MIN_TO_JUDGE = 40
 DEFAULT_ZONE = 0.8
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18))
 
@@ -73,11 +73,19 @@ class Score:
     @property
     def standard_error_deg(self) -> float:
         """Standard error of that mean."""
-        return float(self.errors_deg.std(ddof=1) / np.sqrt(len(self.errors_deg))) if len(self.errors_deg) > 1 else 0.0
+        return (
+            float(self.errors_deg.std(ddof=1) / np.sqrt(len(self.errors_deg)))
+            if len(self.errors_deg) > 1
+            else 0.0
+        )
 
 
 def make_folds(
-    presses: Sequence[PreparedPress], found: Sequence[Contact], usable: Sequence[int], *, progress: Progress = no_progress
+    presses: Sequence[PreparedPress],
+    found: Sequence[Contact],
+    usable: Sequence[int],
+    *,
+    progress: Progress = no_progress,
 ) -> list[Fold]:
     """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles."""
     ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)

@@ -17,4 +17,11 @@ COLOR_MODELS: dict[str, type[ColorModel]] = {
     "polynomial": PolynomialModel,
 }
 
-__all__ = ["COLOR_MODELS", "ColorModel", "LambertianModel", "PolynomialModel", "PreparedColorModel", "Samples"]
+__all__ = [
+    "COLOR_MODELS",
+    "ColorModel",
+    "LambertianModel",
+    "PolynomialModel",
+    "PreparedColorModel",
+    "Samples",
+]

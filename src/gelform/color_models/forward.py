@@ -46,5 +46,7 @@ class ForwardResponse:
     ) -> NDArray[np.float64]:
         """Expected color change (N, 3) of gradients (N, 2) at pixel positions (N,)."""
         x, y = unit_position(x_px, y_px, self.shape)
-        change: NDArray[np.float64] = polynomial_terms(gradients, x, y, self.position_degrees) @ self.coefficients
+        change: NDArray[np.float64] = (
+            polynomial_terms(gradients, x, y, self.position_degrees) @ self.coefficients
+        )
         return change

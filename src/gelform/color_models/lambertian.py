@@ -64,7 +64,9 @@ class LambertianModel:
         inverse_lights(lights)
         return cls(lights)
 
-    def gradients_at(self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
         """Gradients (N, 2) of scattered pixels; the place does not matter to fixed lights."""
         return _gradients(np.asarray(color_change, dtype=np.float64), inverse_lights(self.lights))
 

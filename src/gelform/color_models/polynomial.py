@@ -56,7 +56,9 @@ class PolynomialModel:
         coefficients = robust_ridge(design, samples.gradients, samples.weight, ridge=ridge, huber=HUBER_SLOPE)
         return cls(coefficients, tuple(position_degrees), samples.shape)
 
-    def gradients_at(self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
         """Gradients (N, 2) of scattered pixels."""
         x, y = unit_position(x_px, y_px, self.shape)
         gradients: NDArray[np.float64] = (

@@ -1,0 +1,62 @@
+"""Weighted least squares by sparse elimination in float64: the reference, for tests and small jobs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
+
+from gelform.solvers.cycle import ANCHOR, EAST, RIGHT_SIDE, SOUTH
+from gelform.solvers.system import Problem, Solution, Weights, load, problem_from_gradients
+
+
+class SparseSolver:
+    """Exact up to rounding, whatever the weights; 100 times slower than `multigrid`."""
+
+    def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
+        self.shape = shape
+        self.mm_per_px = mm_per_px
+
+    def __call__(
+        self,
+        gradients: NDArray[Any],
+        weights: Weights = None,
+        mask: NDArray[np.bool_] | None = None,
+        anchor: NDArray[Any] | None = None,
+    ) -> Solution:
+        """Depth of one frame of slopes (H, W, 2); weights (H, W) or per edge ((H, W-1), (H-1, W))."""
+        problem = problem_from_gradients(gradients, weights, mask, anchor)
+        matrix, right = normal_equations(problem, self.mm_per_px)
+        # Pixels of an island without an anchor have no absolute height: one of them is held at 0.
+        _, island = connected_components(matrix, directed=False)
+        anchored = np.bincount(island, weights=problem.anchor.ravel()) > 0
+        first = np.unique(island, return_index=True)[1]
+        free = np.ones(right.size, dtype=bool)
+        free[first[~anchored]] = False
+        depth = np.zeros(right.size)
+        if free.any():
+            depth[free] = spsolve(matrix[free][:, free].tocsc(), right[free])
+        return Solution(depth.reshape(self.shape).astype(np.float32), problem.known, 0, 0.0)
+
+
+def normal_equations(
+    problem: Problem, mm_per_px: tuple[float, float]
+) -> tuple[csr_matrix, NDArray[np.float64]]:
+    """Matrix (H*W, H*W) and right side of the least-squares problem, in float64."""
+    height, width = problem.mask.shape
+    data = np.zeros((RIGHT_SIDE + 1, height + 3, width + 3))
+    load(data, problem, mm_per_px)
+    planes = [data[plane, 1 : height + 1, 1 : width + 1] for plane in (EAST, SOUTH, ANCHOR, RIGHT_SIDE)]
+    pixel = np.arange(height * width).reshape(height, width)
+    one = np.concatenate([pixel[:, :-1].ravel(), pixel[:-1].ravel()])
+    other = np.concatenate([pixel[:, 1:].ravel(), pixel[1:].ravel()])
+    tie = np.concatenate([planes[0][:, :-1].ravel(), planes[1][:-1].ravel()])
+    coupling = csr_matrix((tie, (one, other)), shape=(pixel.size, pixel.size))
+    coupling = coupling + coupling.T
+    coupling.eliminate_zeros()
+    diagonal: Any = np.asarray(coupling.sum(axis=1)).ravel() + planes[2].ravel()
+    return csr_matrix(diags(diagonal) - coupling), planes[3].ravel()

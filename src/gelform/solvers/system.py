@@ -1,0 +1,194 @@
+"""The weighted least-squares problem of one frame: which slopes count how much, and what they add up to.
+
+    E(z) = sum wx (z_x - p)^2 + wy (z_y - q)^2 + sum anchor z^2 / (hx hy)
+
+over edges; the normal equations are `A z = f` with `A = D^T W D + diag(anchor)`, `f = D^T W e`. Shared by the
+solvers that take weights, so that all of them solve the same problem. The arrays are planes of the hierarchy
+(see `cycle`): couplings EAST and SOUTH, ANCHOR, and RIGHT_SIDE.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gelform.gradients import fill
+from gelform.solvers.cycle import ANCHOR, EAST, FAST, RIGHT_SIDE, SOUTH
+from gelform.solvers.edges import Pair, divergence, edges_from_gradients
+
+# Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
+# raised to it: smaller ones would isolate regions beyond what float32 resolves.
+FLOOR = 1e-3
+
+Weights = NDArray[Any] | Pair | None
+
+
+class Solution(NamedTuple):
+    """What a solver that takes weights returns for one frame.
+
+    Attributes
+    ----------
+    depth_mm : (H, W) float32; each island up to a constant, 0 outside the mask
+    known : (H, W) bool; False outside the mask and where no slope and no anchor says anything
+    iterations : int
+    tolerance : float
+        Estimated largest error relative to the range of depth; 0 for a direct method.
+    """
+
+    depth_mm: NDArray[np.float32]
+    known: NDArray[np.bool_]
+    iterations: int
+    tolerance: float
+
+
+class Problem(NamedTuple):
+    """One frame, ready to be loaded: slopes filled where they count for nothing, weights scaled to 1 at most.
+
+    Either `gradients` and `confidence` per pixel, or `edges` and `edge_weights` per edge.
+    """
+
+    gradients: NDArray[Any] | None
+    confidence: NDArray[Any] | None
+    edges: Pair | None
+    edge_weights: Pair | None
+    mask: NDArray[np.bool_]
+    anchor: NDArray[Any]
+    known: NDArray[np.bool_]
+
+
+def problem_from_gradients(
+    gradients: NDArray[Any], weights: Weights, mask: NDArray[np.bool_] | None, anchor: NDArray[Any] | None
+) -> Problem:
+    """Scale the weights, replace slopes of weight under `FLOOR` by a fill from their neighbours.
+
+    Only the ratios of weights and anchor count: both are divided by the largest weight.
+    """
+    shape = gradients.shape[:2]
+    mask = np.ones(shape, dtype=bool) if mask is None else mask
+    anchor = (
+        np.zeros(shape, dtype=np.float32) if anchor is None else np.where(mask, anchor, 0).astype(np.float32)
+    )
+    if isinstance(weights, tuple):
+        return _problem_per_edge(gradients, weights, mask, anchor)
+    if weights is None:
+        return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask)
+    largest = _largest(weights[mask] if not mask.all() else weights)
+    told = mask & (weights >= FLOOR * largest)
+    if np.count_nonzero(told) < np.count_nonzero(mask):
+        gradients = fill(gradients, told)
+    confidence = np.maximum(weights * np.float32(1 / largest), np.float32(FLOOR)) * mask
+    return Problem(
+        gradients, confidence, None, None, mask, anchor * np.float32(1 / largest), told | (anchor > 0)
+    )
+
+
+def _problem_per_edge(
+    gradients: NDArray[Any], weights: Pair, mask: NDArray[np.bool_], anchor: NDArray[Any]
+) -> Problem:
+    inside = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
+    largest = _largest(np.concatenate([w[i] for w, i in zip(weights, inside)]))
+    told = tuple((w >= FLOOR * largest) & i for w, i in zip(weights, inside))
+    edges = edges_from_gradients(gradients)
+    filled = tuple(e if t.all() else fill(e[..., None], t)[..., 0] for e, t in zip(edges, told))
+    scaled = tuple(np.maximum(w / largest, FLOOR) * i for w, i in zip(weights, inside))
+    known = anchor > 0
+    known[:, 1:] |= told[0]
+    known[:, :-1] |= told[0]
+    known[1:] |= told[1]
+    known[:-1] |= told[1]
+    return Problem(None, None, filled, scaled, mask, anchor / np.float32(largest), known)  # type: ignore[arg-type]
+
+
+def _largest(weights: NDArray[Any]) -> float:
+    largest = float(weights.max()) if weights.size else 0.0
+    if largest == 0:
+        raise ValueError(
+            "Expected weights with at least one value > 0 inside the mask, got 0 everywhere: no slope says "
+            "anything. Lower what is asked of a pixel to be trusted, or leave weights out."
+        )
+    return largest
+
+
+def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -> bool:
+    """Write couplings, anchor and right side; returns whether couplings or anchor changed."""
+    kx, ky = mm_per_px[1] / mm_per_px[0], mm_per_px[0] / mm_per_px[1]
+    height, width = problem.mask.shape
+    if problem.gradients is not None:
+        changed = bool(_load_confidence(data, problem.confidence, problem.anchor, kx, ky))
+        load_right_side(data, problem.gradients, mm_per_px)
+        return changed
+    assert problem.edges is not None
+    assert problem.edge_weights is not None
+    load_couplings(data, problem.edge_weights, problem.anchor, mm_per_px)
+    flux = tuple(e * w for e, w in zip(problem.edges, problem.edge_weights))
+    area = mm_per_px[0] * mm_per_px[1]
+    data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = divergence(flux, mm_per_px) * area  # type: ignore[arg-type]
+    return True
+
+
+def load_right_side(data: NDArray[Any], gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> None:
+    """Write the right side of slopes (H, W, 2) for the couplings that are there."""
+    _load_right_side(data, gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1])
+
+
+def load_couplings(
+    data: NDArray[Any], edge_weights: Pair, anchor: NDArray[Any], mm_per_px: tuple[float, float]
+) -> None:
+    """Write couplings from weights per edge."""
+    height, width = anchor.shape
+    data[EAST, 1 : height + 1, 1:width] = edge_weights[0] * (mm_per_px[1] / mm_per_px[0])
+    data[SOUTH, 1:height, 1 : width + 1] = edge_weights[1] * (mm_per_px[0] / mm_per_px[1])
+    data[ANCHOR, 1 : height + 1, 1 : width + 1] = anchor
+
+
+@njit(**FAST, cache=True)  # type: ignore[misc]
+def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float) -> Any:
+    """Couplings are the harmonic means of two pixels' confidence: the variance of an averaged slope."""
+    height, width = confidence.shape
+    sx, sy, tiny = np.float32(2 * kx), np.float32(2 * ky), np.float32(1e-30)
+    line = np.zeros(width + 1, dtype=np.float32)
+    change = np.float32(0)
+    for i in range(height):
+        for j in range(width):
+            change += abs(data[ANCHOR, i + 1, j + 1] - anchor[i, j])
+            data[ANCHOR, i + 1, j + 1] = anchor[i, j]
+        for j in range(width - 1):
+            a, b = confidence[i, j], confidence[i, j + 1]
+            line[j] = sx * a * b / (a + b + tiny)
+        for j in range(width - 1):
+            change += abs(data[EAST, i + 1, j + 1] - line[j])
+            data[EAST, i + 1, j + 1] = line[j]
+        if i < height - 1:
+            for j in range(width):
+                a, b = confidence[i, j], confidence[i + 1, j]
+                line[j] = sy * a * b / (a + b + tiny)
+            for j in range(width):
+                change += abs(data[SOUTH, i + 1, j + 1] - line[j])
+                data[SOUTH, i + 1, j + 1] = line[j]
+    return change > 0
+
+
+@njit(**FAST, cache=True)  # type: ignore[misc]
+def _load_right_side(data: Any, g: Any, scale_x: float, scale_y: float) -> None:
+    """Right side from slopes per pixel: what flows in over the edges minus what flows out."""
+    height, width = g.shape[0], g.shape[1]
+    sx, sy = np.float32(scale_x), np.float32(scale_y)
+    across = np.zeros(width + 1, dtype=np.float32)
+    above = np.zeros(width, dtype=np.float32)
+    below = np.zeros(width, dtype=np.float32)
+    for i in range(height):
+        for j in range(width - 1):
+            across[j + 1] = sx * data[EAST, i + 1, j + 1] * (g[i, j, 0] + g[i, j + 1, 0])
+        for j in range(width):
+            above[j] = below[j]
+        if i < height - 1:
+            for j in range(width):
+                below[j] = sy * data[SOUTH, i + 1, j + 1] * (g[i, j, 1] + g[i + 1, j, 1])
+        else:
+            for j in range(width):
+                below[j] = 0
+        for j in range(width):
+            data[RIGHT_SIDE, i + 1, j + 1] = across[j] - across[j + 1] + above[j] - below[j]
