@@ -71,7 +71,8 @@ def _noise_mm(depth: NDArray[Any]) -> float:
 
 
 def _patches(depth: NDArray[Any], threshold: float, rim_fraction: float, min_px: float) -> NDArray[np.bool_]:
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats((depth > threshold).view(np.uint8), connectivity=8)
+    deep = (depth > threshold).view(np.uint8)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(deep, connectivity=8)
     contact = np.zeros(depth.shape, dtype=bool)
     for label in range(1, count):
         left, top, width, height, area = boxes[label]
