@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from report import RESULTS, table, write
-from scenes import BUMP, PLANE, SCENES, ball, scene
 
 import gelform
 from gelform.background import ChangeSettings
 from gelform.calibration.folder import Presses
 from gelform.calibration.presses import find_contact, scale_of, why_no_contact
 from gelform.simulate import LAYOUTS, Ball, Coin, Screw, simulate_ball_presses, simulate_press
+from report import RESULTS, table, write
+from scenes import BUMP, PLANE, SCENES, ball, scene
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())

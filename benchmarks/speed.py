@@ -19,7 +19,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from report import dct_pair, median_ms, table, write
 
 import gelform
 from gelform.background import (
@@ -32,6 +31,7 @@ from gelform.calibration.folder import Press, Presses
 from gelform.contact import contact_from_depth
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from gelform.view import View
+from report import dct_pair, median_ms, table, write
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
 

@@ -47,8 +47,12 @@ def run_blocks(page: Path) -> None:
 
 def unknown_commands(page: Path) -> list[str]:
     """`gelform NAME` in shell blocks that is no command."""
-    shells = re.findall(r"^```(?:sh|bash)\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    used = {name for block in shells for name in re.findall(r"^(?:\S*/)?gelform ([a-z]+)", block, re.MULTILINE)}
+    shells = re.findall(
+        r"^```(?:sh|bash)\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+    used = {
+        name for block in shells for name in re.findall(r"^(?:\S*/)?gelform ([a-z]+)", block, re.MULTILINE)
+    }
     return [f"{page.relative_to(ROOT)}: gelform {name}" for name in sorted(used - set(COMMANDS))]
 
 

@@ -76,7 +76,13 @@ def test_the_whole_path_keeps_them(calibration, sensor):
     assert col > sensor.shape[1] / 2 + 10
     assert row < sensor.shape[0] / 2 - 5
     np.testing.assert_allclose((col, row), press.center_px, atol=4)
-    for name, dtype in {"depth_mm": "f4", "gradients": "f4", "confidence": "f4", "contact": "?", "known": "?"}.items():
+    for name, dtype in {
+        "depth_mm": "f4",
+        "gradients": "f4",
+        "confidence": "f4",
+        "contact": "?",
+        "known": "?",
+    }.items():
         assert getattr(result, name).dtype == np.dtype(dtype), name
     assert 0 <= result.confidence.min() <= result.confidence.max() <= 1
     assert result.mm_per_px == sensor.mm_per_px
