@@ -62,7 +62,7 @@ def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDA
             "Expected a background above 0 where it is divided by, got pixels of 0 with offset 0. "
             "Give an offset (10 grey levels is usual) or subtract instead."
         )
-    return 1 / divisor
+    return np.reciprocal(divisor)
 
 
 def color_change_from_image(
