@@ -78,7 +78,7 @@ def test_perfect_press_has_no_error():
 
 
 def test_errors_are_those_put_in():
-    depth, gradients, inside = pressed_ball()
+    depth, gradients, _inside = pressed_ball()
     scaled = press_errors(
         1.1 * depth,
         1.1 * gradients,

@@ -141,7 +141,7 @@ def test_settings_come_back(view):
         ({"frame_shape": [4, 0]}, "whole numbers"),
         ({"frame_shape": [4, 4.5]}, "whole numbers"),
         ({"frame_shape": "big"}, r"\(height, width\)"),
-        ({"frame_shape": [4, 4], "crop": [0, 0, 5, 4]}, "ends at column 5 and row 4"),
+        ({"frame_shape": [4, 4], "crop": [0, 0, 5, 4]}, "ending at column 5 and row 4"),
         ({"frame_shape": [4, 4], "crop": [0, 0, 0, 4]}, "size > 0"),
         ({"frame_shape": [4, 4], "crop": [0, 0, float("nan"), 4]}, "left, top, width, height"),
     ],

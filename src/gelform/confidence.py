@@ -51,29 +51,29 @@ class SlopeSigma:
     def at(
         self, gradients: NDArray[np.float32], image: NDArray[Any]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Standard deviation (H, W, 2) and confidence (H, W) of a frame's slopes.
+        """Standard deviation (H, W, 2), the same for both components, and confidence (H, W) of a frame's slopes.
 
         A pixel with a channel at 0 or 255 is clipped: its slope is not known better than `SATURATED_SIGMA`.
         """
-        sigma = np.empty(gradients.shape, dtype=np.float32)
+        sigma = np.empty(gradients.shape[:2], dtype=np.float32)
         confidence = np.empty(gradients.shape[:2], dtype=np.float32)
         _sigma_and_confidence(
             gradients, image, self.rest**2, self.growth**2, self.clean**2, sigma, confidence
         )
-        return sigma, confidence
+        return np.broadcast_to(sigma[..., None], gradients.shape), confidence
 
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _sigma_and_confidence(gradients, image, rest2, growth2, clean2, sigma, confidence):  # type: ignore[no-untyped-def]
     height, width, _ = gradients.shape
+    rest, growth, clean = np.float32(rest2), np.float32(growth2), np.float32(clean2)
+    clipped = np.float32(SATURATED_SIGMA**2)
     for y in range(height):
         for x in range(width):
             p, q = gradients[y, x, 0], gradients[y, x, 1]
-            variance = rest2 + growth2 * (p * p + q * q)
-            for c in range(3):
-                if image[y, x, c] <= 0 or image[y, x, c] >= 255:
-                    variance = max(variance, SATURATED_SIGMA**2)
-            deviation = np.sqrt(variance)
-            sigma[y, x, 0] = deviation
-            sigma[y, x, 1] = deviation
-            confidence[y, x] = min(1.0, clean2 / variance)
+            variance = rest + growth * (p * p + q * q)
+            darkest = min(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+            brightest = max(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+            variance = max(variance, clipped if (darkest <= 0) | (brightest >= 255) else variance)
+            sigma[y, x] = np.sqrt(variance)
+            confidence[y, x] = min(np.float32(1), clean / variance)

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import find_objects
 
 from gelform.checks import check_map, check_mm_per_px, check_positive
 
@@ -72,12 +71,13 @@ def _noise_mm(depth: NDArray[Any]) -> float:
 
 
 def _patches(depth: NDArray[Any], threshold: float, rim_fraction: float, min_px: float) -> NDArray[np.bool_]:
-    count, labels = cv2.connectedComponents((depth > threshold).astype(np.uint8), connectivity=8)
-    areas = np.bincount(labels.ravel(), minlength=count)
-    boxes = find_objects(labels)
+    deep = (depth > threshold).view(np.uint8)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(deep, connectivity=8)
     contact = np.zeros(depth.shape, dtype=bool)
-    for label in np.flatnonzero(areas[1:] >= min_px) + 1:
-        box = boxes[label - 1]
-        patch = np.where(labels[box] == label, depth[box], 0)
-        contact[box] |= patch > max(threshold, rim_fraction * float(patch.max()))
+    for label in range(1, count):
+        left, top, width, height, area = boxes[label]
+        if area >= min_px:
+            box = slice(top, top + height), slice(left, left + width)
+            patch = np.where(labels[box] == label, depth[box], 0)
+            contact[box] |= patch > max(threshold, rim_fraction * float(patch.max()))
     return contact

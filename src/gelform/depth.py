@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
-from gelform.gradients import curl, fill
+from gelform.gradients import curl_rms, fill
 from gelform.solvers import SOLVERS, UNIFORM
-from gelform.solvers.edges import Pair, differences, edges_from_gradients
+from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
 from gelform.solvers.system import Solution, Weights
+
+MEDIAN_SAMPLES = 5_000
 
 Zero = Literal["mean", "border"]
 Level = Literal["slope", "plane", "quadratic"]
@@ -141,7 +143,9 @@ def integrate(
         iterations=solution.iterations,
         residual=_residual(solution, request),
         curl_rms=_curl_rms(request.gradients, solution.known),
-        islands=max(_islands(known)[0] for known in solution.known.reshape(-1, *request.shape)),
+        islands=1
+        if request.solver in UNIFORM
+        else max(_islands(known)[0] for known in solution.known.reshape(-1, *request.shape)),
         known=solution.known,
         tolerance=solution.tolerance,
     )
@@ -178,7 +182,7 @@ def _checked(
         raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
     region = zero_region(zero, shape)
     if level == "slope":
-        g = g - np.median(g[..., region, :], axis=-2)[..., None, None, :]
+        g = g - np.stack([_median(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]
     return _Request(
         gradients=g,
         pitch=pitch,
@@ -249,7 +253,7 @@ def _solved(request: _Request) -> Solution:
         if request.level in (None, "slope") and not (
             isinstance(request.zero, str) and request.zero == "mean"
         ):
-            depth = depth - np.median(depth[..., request.region], axis=-1)[..., None, None]
+            depth -= _median(depth, request.region)[..., None, None]
         return Solution(depth, np.ones(depth.shape, dtype=bool), 0, 0.0)
     stacked = isinstance(request.weights, np.ndarray) and request.weights.ndim > 2
     frames = []
@@ -322,6 +326,16 @@ def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) 
     return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)
 
 
+def _median(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
+    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
+    lattice = region[::step, ::step]
+    if np.count_nonzero(lattice) < MEDIAN_SAMPLES / 20:
+        step, lattice = 1, region
+    median: NDArray[np.float32] = np.median(maps[..., ::step, ::step][..., lattice], axis=-1)
+    return median
+
+
 def _islands(known: NDArray[np.bool_]) -> tuple[int, NDArray[Any]]:
     """Number of 4-connected regions, and their labels from 1."""
     count, labels = cv2.connectedComponents(known.astype(np.uint8), connectivity=4)
@@ -330,12 +344,15 @@ def _islands(known: NDArray[np.bool_]) -> tuple[int, NDArray[Any]]:
 
 def _residual(solution: Solution, request: _Request) -> float:
     """RMS over edges between known pixels."""
-    rx, ry = edge_residuals(solution.depth_mm, request.gradients, mm_per_px=request.pitch)
-    known = solution.known
-    inside = known[..., 1:] & known[..., :-1], known[..., 1:, :] & known[..., :-1, :]
-    squares = sum(float(np.sum(r[i] ** 2, dtype=np.float64)) for r, i in zip((rx, ry), inside))
-    return float(np.sqrt(squares / max(sum(np.count_nonzero(i) for i in inside), 1)))
+    shape = (-1, *request.shape)
+    return residual_rms(
+        solution.depth_mm.reshape(shape),
+        request.gradients.reshape(*shape, 2),
+        solution.known.reshape(shape),
+        *request.pitch,
+    )
 
 
 def _curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
-    return float(np.sqrt(np.mean(curl(gradients, mm_per_px=1.0)[known] ** 2, dtype=np.float64)))
+    shape = (-1, *known.shape[-2:])
+    return curl_rms(gradients.reshape(*shape, 2), known.reshape(shape))

@@ -74,6 +74,30 @@ def curl(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray
     return (_slope(g[..., 0], -2) / hy - _slope(g[..., 1], -1) / hx).astype(np.float32)
 
 
+def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
+    """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) off the border, slope per pixel."""
+    square, count = _curl_squares(gradients, known)
+    return float(np.sqrt(square / count)) if count else 0.0
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _curl_squares(g, known):  # type: ignore[no-untyped-def]
+    """Sum of squares of `dp/dy - dq/dx` by central differences, and of how many pixels; without a branch."""
+    total, count = 0.0, 0
+    quarter = np.float32(0.25)
+    for n in range(g.shape[0]):
+        for i in range(1, g.shape[1] - 1):
+            row, seen = np.float32(0), np.int32(0)
+            for j in range(1, g.shape[2] - 1):
+                counts = np.int32(known[n, i, j])
+                turn = g[n, i + 1, j, 0] - g[n, i - 1, j, 0] - g[n, i, j + 1, 1] + g[n, i, j - 1, 1]
+                row += np.float32(counts) * turn * turn
+                seen += counts
+            total += quarter * row
+            count += seen
+    return total, count
+
+
 def fill(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
     """Replace unknown pixels of a map by a smooth surface through their neighbours.
 

@@ -160,7 +160,8 @@ def press_errors(
     inside = rho < reach
     if np.count_nonzero(inside) < 10:
         raise ValueError(f"Expected a contact of at least 10 px inside the frame, got a circle {circle_px}.")
-    surface = np.stack(np.gradient(np.asarray(depth_mm, dtype=np.float64), mm_per_px)[::-1], axis=-1)
+    slope_y, slope_x = np.gradient(np.asarray(depth_mm, dtype=np.float64), mm_per_px)
+    surface = np.stack([slope_x, slope_y], axis=-1)
     free = [ball_center(g[inside], x[inside], y[inside], (cx, cy), ball_px) for g in (gradients, surface)]
     inside_free = [np.hypot(x - c[0], y - c[1]) < reach for c in free]
 

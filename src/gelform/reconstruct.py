@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -22,9 +23,11 @@ from gelform.depth import integrate
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.record import Calibration
+from gelform.solvers.pool import Pool
 from gelform.view import image_from_frame
 
 MIN_UNTOUCHED = 0.02
+BIAS_SAMPLES = 5_000
 
 
 class Reconstructor:
@@ -58,6 +61,7 @@ class Reconstructor:
             self.background = today.astype(np.float32)
         self._gain = gain_from_background(self.background, calibration.change)
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
+        self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
         """Reconstruct one frame.
@@ -77,39 +81,43 @@ class Reconstructor:
         CalibrationError
             The background is clearly not of this frame, or the frame is BGR.
         """
-        calibration = self.calibration
         image = self._image(frame, "frame")
         health = (*self.findings, *check_background(image, self.background))
-        change = change_with_gain(image, self.background, self._gain, calibration.change.blur_px)
-        gradients, sigma = self._model.gradients_from_color(change)
-        untouched, scarce = self._untouched(change)
-        gradients -= _bias(gradients, untouched)  # colour that drifted everywhere is no slope
-        spread, confidence = calibration.slope_sigma.at(gradients, image)
-        solution = integrate(gradients, mm_per_px=calibration.mm_per_px, zero=untouched, solver=self.solver)
+        with self._pool.one() as change:
+            change_with_gain(image, self.background, self._gain, self.calibration.change.blur_px, out=change)
+            gradients, sigma = self._model.gradients_from_color(change)
+            untouched, scarce = self._untouched(change)
+            albedo = self._albedo_source(change)
+        _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
+        spread, confidence = self.calibration.slope_sigma.at(gradients, image)
+        pitch = self.calibration.mm_per_px
+        solution = integrate(gradients, mm_per_px=pitch, zero=untouched, solver=self.solver)
         return Reconstruction(
             depth_mm=solution.depth_mm,
             depth_sigma_mm=None,
             gradients=gradients,
             gradients_sigma=sigma if sigma is not None else spread,
             confidence=confidence,
-            contact=contact_from_depth(solution.depth_mm, mm_per_px=calibration.mm_per_px),
+            contact=contact_from_depth(solution.depth_mm, mm_per_px=pitch),
             known=solution.known,
-            mm_per_px=calibration.mm_per_px,
-            mm_per_px_sigma=calibration.mm_per_px_sigma,
+            mm_per_px=pitch,
+            mm_per_px_sigma=self.calibration.mm_per_px_sigma,
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
             health=(*health, *scarce),
-            contacts=None,
-            markers=None,
             index=getattr(frame, "index", None),
             time_s=getattr(frame, "time_s", None),
             wall_time_ns=getattr(frame, "wall_time_ns", None),
-            calibration_digest=calibration.digest,
-            albedo_source=partial(self._model.albedo_from_color, change)
-            if isinstance(self._model, PreparedLambertian)
-            else None,
+            calibration_digest=self.calibration.digest,
+            albedo_source=albedo,
         )
+
+    def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
+        """The albedo, worked out when it is asked for; only photometric stereo tells it."""
+        if not isinstance(self._model, PreparedLambertian):
+            return None
+        return partial(self._model.albedo_from_color, change.copy())
 
     def _image(self, frame: ArrayLike | Frame, name: str) -> NDArray[Any]:
         """The frame through the calibration's view, of the calibrated size."""
@@ -135,9 +143,11 @@ def _pixels(frame: ArrayLike | Frame) -> Any:
     return frame.image if isinstance(frame, Frame) else frame
 
 
-def _bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Median slope (2,) of the untouched pixels; every third one of a large frame is plenty."""
-    rest = gradients[untouched]
-    step = max(1, len(rest) // 20_000)
-    bias: NDArray[np.float32] = np.median(rest[::step], axis=0)
-    return bias
+def _remove_bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> None:
+    """Subtract the untouched pixels' median slope, found on a lattice that is fine enough to be sure of it."""
+    step = max(1, round((untouched.size / BIAS_SAMPLES) ** 0.5))
+    rest = gradients[::step, ::step][untouched[::step, ::step]]
+    if not len(rest):
+        rest = gradients[untouched]
+    for component, bias in enumerate(np.median(rest, axis=0)):
+        gradients[..., component] -= bias

@@ -106,7 +106,7 @@ class Reconstruction:
         return f"Reconstruction({figures})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the depth as a small picture beside its figures. Nothing is fetched for it."""
+        """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
         picture = base64.b64encode(_depth_png(self.depth_mm)).decode("ascii")
         rows = "".join(
             f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"

@@ -104,14 +104,14 @@ class Calibration:
 
     def _contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         model_arrays, model_settings = self.color_model.to_arrays()
-        arrays = {
+        arrays: dict[str, NDArray[Any]] = {
             "background": self.background,
             "background_noise": self.background_noise,
             "forward_coefficients": self.forward.coefficients,
             "forward_noise": self.forward.noise,
             **{f"model_{name}": array for name, array in model_arrays.items()},
         }
-        meta = {
+        meta: dict[str, Any] = {
             "sensor_name": self.sensor_name,
             "serial": self.serial,
             "gel_id": self.gel_id,

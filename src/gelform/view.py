@@ -236,7 +236,7 @@ def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, fl
         left + width > frame_shape[1] + 1e-6 or top + height > frame_shape[0] + 1e-6
     ):
         raise ValueError(
-            f"Expected a crop within the frame of {_text(frame_shape)} px (height x width), got one that ends "
+            f"Expected a crop within the frame of {_text(frame_shape)} px (height x width), got one ending "
             f"at column {left + width:g} and row {top + height:g}. A crop is (left, top, width, height)."
         )
     return left, top, width, height

@@ -58,7 +58,7 @@ def find_contact(color_change: NDArray[np.float32]) -> Contact:
     ----------
     color_change : (H, W, 3), blurred by about 1.25 px at 240 rows
     """
-    change = color_change - np.median(color_change, axis=(0, 1))
+    change = color_change - np.median(color_change, axis=(0, 1)).astype(np.float32)
     x, y, antisymmetry = _antisymmetry_center(change)
     size = magnitude(change)
     radius = contact_radius(size, x, y)

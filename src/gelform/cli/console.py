@@ -82,7 +82,8 @@ def show_table(
         table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    console = Console(highlight=False, markup=False)
+    wide = None if sys.stdout.isatty() else 400  # in a file or a pipe no name is broken over lines
+    console = Console(highlight=False, markup=False, width=wide)
     console.print(table)
     console.print()
 

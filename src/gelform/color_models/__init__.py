@@ -8,11 +8,13 @@ A model is fitted on samples of ball presses, where the gradient is known, and p
 No colour change means no slope, in every model.
 """
 
+from typing import Any
+
 from gelform.color_models.lambertian import LambertianModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
 
-COLOR_MODELS: dict[str, type[ColorModel]] = {
+COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
     "polynomial": PolynomialModel,
 }

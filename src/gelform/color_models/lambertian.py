@@ -33,7 +33,7 @@ def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
             f"{condition:.3g} (limit {MAX_CONDITION:g}): the lights are coplanar or two are the same. "
             "Light the gel from three different sides."
         )
-    return np.linalg.inv(matrix)
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -41,15 +41,14 @@ class PreparedColorModel(Protocol):
 
 
 class ColorModel(Protocol):
-    """A fitted color model; immutable."""
+    """A fitted color model; immutable.
+
+    Beside these methods its class has `fit(samples, **settings)`, the settings being the model's own, and
+    `from_arrays(arrays, settings)`, which rebuilds what `to_arrays` gave.
+    """
 
     name: ClassVar[str]
     change_offset: ClassVar[float]
-
-    @classmethod
-    def fit(cls, samples: Samples, **settings: Any) -> ColorModel:
-        """Fit on samples; the settings are the model's own."""
-        ...
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
@@ -63,9 +62,4 @@ class ColorModel(Protocol):
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and JSON-able settings that `from_arrays` rebuilds the model from."""
-        ...
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> ColorModel:
-        """The model of `to_arrays`."""
         ...

@@ -1,0 +1,267 @@
+"""How right it is: integrators on exact slopes, real held-out presses, simulated truth. No scale is ever fitted.
+
+    python benchmarks/accuracy.py            # all (about 5 minutes); writes results/accuracy.json
+    python benchmarks/accuracy.py integrators
+
+The real presses are read from GELFORM_DATA (default ../shared/data); that part is left out, and says so, where
+the folder is absent.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gelform
+from gelform.background import ChangeSettings
+from gelform.calibration.folder import Presses
+from gelform.calibration.presses import find_contact, scale_of, why_no_contact
+from gelform.simulate import LAYOUTS, Ball, Coin, Screw, simulate_ball_presses, simulate_press
+from report import RESULTS, table, write
+from scenes import BUMP, PLANE, SCENES, ball, scene
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
+FIVE = {
+    "smooth bump": BUMP,
+    "ball R 4 mm, contact radius 2.5 mm": ball(4.0, 2.5, (0.4, -0.3)),
+    "ball R 2 mm, contact radius 1 mm": ball(2.0, 1.0, (0.4, -0.3)),
+    "the first ball, cut by the border": ball(4.0, 2.5, (9.0, -0.3)),
+    "tilted plane": PLANE,
+}
+
+
+def integrators() -> dict[str, Any]:
+    """Recovered peak over true on exact slopes, and RMSE with every way to fix the offset."""
+    peaks, offsets = {}, {}
+    for name, surface in FIVE.items():
+        truth = scene(surface)
+        depth = gelform.depth_from_gradients(truth.gradients, mm_per_px=truth.mm_per_px)
+        peaks[name] = 100 * _peak(depth, truth) / _peak(truth.depth_mm, truth)
+    rows = [
+        [name, *(f"{v} %" for v in PEERS["recovered_peak_percent"][name].values()), f"{peaks[name]:.2f} %"]
+        for name in FIVE
+    ]
+    print(
+        table(["peak recovered over true", *PEERS["recovered_peak_percent"]["smooth bump"], "gelform"], rows)
+    )
+    for name in ("ball", "balls", "peaks", "texture"):  # the last two leave no pixel untouched
+        offsets[name] = _rmse_by_offset(scene(SCENES[name]))
+    print("\n" + table(["RMSE, um", *offsets["ball"]], [[k, *v.values()] for k, v in offsets.items()]))
+    return {"recovered_peak_percent": peaks, "rmse_um": offsets}
+
+
+def _peak(depth: np.ndarray, truth: Any) -> float:
+    """Peak above the median of the untouched pixels; the range where nothing is untouched."""
+    untouched = (truth.gradients == 0).all(axis=-1)
+    if not untouched.any():
+        return float(depth.max() - depth.min())
+    return float(depth.max() - np.median(depth[untouched]))
+
+
+def _rmse_by_offset(truth: Any) -> dict[str, float]:
+    untouched = (np.abs(truth.gradients) < 1e-3).all(axis=-1)
+    depth = truth.depth_mm
+    modes: dict[str, dict[str, Any]] = {
+        "zero mean": {"zero": "mean"},
+        "border": {"zero": "border"},
+        "untouched pixels": {"zero": untouched},
+        "plane": {"zero": untouched, "level": "plane"},
+        "quadratic": {"zero": untouched, "level": "quadratic"},
+        "median slope": {"zero": untouched, "level": "slope"},
+    }
+    reference = {
+        "zero mean": depth - depth.mean(),
+        "border": depth - np.median(np.concatenate([depth[0], depth[-1], depth[1:-1, 0], depth[1:-1, -1]])),
+    }
+    errors = {}
+    for name, mode in modes.items():
+        if name not in reference and np.count_nonzero(untouched) < 0.05 * untouched.size:
+            errors[name] = float("nan")
+            continue
+        found = gelform.depth_from_gradients(truth.gradients, mm_per_px=truth.mm_per_px, **mode)
+        wanted = reference.get(name, depth - np.median(depth[untouched]))
+        errors[name] = float(1e3 * np.sqrt(np.mean((found - wanted) ** 2)))
+    return errors
+
+
+def real() -> dict[str, Any]:
+    """mini-ball: half calibrates and half tests, one ball to the other, and all 67 presses end to end."""
+    presses = gelform.read_presses(DATA / "mini-ball")
+    reference = _reference_circles()
+    labelled = replace(presses, presses=tuple(replace(p, label=reference[p.name]) for p in presses.presses))
+    figures: dict[str, Any] = {"circles": _circles(), "splits": {}}
+    order = sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
+    by_ball = [[i for i in order if presses.presses[i].ball_diameter_mm == d] for d in (6.31, 9.5)]
+    splits = {
+        "every second press calibrates, the others test": (
+            [i for ball_ in by_ball for i in ball_[0::2]],
+            [i for ball_ in by_ball for i in ball_[1::2]],
+        ),
+        "6.31 mm calibrates, 9.50 mm tests": (by_ball[0], by_ball[1]),
+        "9.50 mm calibrates, 6.31 mm tests": (by_ball[1], by_ball[0]),
+    }
+    for name, (training, test) in splits.items():
+        calibration = gelform.calibrate(presses.subset(training))
+        evaluation = gelform.evaluate(calibration, labelled.subset(test))
+        assert evaluation.seen == 0
+        figures["splits"][name] = {**evaluation.summary, "settings": calibration.settings}
+    keys = ["normal_deg", "normal_free_deg", "radius_percent", "cap_um", "cap_free_um", "off_contact_um"]
+    rows = [[name, *(figures["splits"][name][k] for k in keys)] for name in splits]
+    for name, values in PEERS["real_presses"].items():
+        rows.append([name, *(float(values[k]) if k in values else "" for k in keys)])
+    print("\n" + table(["mini-ball", *keys], rows))
+    figures["all presses"] = _whole(presses, reference)
+    return figures
+
+
+def _whole(presses: Presses, reference: dict[str, tuple[float, float, float]]) -> dict[str, Any]:
+    start = time.perf_counter()
+    calibration = gelform.calibrate(presses)
+    seconds = time.perf_counter() - start
+    distance = [
+        np.hypot(row.center_x_px - reference[row.name][0], row.center_y_px - reference[row.name][1])
+        for row in calibration.report.presses
+    ]
+    whole = {
+        "seconds": seconds,
+        "accepted": sum(row.accepted for row in calibration.report.presses),
+        "circles within 3 px of the reference": int(np.sum(np.array(distance) <= 3)),
+        "largest distance, px": float(max(distance)),
+        "held_out": calibration.held_out,
+    }
+    print("\nAll 67 presses: " + json.dumps(whole, default=float))
+    return whole
+
+
+def _circles() -> dict[str, Any]:
+    """Circles found in single images, unchanged on every data set; a gross failure is more than 10 px off."""
+    rows = []
+    sets = {"mini-ball": _reference_circles(), "gelsight-ball-deep": None, "digit-ball": None}
+    for name, labels in sets.items():
+        presses = gelform.read_presses(DATA / name)
+        wanted = [labels[p.name] if labels else p.label for p in presses.presses]
+        rows.append([name, *_against(presses.background, [p.image for p in presses.presses], wanted)])
+    pack = np.load(DATA / "taxim-ball-lowres" / "dataPack.npz")
+    wanted = [(*c, r) for c, r in zip(pack["touch_center"], pack["touch_radius"])]
+    rows.append(["taxim-ball-lowres", *_against(pack["f0"].astype(np.float32), list(pack["imgs"]), wanted)])
+    for name, sensor in LAYOUTS.items():
+        simulated = simulate_ball_presses(
+            sensor, ball_diameters_mm=[5.0, 8.0], count=24, rng=np.random.default_rng(1)
+        )
+        truth = [(*p.center_px, p.contact_radius_px) for p in simulated.presses]
+        images = [p.image for p in simulated.presses]
+        rows.append([f"simulated {name}", *_against(simulated.background.astype(np.float32), images, truth)])
+    header = [
+        "one image at a time",
+        "images",
+        "rejected",
+        "median px",
+        "scatter px",
+        "gross, accepted",
+        "offset",
+    ]
+    print("\n" + table(header, rows))
+    return {str(row[0]): dict(zip(header[1:], row[1:])) for row in rows}
+
+
+def _against(background: np.ndarray, images: list[Any], wanted: list[Any]) -> list[Any]:
+    settings = ChangeSettings(blur_px=1.25 * scale_of(background.shape[:2]))
+    found = [find_contact(gelform.color_change_from_image(image, background, settings)) for image in images]
+    good = [k for k, contact in enumerate(found) if why_no_contact(contact) is None]
+    if wanted[0] is None:
+        return [len(images), len(images) - len(good), "no labels", "", "", ""]
+    offset = np.array([np.subtract((found[k].x_px, found[k].y_px), wanted[k][:2]) for k in good])
+    middle = np.median(offset, axis=0)
+    distance, scatter = np.hypot(*offset.T), np.hypot(*(offset - middle).T)
+    return [
+        len(images),
+        len(images) - len(good),
+        float(np.median(distance)),
+        float(np.median(scatter)),
+        int(np.sum(scatter > 10)),
+        f"({middle[0]:.1f}, {middle[1]:.1f})",
+    ]
+
+
+def _reference_circles() -> dict[str, tuple[float, float, float]]:
+    with (DATA / "mini-ball" / "reference_circles.csv").open() as file:
+        return {
+            row["image"]: (
+                float(row["center_x_px"]),
+                float(row["center_y_px"]),
+                float(row["contact_radius_px"]),
+            )
+            for row in csv.DictReader(file)
+        }
+
+
+def simulated() -> dict[str, Any]:
+    """Objects on three simulated sensors, each calibrated from its own presses alone."""
+    figures, rows = {}, []
+    for name, sensor in LAYOUTS.items():
+        presses = simulate_ball_presses(
+            sensor, ball_diameters_mm=[5.0, 8.0], count=30, rng=np.random.default_rng(1)
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            gelform.save_press_folder(
+                Path(folder) / "presses",
+                background=presses.background,
+                images=[p.image for p in presses.presses],
+                ball_diameters_mm=[p.ball_diameter_mm for p in presses.presses],
+                mm_per_px=sensor.mm_per_px,
+                name=name,
+            )
+            calibration = gelform.calibrate(gelform.read_presses(Path(folder) / "presses"))
+        reconstruct = gelform.Reconstructor(calibration)
+        objects = {
+            "ball": (Ball(3.0), 0.6, (0.0, 0.0)),
+            "coin": (Coin(), 0.35, (0.0, 0.0)),
+            "screw": (Screw(), 0.4, (0.0, 0.0)),
+            "ball cut by the border": (Ball(3.0), 0.6, (8.8, 0.0)),
+        }
+        figures[name] = {"held_out": calibration.held_out, "settings": calibration.settings}
+        for what, (indenter, depth_mm, center) in objects.items():
+            rng = np.random.default_rng(7)
+            press = simulate_press(sensor, indenter, depth_mm=depth_mm, center_mm=center, rng=rng)
+            depth = reconstruct(press.image).depth_mm
+            error = 1e3 * (depth - press.depth_mm)
+            found = {
+                "rmse_um": float(np.sqrt(np.mean(error**2))),
+                "contact_um": float(np.sqrt(np.mean(error[press.contact] ** 2))),
+                "peak_percent": float(100 * depth.max() / press.depth_mm.max()),
+            }
+            figures[name][what] = found
+            rows.append([name, what, *found.values()])
+    print("\n" + table(["simulated sensor", "object", "RMSE um", "in contact um", "peak %"], rows))
+    return figures
+
+
+PARTS = {"integrators": integrators, "real": real, "simulated": simulated}
+
+
+def main() -> None:
+    """Run the parts that are named, or all; keep the others' last figures."""
+    wanted = sys.argv[1:] or list(PARTS)
+    path = RESULTS / "accuracy.json"
+    figures = json.loads(path.read_text()) if path.is_file() else {}
+    figures.pop("machine", None)
+    for name in wanted:
+        if name == "real" and not DATA.is_dir():
+            print(f"\nReal presses: left out, no data in {DATA} (set GELFORM_DATA).")
+            continue
+        figures[name] = PARTS[name]()
+    write("accuracy", figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""What every benchmark shares: the machine, the bare DCT pair that times are divided by, tables, JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.fft import dctn, idctn
+
+import gelform
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def machine() -> dict[str, str]:
+    """Processor, versions and date: what a figure is worth nothing without."""
+    model = platform.processor()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        lines = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        model = lines[0].split(":", 1)[1].strip() if lines else model
+    return {
+        "processor": model,
+        "cores": str(os.cpu_count()),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "gelform": gelform.__version__,
+        "date": datetime.now(timezone.utc).date().isoformat(),
+    }
+
+
+def dct_pair(shape: tuple[int, int]) -> Callable[[], Any]:
+    """The yardstick D: a bare float32 scipy dctn + idctn pair of that size."""
+    values = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+    return lambda: idctn(dctn(values))
+
+
+def median_ms(calls: Sequence[Callable[[], Any]], *, rounds: int = 31, seconds: float = 20) -> list[float]:
+    """Median time of each call, ms, taken in turn so that a slow moment of the machine meets all alike."""
+    for call in calls:
+        call()
+    times: list[list[float]] = [[] for _ in calls]
+    end = time.perf_counter() + seconds
+    for round_ in range(rounds):
+        for call, of_call in zip(calls, times):
+            start = time.perf_counter()
+            call()
+            of_call.append(1e3 * (time.perf_counter() - start))
+        if time.perf_counter() > end and round_ >= 4:
+            break
+    return [float(np.median(of_call)) for of_call in times]
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def write(name: str, figures: dict[str, Any]) -> None:
+    """Write `results/<name>.json` with the machine and the date."""
+    RESULTS.mkdir(exist_ok=True)
+    content = json.dumps({"machine": machine(), **figures}, indent=1, default=float)
+    temporary = RESULTS / f".{name}.tmp"
+    temporary.write_text(content + "\n")
+    os.replace(temporary, RESULTS / f"{name}.json")
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,88 @@
+"""The conventions, all on one pressed sphere: axes, signs, units, dtypes."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.simulate import Ball, simulate_press
+
+MM_PER_PX = 0.06
+RADIUS_MM, CONTACT_MM = 3.0, 1.8
+CENTER = (100, 60)  # column, row
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    """Depth and slopes of a ball's cap, written out from its equation."""
+    y, x = np.mgrid[:140, :180].astype(float)
+    u, v = (x - CENTER[0]) * MM_PER_PX, (y - CENTER[1]) * MM_PER_PX
+    inside = u**2 + v**2 < CONTACT_MM**2
+    height = np.sqrt(np.where(inside, RADIUS_MM**2 - u**2 - v**2, 1))
+    depth = np.where(inside, height - np.sqrt(RADIUS_MM**2 - CONTACT_MM**2), 0)
+    return depth, np.stack([-u / height, -v / height], axis=-1) * inside[..., None]
+
+
+def test_depth_is_positive_where_pressed_and_in_mm(sphere):
+    depth, gradients = sphere
+    found = gelform.depth_from_gradients(gradients, mm_per_px=MM_PER_PX, zero="border")
+    assert found.dtype == np.float32
+    row, col = np.unravel_index(found.argmax(), found.shape)
+    assert (col, row) == CENTER
+    assert found.max() == pytest.approx(depth.max(), rel=1e-2)
+    twice = gelform.depth_from_gradients(gradients, mm_per_px=2 * MM_PER_PX, zero="border")
+    np.testing.assert_allclose(twice, 2 * found, rtol=1e-4, atol=1e-6)
+
+
+def test_x_runs_to_the_right_and_y_down(sphere):
+    depth, gradients = sphere
+    numeric = gelform.gradients_from_depth(depth, mm_per_px=MM_PER_PX)
+    assert numeric[CENTER[1], CENTER[0] + 15, 0] < 0 < numeric[CENTER[1], CENTER[0] - 15, 0]
+    assert numeric[CENTER[1] + 15, CENTER[0], 1] < 0 < numeric[CENTER[1] - 15, CENTER[0], 1]
+    np.testing.assert_allclose(numeric[50:70, 90:110], gradients[50:70, 90:110], atol=1e-3)
+
+
+def test_normals_point_to_the_camera(sphere):
+    _, gradients = sphere
+    normals = gelform.normals_from_gradients(gradients)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-6)
+    assert (normals[..., 2] > 0).all()
+    assert normals[CENTER[1], CENTER[0] + 15, 0] > 0  # outwards, to the right
+    np.testing.assert_allclose(gelform.gradients_from_normals(normals), gradients, atol=1e-5)
+    np.testing.assert_allclose(gradients, -normals[..., :2] / normals[..., 2:], atol=1e-5)
+
+
+def test_curl_of_a_surface_vanishes_and_has_a_sign(sphere):
+    _, gradients = sphere
+    assert np.abs(gelform.curl(gradients, mm_per_px=MM_PER_PX)[50:70, 90:110]).max() < 0.02
+    y = np.mgrid[:20, :30][0] * MM_PER_PX
+    turning = np.stack([0.1 * y, np.zeros_like(y)], axis=-1)  # dp/dy = 0.1, dq/dx = 0
+    np.testing.assert_allclose(gelform.curl(turning, mm_per_px=MM_PER_PX), 0.1, atol=1e-5)
+
+
+def test_a_light_brightens_the_side_that_faces_it(sphere):
+    _, gradients = sphere
+    right = np.array([[0.5, 0, 0.8], [-0.3, 0.5, 0.8], [-0.3, -0.5, 0.8]])
+    image = gelform.image_from_normals(gelform.normals_from_gradients(gradients), right)
+    assert image[CENTER[1], CENTER[0] + 15, 0] > image[CENTER[1], CENTER[0] - 15, 0]
+    assert image[CENTER[1] + 15, CENTER[0], 1] > image[CENTER[1] - 15, CENTER[0], 1]
+
+
+def test_the_whole_path_keeps_them(calibration, sensor):
+    """An image in, and the pressed place is where, as deep and on the side that the truth says."""
+    center = (2.0, -1.5)  # mm: right of the middle and above it
+    press = simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=center, rng=np.random.default_rng(2))
+    result = gelform.Reconstructor(calibration)(press.image)
+    row, col = np.unravel_index(result.depth_mm.argmax(), result.depth_mm.shape)
+    assert col > sensor.shape[1] / 2 + 10
+    assert row < sensor.shape[0] / 2 - 5
+    np.testing.assert_allclose((col, row), press.center_px, atol=4)
+    for name, dtype in {
+        "depth_mm": "f4",
+        "gradients": "f4",
+        "confidence": "f4",
+        "contact": "?",
+        "known": "?",
+    }.items():
+        assert getattr(result, name).dtype == np.dtype(dtype), name
+    assert 0 <= result.confidence.min() <= result.confidence.max() <= 1
+    assert result.mm_per_px == sensor.mm_per_px
