@@ -145,7 +145,7 @@ def test_no_folder_and_no_background(copy, tmp_path):
 
 
 def test_empty_folder(tmp_path):
-    with pytest.raises(gelform.DataError, match="No scale|No background"):
+    with pytest.raises(gelform.DataError, match=r"No scale|No background"):
         gelform.read_presses(tmp_path)
 
 
