@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from gelform.cli import calibrate, demo, evaluate, info, reconstruct, simulate
+from gelform.cli import calibrate, demo, design, evaluate, info, reconstruct, simulate
 from gelform.errors import GelformError
 
 app = typer.Typer(
@@ -23,6 +23,7 @@ app.command()(calibrate.calibrate)
 app.command()(reconstruct.reconstruct)
 app.command()(evaluate.evaluate)
 app.command()(simulate.simulate)
+app.command()(design.design)
 app.command()(info.info)
 
 

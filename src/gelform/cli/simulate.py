@@ -84,7 +84,7 @@ def simulate(
         )
     if sum(given is not None for given in (sensor, like)) > 1 or None not in (height_map, mesh):
         raise typer.BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
-    made = LAYOUTS[layout] if sensor is None else _sensor(sensor)
+    made = LAYOUTS[layout] if sensor is None else sensor_of(sensor)
     with progress_shown(quiet) as progress:
         if like is not None:
             if height_map is not None or mesh is not None:
@@ -109,7 +109,7 @@ def simulate(
         print_json({"folder": output, "layout": layout, "sensor": name, "presses": presses, "seed": seed})
 
 
-def _sensor(name_or_file: str) -> SimulatedSensor:
+def sensor_of(name_or_file: str) -> SimulatedSensor:
     """A ready sensor by name, or one from a TOML file."""
     from gelform.sensors.simulated import read_simulated_sensor
     from gelform.simulate.settings import sensor_named
