@@ -28,6 +28,15 @@ def test_depth_in_millimetres(calibration, press):
     assert result.known.all()
 
 
+def test_zero_is_the_untouched_gel(calibration, press):
+    """Not the frame's mean, which a press lifts: the median of the pixels that nothing touched."""
+    depth = gelform.Reconstructor(calibration)(press.image).depth_mm
+    untouched = press.depth_mm < 1e-3
+    assert untouched.mean() > 0.5
+    assert abs(np.median(depth[untouched])) < 0.002
+    assert depth.mean() > 0.01
+
+
 def test_pure_function_of_the_image(calibration, press, simulated):
     reconstruct = gelform.Reconstructor(calibration)
     first = reconstruct(press.image)
