@@ -24,6 +24,7 @@ _HOME = {
     "Integration": "gelform.depth",
     "edge_residuals": "gelform.depth",
     "depth_sigma": "gelform.uncertainty",
+    "warmup": "gelform.solvers.warmup",
     "GelformError": "gelform.errors",
     "CalibrationError": "gelform.errors",
     "SensorError": "gelform.errors",
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
     from gelform.normals import image_from_normals, normals_from_gradients, normals_from_image
+    from gelform.solvers.warmup import warmup
     from gelform.uncertainty import depth_sigma
 
 __all__ = ["__version__", *_HOME]
