@@ -47,6 +47,7 @@ _HOME = {
     "press_errors": "gelform.metrics",
     "save_press_folder": "gelform.export",
     "save_simulated_presses": "gelform.export",
+    "warmup": "gelform.solvers.warmup",
     "GelformError": "gelform.errors",
     "CalibrationError": "gelform.errors",
     "SensorError": "gelform.errors",
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration
     from gelform.sensors.files import read_image
+    from gelform.solvers.warmup import warmup
     from gelform.uncertainty import depth_sigma
     from gelform.view import View, frame_from_image, image_from_frame
 

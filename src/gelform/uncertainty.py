@@ -244,7 +244,7 @@ def _correlated(
 
 @lru_cache(maxsize=64)
 def _cell_power(correlation_px: float) -> float:
-    """Power, per cell, of correlated pixel errors of variance 1 at low frequencies: the sum of correlations."""
+    """Power, per cell, of correlated pixel errors of variance 1 at low frequencies."""
     distance = np.arange(-int(6 * correlation_px) - 1, int(6 * correlation_px) + 2)
     along = np.sum(np.exp(-(distance**2) / (2 * correlation_px**2)))
     return float(along**2 / COARSER**2)

@@ -12,8 +12,8 @@ from gelform.solvers.cycle import (
     ANSWER,
     DEPTH,
     EAST,
-    FAST,
-    INNER,
+    KERNEL,
+    LEAF,
     PRODUCT,
     RIGHT_SIDE,
     SEARCH,
@@ -22,15 +22,18 @@ from gelform.solvers.cycle import (
 )
 
 
-@njit(**FAST, cache=True)  # type: ignore[misc]
-def solve(data: Any, levels: Any, dense: Any, scale: float, tolerance: float, limit: int) -> Any:
+@njit(**KERNEL)  # type: ignore[misc]
+def solve(
+    data: Any, levels: Any, dense: Any, line: Any, past: Any, scale: float, tolerance: float, limit: int
+) -> Any:
     """Add to the depth what the right side (the residual) asks for.
 
     Stops when the estimated largest error, as a share of `scale` (0: of the range of the first answer), is
     below the tolerance. One V-cycle's answer is an estimate of the whole error; 4 rate/(1 - rate) says what
     is left of it after it was added, on the safe side in trials. The rate is the mean so far, or over the
-    last four iterations where that is slower; and where many iterations are needed, a V-cycle sees less of the
-    error, hence the count in place of 4.
+    last four iterations where that is slower; and where many iterations are needed, a V-cycle sees less of
+    the error, hence their count in place of 4 (12 at most: float32 ends at 1e-6). `line` (3, W + 3) and
+    `past` (4,) are scratch.
 
     Returns
     -------
@@ -39,37 +42,37 @@ def solve(data: Any, levels: Any, dense: Any, scale: float, tolerance: float, li
         Estimated largest error as a share of the scale.
     """
     height, width = levels[0, 1], levels[0, 2]
-    line = np.zeros((3, width + 3), dtype=np.float32)
-    product = cycle(data, levels, dense, line)
-    first = spread(data, height, width)
-    whole = scale if scale > 0 else first
-    estimate = np.inf if first > 0 else 0.0
-    past = np.zeros(4)
-    turn = 0.0
+    product, first, whole = 1.0, 0.0, scale
     done = 0
-    while estimate > tolerance and done < limit:
-        curvature = search(data, height, width, turn)
+    while True:
+        before, product = product, cycle(data, levels, dense, line)
+        left = spread(data, height, width)
+        if done == 0:
+            first = left
+            whole = scale if scale > 0 else first
+            estimate = np.inf if first > 0 else 0.0
+        else:
+            rate = (left / first) ** (1 / done)
+            recent = (left / past[done % 4]) ** 0.25 if done > 4 else 0.0
+            rate = recent if recent > rate else rate
+            rate = rate if rate < 0.8 else 0.8
+            doubt = (done if done < 12 else 12) if done > 4 else 4
+            estimate = left / whole * doubt * rate / (1 - rate)
+        past[done % 4] = left
+        if not estimate > tolerance or done >= limit:
+            break
+        curvature = search(data, height, width, product / before if done > 0 else 0.0)
         if not curvature > 0:
             break
         advance(data, height, width, product / curvature)
-        next_product = cycle(data, levels, dense, line)
-        turn = next_product / product
-        product = next_product
         done += 1
-        left = spread(data, height, width)
-        rate = (left / first) ** (1 / done)
-        if done > 4:
-            rate = max(rate, (left / past[done % 4]) ** 0.25)
-        past[done % 4] = left
-        rate = min(rate, 0.9)
-        estimate = left / whole * max(4, done) * rate / (1 - rate)
     for i in range(1, height + 1):
         for j in range(1, width + 1):
             data[DEPTH, i, j] += data[ANSWER, i, j]
     return done, estimate
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def search(data: Any, height: int, width: int, turn: Any) -> Any:
     """Next search direction and the operator times it; returns their product."""
     t = np.float32(turn)
@@ -96,7 +99,7 @@ def search(data: Any, height: int, width: int, turn: Any) -> Any:
     return total
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def advance(data: Any, height: int, width: int, length: float) -> None:
     """Go along the search direction."""
     s = np.float32(length)
@@ -107,7 +110,7 @@ def advance(data: Any, height: int, width: int, length: float) -> None:
             data[RIGHT_SIDE, i, j] -= s * data[PRODUCT, i, j]
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def spread(data: Any, height: int, width: int) -> float:
     """Largest minus smallest value of the finest level's answer."""
     low = high = data[ANSWER, 1, 1]

@@ -16,14 +16,17 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-# Sums may be reordered, so that dot products (of one row each) use the vector unit.
-FAST: dict[str, Any] = {
+# Kernels that Python calls. Sums may be reordered, so that those of a row use the vector unit.
+KERNEL: dict[str, Any] = {
+    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "fastmath": {"contract", "reassoc", "nsz", "nnan"},
 }
-# Kernels called by kernels only need no way in from Python, and are cached inside their callers.
-INNER: dict[str, Any] = {**FAST, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Kernels that kernels call: no way in from Python, and cached inside their callers. The small ones become a
+# part of their callers. (Compiling takes 0.2 s a function, or more where what is inlined inlines in turn.)
+INNER: dict[str, Any] = {**KERNEL, "cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+LEAF: dict[str, Any] = {"inline": "always"}
 
 EAST, SOUTH, SOUTHEAST, SOUTHWEST, ANCHOR, INVERSE, RIGHT_SIDE, GUESS, ANSWER = range(9)
 # The finest level's own: the depth, the search direction, the operator times it.
@@ -37,7 +40,7 @@ JACOBI = np.float32(0.8)
 REST = np.float32(0.2)
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def cycle(data: Any, levels: Any, dense: Any, line: Any) -> Any:
     """Answer of the finest level, nearly the operator's inverse times its right side; returns their product.
 
@@ -91,7 +94,7 @@ def ascend(data: Any, levels: Any, level: int, line: Any) -> Any:
     return product
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def neighbours(data: Any, level: int, i: int, width: int, line: Any) -> None:
     """Into line 0: what Jacobi leaves of the right side, and coupling times guess of all neighbours."""
     for j in range(1, width + 1):
@@ -112,7 +115,7 @@ def neighbours(data: Any, level: int, i: int, width: int, line: Any) -> None:
             )
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def restrict(data: Any, row: int, coarse_top: int, coarse_width: int, line: Any) -> None:
     """Add line 0, the residual of fine row `row` (from 1), to the coarse rows it is interpolated from."""
     i = coarse_top + (row + 1) // 2
@@ -140,7 +143,7 @@ def restrict(data: Any, row: int, coarse_top: int, coarse_width: int, line: Any)
         )
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def interpolate(data: Any, fine: int, row: int, coarse_top: int, coarse_width: int, line: Any) -> None:
     """Add the coarse answer to the guess of fine row `row` (from 1), which lies at `fine`."""
     i = coarse_top + (row + 1) // 2
@@ -165,7 +168,7 @@ def interpolate(data: Any, fine: int, row: int, coarse_top: int, coarse_width: i
         data[GUESS, fine, 2 * j] += line[1, j]
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def solve_coarsest(data: Any, top: int, height: int, width: int, dense: Any) -> Any:
     product = 0.0
     for row in range(height * width):

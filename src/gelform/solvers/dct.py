@@ -138,20 +138,20 @@ def _inner_row(line: Any, row: Any, up: Any, down: Any, sx: float, s_up: float, 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]
 def _sweep(v: NDArray[Any], pivots: NDArray[Any], splits: NDArray[Any], end: NDArray[Any]) -> None:
     """Solve the tridiagonal system of every column in place; column 0 gets mean 0."""
-    last = v.shape[0] - 1
-    limit = pivots[last + 1]
+    last, width = v.shape[0] - 1, v.shape[1]
     _constant_column(v)
-    v[0, 1:] *= pivots[0, 1:] if last > 0 else end[1:]
+    for k in range(1, width):
+        v[0, k] *= pivots[0, k] if last > 0 else end[k]
     for i in range(1, last):
         s = splits[i]
         _down(v[i, 1:s], v[i - 1, 1:s], pivots[i, 1:s])
-        _down(v[i, s:], v[i - 1, s:], limit[s:])
+        _down(v[i, s:], v[i - 1, s:], pivots[last + 1, s:])
     if last > 0:
         _down(v[last, 1:], v[last - 1, 1:], end[1:])
     for i in range(last - 1, -1, -1):
         s = splits[i]
         _up(v[i, 1:s], v[i + 1, 1:s], pivots[i, 1:s])
-        _up(v[i, s:], v[i + 1, s:], limit[s:])
+        _up(v[i, s:], v[i + 1, s:], pivots[last + 1, s:])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]

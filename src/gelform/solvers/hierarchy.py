@@ -21,9 +21,10 @@ from numba import njit
 from gelform.solvers.cycle import (
     ANCHOR,
     EAST,
-    FAST,
     INNER,
     INVERSE,
+    KERNEL,
+    LEAF,
     LEFT,
     SOUTH,
     SOUTHEAST,
@@ -42,35 +43,99 @@ N = 272
 STRIP = 160
 T_LEFT, T_RIGHT, T_UP, T_DOWN, T_NW, T_NE, T_SW, T_SE = (N * k for k in range(8))
 LOW_LEFT, LOW_RIGHT, LACK_TOP, LACK_LOW, LACK_SIDE = (N * k for k in range(8, 13))
-IN_1, IN_2, IN_3, IN_4, IN_5, IN_6, IN_7, IN_8, IN_9 = (N * k for k in range(13, 22))
-TO_EAST, TO_SOUTH, TO_LOW_EAST, TO_FAR_SOUTH, FALLING, RISING = (N * k for k in range(22, 28))
-A_NW, A_NE, A_SW, A_SE = (N * k for k in range(28, 32))
-WEIGHT_1, WEIGHT_2, LACK = (N * k for k in range(32, 35))
-LINES = 35
+IN_1, IN_2, IN_3, IN_4, IN_5 = (N * k for k in range(13, 18))
+# Diagonal couplings: these lines stay 0 on the finest level, which has none.
+SIDE_1, SIDE_2, CORNER_1, CORNER_2, CORNER_3, CORNER_4 = (N * k for k in range(18, 24))
+TIE_1, TIE_2, TIE_3, TIE_4 = (N * k for k in range(24, 28))
+TO_EAST, TO_SOUTH, TO_LOW_EAST, TO_FAR_SOUTH, FALLING, RISING = (N * k for k in range(28, 34))
+A_NW, A_NE, A_SW, A_SE, A_CORNER = (N * k for k in range(34, 39))
+WEIGHT_1, WEIGHT_2, LACK = (N * k for k in range(39, 42))
+LINES = 42
+
+# What is gathered from the fine level: line, plane, row and column relative to the point in question, and
+# whether it is added to what the line holds. The finest level skips all from the first diagonal on.
+HORIZONTAL = np.array(
+    [
+        (IN_1, EAST, 0, -1, 0),
+        (IN_2, EAST, 0, 0, 0),
+        (IN_3, ANCHOR, 0, 0, 0),
+        (SIDE_1, SOUTHEAST, -1, -1, 0),
+        (SIDE_1, SOUTHWEST, 0, 0, 1),
+        (SIDE_2, SOUTHEAST, 0, 0, 0),
+        (SIDE_2, SOUTHWEST, -1, 1, 1),
+    ]
+)
+VERTICAL = np.array(
+    [
+        (IN_1, SOUTH, -1, 0, 0),
+        (IN_2, SOUTH, 0, 0, 0),
+        (IN_3, ANCHOR, 0, 0, 0),
+        (SIDE_1, SOUTHEAST, -1, -1, 0),
+        (SIDE_1, SOUTHWEST, -1, 1, 1),
+        (SIDE_2, SOUTHEAST, 0, 0, 0),
+        (SIDE_2, SOUTHWEST, 0, 0, 1),
+    ]
+)
+MIDDLE = np.array(
+    [
+        (IN_1, SOUTH, -1, 0, 0),
+        (IN_2, SOUTH, 0, 0, 0),
+        (IN_3, EAST, 0, -1, 0),
+        (IN_4, EAST, 0, 0, 0),
+        (IN_5, ANCHOR, 0, 0, 0),
+        (A_CORNER, ANCHOR, -1, -1, 0),
+        (CORNER_1, SOUTHEAST, -1, -1, 0),
+        (CORNER_2, SOUTHWEST, -1, 1, 0),
+        (CORNER_3, SOUTHWEST, 0, 0, 0),
+        (CORNER_4, SOUTHEAST, 0, 0, 0),
+        (TIE_1, SOUTHWEST, -1, 0, 0),
+        (TIE_2, SOUTHEAST, -1, 0, 0),
+        (TIE_3, SOUTHEAST, 0, -1, 0),
+        (TIE_4, SOUTHWEST, 0, 1, 0),
+    ]
+)
+# What is added to the coarse level: line, plane, row and column relative to the coarse point.
+FROM_HORIZONTAL = np.array([(TO_EAST, EAST, 0, 0), (A_NW, ANCHOR, 0, 0), (A_NE, ANCHOR, 0, 1)])
+FROM_VERTICAL = np.array([(TO_EAST, SOUTH, 0, 0), (A_NW, ANCHOR, 0, 0), (A_NE, ANCHOR, 1, 0)])
+FROM_CELLS = np.array(
+    [
+        (TO_EAST, EAST, 0, 0),
+        (TO_SOUTH, SOUTH, 0, 0),
+        (TO_LOW_EAST, EAST, 1, 0),
+        (TO_FAR_SOUTH, SOUTH, 0, 1),
+        (FALLING, SOUTHEAST, 0, 0),
+        (RISING, SOUTHWEST, 0, 1),
+        (A_NW, ANCHOR, 0, 0),
+        (A_NE, ANCHOR, 0, 1),
+        (A_SW, ANCHOR, 1, 0),
+        (A_SE, ANCHOR, 1, 1),
+        (A_CORNER, ANCHOR, 0, 0),
+    ]
+    + [(N * k, LEFT + k, 0, 0) for k in range(8)]
+)
 
 
-@njit(**FAST, cache=True)  # type: ignore[misc]
-def build(data: Any, levels: Any, dense: Any) -> None:
-    """All coarse levels from the couplings and the anchor of the finest, and the inverse of the coarsest."""
-    t = np.zeros(LINES * N, dtype=np.float32)
+@njit(**KERNEL)  # type: ignore[misc]
+def build(data: Any, levels: Any, dense: Any, t: Any, a: Any) -> None:
+    """All coarse levels from the couplings and the anchor of the finest, and the inverse of the coarsest.
+
+    `t` (LINES * N,), of zeros, and `a` (40, 80) are scratch.
+    """
     last = levels.shape[0] - 1
     for level in range(last):
         invert_diagonal(data, levels[level, 0], levels[level, 1], levels[level, 2], level)
         coarsen(data, levels, level, t)
-    invert(data, levels[last, 0], levels[last, 1], levels[last, 2], last, dense)
+    invert(data, levels[last, 0], levels[last, 1], levels[last, 2], last, dense, a)
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def invert_diagonal(data: Any, top: int, height: int, width: int, level: int) -> None:
     for i in range(top + 1, top + height + 1):
         for j in range(1, width + 1):
-            data[INVERSE, i, j] = (
-                data[EAST, i, j]
-                + data[EAST, i, j - 1]
-                + data[SOUTH, i, j]
-                + data[SOUTH, i - 1, j]
-                + max(data[ANCHOR, i, j], ZERO)
-            )
+            total = data[EAST, i, j] + data[EAST, i, j - 1] + data[SOUTH, i, j] + data[SOUTH, i - 1, j]
+            # An anchor that rounding made negative counts as none.
+            anchor = data[ANCHOR, i, j]
+            data[INVERSE, i, j] = total + (anchor if anchor > ZERO else ZERO)
         if level > 0:
             for j in range(1, width + 1):
                 data[INVERSE, i, j] += (
@@ -80,89 +145,113 @@ def invert_diagonal(data: Any, top: int, height: int, width: int, level: int) ->
                     + data[SOUTHWEST, i - 1, j + 1]
                 )
         for j in range(1, width + 1):
-            data[INVERSE, i, j] = ONE / data[INVERSE, i, j] if data[INVERSE, i, j] > ZERO else ZERO
+            total = data[INVERSE, i, j]
+            data[INVERSE, i, j] = ONE / total if total > ZERO else ZERO
 
 
 @njit(**INNER)  # type: ignore[misc]
 def coarsen(data: Any, levels: Any, level: int, t: Any) -> None:
     """Interpolation weights and couplings of the next coarser level, in strips of cells, downwards."""
-    top = levels[level, 0]
-    coarse_top, height, width = levels[level + 1, 0], levels[level + 1, 1], levels[level + 1, 2]
-    for plane in range(ANCHOR + 1):
-        for i in range(coarse_top + 1, coarse_top + height + 1):
-            for j in range(1, width + 1):
-                data[plane, i, j] = 0
+    top, coarse_top = levels[level, 0], levels[level + 1, 0]
+    height, width = levels[level + 1, 1], levels[level + 1, 2]
+    for plane in range(LEFT + 8):
+        if plane <= ANCHOR or plane >= LEFT:
+            for i in range(coarse_top + 1, coarse_top + height + 1):
+                for j in range(1, width + 1):
+                    data[plane, i, j] = 0
     for start in range(1, width + 1, STRIP):
-        n = min(STRIP, width + 1 - start)
-        horizontal_points(data, coarse_top + 1, top + 1, start, n, level, t)
-        for row in range(1, height + 1):
-            i, k = coarse_top + row, top + 2 * row - 1
+        n = width + 1 - start
+        n = n if n < STRIP else STRIP
+        for row in range(height + 1):
+            i, k = coarse_top + row, top + 2 * row
             for j in range(n):
                 t[T_LEFT + j], t[T_RIGHT + j], t[LACK_TOP + j] = (
                     t[LOW_LEFT + j],
                     t[LOW_RIGHT + j],
                     t[LACK_LOW + j],
                 )
-            vertical_points(data, i, k + 1, start, n, level, t)
-            if row == height:
-                clear(t, LOW_LEFT, 3 * N)
-            else:
-                horizontal_points(data, i + 1, k + 2, start, n, level, t)
-            cells(data, k + 1, start, n, level, t)
-            if level > 0:
-                diagonals(data, k + 1, start, n, t)
-            write(data, i, k, start, n, t)
-
-
-# In the next five, slices and not sums of indices: an index that may be negative is not vectorised.
+                t[LOW_LEFT + j] = t[LOW_RIGHT + j] = t[LACK_LOW + j] = 0
+            if row < height:
+                # Points between two coarse points of the row below: the lower sides of a row of cells.
+                gather(data, HORIZONTAL, k + 1, 2 * start, n, level, t)
+                between(t, n)
+                scatter(data, FROM_HORIZONTAL, i + 1, start, n, t)
+                for j in range(n):
+                    t[LOW_LEFT + j], t[LOW_RIGHT + j], t[LACK_LOW + j] = (
+                        t[WEIGHT_1 + j],
+                        t[WEIGHT_2 + j],
+                        t[LACK + j],
+                    )
+            if row > 0:
+                # Points below a coarse point: the left sides of the cells, and the right side of the last.
+                gather(data, VERTICAL, k, 2 * start - 1, n + 1, level, t)
+                between(t, n + 1)
+                scatter(data, FROM_VERTICAL, i, start, n, t)
+                for j in range(n + 1):
+                    t[T_UP + j], t[T_DOWN + j], t[LACK_SIDE + j] = (
+                        t[WEIGHT_1 + j],
+                        t[WEIGHT_2 + j],
+                        t[LACK + j],
+                    )
+                gather(data, MIDDLE, k, 2 * start, n, level, t)
+                cells(t, n)
+                if level > 0:
+                    diagonals(t, n)
+                scatter(data, FROM_CELLS, i, start, n, t)
 
 
 @njit(**INNER)  # type: ignore[misc]
-def get(t: Any, line: int, n: int, data: Any, plane: int, row: int, column: int) -> None:
-    to, values = t[line:], data[plane, row, column:]
-    for j in range(n):
-        to[j] = values[2 * j]
+def gather(data: Any, table: Any, k: int, c: int, n: int, level: int, t: Any) -> None:
+    """Fetch what a row of points at (k, c), (k, c + 2) ... needs."""
+    for item in range(table.shape[0]):
+        line, plane = table[item, 0], table[item, 1]
+        row, column = k + table[item, 2], c + table[item, 3]
+        if level == 0 and plane in (SOUTHEAST, SOUTHWEST):
+            break
+        fetch(data, plane, row, column, n, t, line, table[item, 4])
+
+
+@njit(**INNER)  # type: ignore[misc]
+def scatter(data: Any, table: Any, i: int, start: int, n: int, t: Any) -> None:
+    """Add what a row of points hands to the coarse points from (i, start) on."""
+    for item in range(table.shape[0]):
+        add(data, table[item, 1], i + table[item, 2], start + table[item, 3], n, t, table[item, 0])
+
+
+# In the next two, the first lines tell the compiler that indices are not negative: it then need not count
+# them from the end, and vectorises.
+
+
+@njit(**INNER)  # type: ignore[misc]
+def fetch(data: Any, plane: int, row: int, column: int, n: int, t: Any, line: int, more: int) -> None:
+    if line < 0 or column < 0:
+        return
+    if more:
+        for j in range(n):
+            t[line + j] += data[plane, row, column + 2 * j]
+    else:
+        for j in range(n):
+            t[line + j] = data[plane, row, column + 2 * j]
 
 
 @njit(**INNER)  # type: ignore[misc]
 def add(data: Any, plane: int, row: int, column: int, n: int, t: Any, line: int) -> None:
-    to, values = data[plane, row, column:], t[line:]
+    if line < 0 or column < 0:
+        return
     for j in range(n):
-        to[j] += values[j]
-
-
-@njit(**INNER)  # type: ignore[misc]
-def put(data: Any, plane: int, row: int, column: int, n: int, t: Any, line: int) -> None:
-    to, values = data[plane, row, column:], t[line:]
-    for j in range(n):
-        to[j] = values[j]
-
-
-@njit(**INNER)  # type: ignore[misc]
-def get_sum(t: Any, line: int, n: int, data: Any, row: int, column: int, row_2: int, column_2: int) -> None:
-    """Sum of two diagonal couplings: SOUTHEAST at the first place, SOUTHWEST at the second."""
-    to, first, second = t[line:], data[SOUTHEAST, row, column:], data[SOUTHWEST, row_2, column_2:]
-    for j in range(n):
-        to[j] = first[2 * j] + second[2 * j]
-
-
-@njit(**INNER)  # type: ignore[misc]
-def clear(t: Any, line: int, n: int) -> None:
-    to = t[line:]
-    for j in range(n):
-        to[j] = 0
+        data[plane, row, column + j] += t[line + j]
 
 
 @njit(**INNER)  # type: ignore[misc]
 def between(t: Any, n: int) -> None:
     """Weights of points between two coarse points, and what their two fine edges hand to the coarse edge.
 
-    In: couplings to both (IN_1, IN_2), anchor (IN_3), collapsed diagonal couplings to both sides (IN_4, 5).
+    In: couplings to both (IN_1, IN_2), anchor (IN_3), collapsed diagonal couplings to both (SIDE_1, SIDE_2).
     Out: both weights, lack, the coarse coupling (TO_EAST), the anchors of both coarse points (A_NW, A_NE).
     """
     for j in range(n):
         c1, c2, anchor = t[IN_1 + j], t[IN_2 + j], t[IN_3 + j]
-        w1, w2 = c1 + t[IN_4 + j], c2 + t[IN_5 + j]
+        w1, w2 = c1 + t[SIDE_1 + j], c2 + t[SIDE_2 + j]
         w1 = w1 if w1 > ZERO else ZERO
         w2 = w2 if w2 > ZERO else ZERO
         total = w1 + w2 + anchor
@@ -177,64 +266,8 @@ def between(t: Any, n: int) -> None:
 
 
 @njit(**INNER)  # type: ignore[misc]
-def horizontal_points(data: Any, i: int, k: int, start: int, n: int, level: int, t: Any) -> None:
-    """Points between two coarse points of coarse row i, fine row k: the lower side of a row of cells."""
-    c = 2 * start
-    get(t, IN_1, n, data, EAST, k, c - 1)
-    get(t, IN_2, n, data, EAST, k, c)
-    get(t, IN_3, n, data, ANCHOR, k, c)
-    if level > 0:
-        get_sum(t, IN_4, n, data, k - 1, c - 1, k, c)
-        get_sum(t, IN_5, n, data, k, c, k - 1, c + 1)
-    else:
-        clear(t, IN_4, n)
-        clear(t, IN_5, n)
-    between(t, n)
-    for j in range(n):
-        t[LOW_LEFT + j], t[LOW_RIGHT + j], t[LACK_LOW + j] = t[WEIGHT_1 + j], t[WEIGHT_2 + j], t[LACK + j]
-    add(data, EAST, i, start, n, t, TO_EAST)
-    add(data, ANCHOR, i, start, n, t, A_NW)
-    add(data, ANCHOR, i, start + 1, n, t, A_NE)
-
-
-@njit(**INNER)  # type: ignore[misc]
-def vertical_points(data: Any, i: int, k: int, start: int, n: int, level: int, t: Any) -> None:
-    """Points below coarse row i, fine row k: the left sides of a row of cells, and the last right side."""
-    c = 2 * start - 1
-    get(t, IN_1, n + 1, data, SOUTH, k - 1, c)
-    get(t, IN_2, n + 1, data, SOUTH, k, c)
-    get(t, IN_3, n + 1, data, ANCHOR, k, c)
-    if level > 0:
-        get_sum(t, IN_4, n + 1, data, k - 1, c - 1, k - 1, c + 1)
-        get_sum(t, IN_5, n + 1, data, k, c, k, c)
-    else:
-        clear(t, IN_4, n + 1)
-        clear(t, IN_5, n + 1)
-    between(t, n + 1)
-    for j in range(n + 1):
-        t[T_UP + j], t[T_DOWN + j], t[LACK_SIDE + j] = t[WEIGHT_1 + j], t[WEIGHT_2 + j], t[LACK + j]
-    add(data, SOUTH, i, start, n, t, TO_EAST)
-    add(data, ANCHOR, i, start, n, t, A_NW)
-    add(data, ANCHOR, i + 1, start, n, t, A_NE)
-
-
-@njit(**INNER)  # type: ignore[misc]
-def cells(data: Any, k: int, start: int, n: int, level: int, t: Any) -> None:
-    """Eliminate the middle points (fine row k) of a row of cells."""
-    c = 2 * start
-    get(t, IN_1, n, data, SOUTH, k - 1, c)
-    get(t, IN_2, n, data, SOUTH, k, c)
-    get(t, IN_3, n, data, EAST, k, c - 1)
-    get(t, IN_4, n, data, EAST, k, c)
-    get(t, IN_5, n, data, ANCHOR, k, c)
-    if level > 0:
-        get(t, IN_6, n, data, SOUTHEAST, k - 1, c - 1)
-        get(t, IN_7, n, data, SOUTHWEST, k - 1, c + 1)
-        get(t, IN_8, n, data, SOUTHWEST, k, c)
-        get(t, IN_9, n, data, SOUTHEAST, k, c)
-    else:
-        for line in range(IN_6, IN_9 + 1, N):
-            clear(t, line, n)
+def cells(t: Any, n: int) -> None:
+    """Eliminate the middle points of a row of cells."""
     for j in range(n):
         tl, tr, bl, br = t[T_LEFT + j], t[T_RIGHT + j], t[LOW_LEFT + j], t[LOW_RIGHT + j]
         lu, ld, ru, rd = t[T_UP + j], t[T_DOWN + j], t[T_UP + j + 1], t[T_DOWN + j + 1]
@@ -242,10 +275,10 @@ def cells(data: Any, k: int, start: int, n: int, level: int, t: Any) -> None:
         top, low = c_top * t[LACK_TOP + j], c_low * t[LACK_LOW + j]
         west, east = c_west * t[LACK_SIDE + j], c_east * t[LACK_SIDE + j + 1]
         # The middle point's couplings, collapsed onto the corners.
-        nw = tl * c_top + lu * c_west + t[IN_6 + j]
-        ne = tr * c_top + ru * c_east + t[IN_7 + j]
-        sw = bl * c_low + ld * c_west + t[IN_8 + j]
-        se = br * c_low + rd * c_east + t[IN_9 + j]
+        nw = tl * c_top + lu * c_west + t[CORNER_1 + j]
+        ne = tr * c_top + ru * c_east + t[CORNER_2 + j]
+        sw = bl * c_low + ld * c_west + t[CORNER_3 + j]
+        se = br * c_low + rd * c_east + t[CORNER_4 + j]
         lack = top + low + west + east + t[IN_5 + j]
         total = nw + ne + sw + se + lack
         scale = ONE / (total + TINY)
@@ -265,18 +298,13 @@ def cells(data: Any, k: int, start: int, n: int, level: int, t: Any) -> None:
 
 
 @njit(**INNER)  # type: ignore[misc]
-def diagonals(data: Any, k: int, start: int, n: int, t: Any) -> None:
+def diagonals(t: Any, n: int) -> None:
     """What the couplings between edge points, across the corners of the fine cells, hand on."""
-    c = 2 * start
-    get(t, IN_1, n, data, SOUTHWEST, k - 1, c)
-    get(t, IN_2, n, data, SOUTHEAST, k - 1, c)
-    get(t, IN_3, n, data, SOUTHEAST, k, c - 1)
-    get(t, IN_4, n, data, SOUTHWEST, k, c + 1)
     for j in range(n):
         tl, tr, bl, br = t[T_LEFT + j], t[T_RIGHT + j], t[LOW_LEFT + j], t[LOW_RIGHT + j]
         lu, ld, ru, rd = t[T_UP + j], t[T_DOWN + j], t[T_UP + j + 1], t[T_DOWN + j + 1]
         top, low, west, east = t[LACK_TOP + j], t[LACK_LOW + j], t[LACK_SIDE + j], t[LACK_SIDE + j + 1]
-        w1, w2, w3, w4 = t[IN_1 + j], t[IN_2 + j], t[IN_3 + j], t[IN_4 + j]
+        w1, w2, w3, w4 = t[TIE_1 + j], t[TIE_2 + j], t[TIE_3 + j], t[TIE_4 + j]
         nw, ne, sw, se = w1 * (tl - lu), w2 * (tr - ru), w3 * (ld - bl), w4 * (rd - br)
         t[TO_EAST + j] -= nw * tr + ne * tl
         t[TO_SOUTH + j] += nw * ld - sw * lu
@@ -292,43 +320,26 @@ def diagonals(data: Any, k: int, start: int, n: int, t: Any) -> None:
 
 
 @njit(**INNER)  # type: ignore[misc]
-def write(data: Any, i: int, k: int, start: int, n: int, t: Any) -> None:
-    """Hand a row of cells (coarse row i, its upper fine row k) to the coarse level."""
-    for line in range(8):
-        put(data, LEFT + line, i, start, n, t, line * N)
-    add(data, EAST, i, start, n, t, TO_EAST)
-    add(data, SOUTH, i, start, n, t, TO_SOUTH)
-    add(data, EAST, i + 1, start, n, t, TO_LOW_EAST)
-    add(data, SOUTH, i, start + 1, n, t, TO_FAR_SOUTH)
-    put(data, SOUTHEAST, i, start, n, t, FALLING)
-    put(data, SOUTHWEST, i, start + 1, n, t, RISING)
-    add(data, ANCHOR, i, start, n, t, A_NW)
-    add(data, ANCHOR, i, start + 1, n, t, A_NE)
-    add(data, ANCHOR, i + 1, start, n, t, A_SW)
-    add(data, ANCHOR, i + 1, start + 1, n, t, A_SE)
-    get(t, IN_1, n, data, ANCHOR, k, 2 * start - 1)
-    add(data, ANCHOR, i, start, n, t, IN_1)
-
-
-@njit(**INNER)  # type: ignore[misc]
-def invert(data: Any, top: int, height: int, width: int, level: int, dense: Any) -> None:
+def invert(data: Any, top: int, height: int, width: int, level: int, dense: Any, a: Any) -> None:
     """Inverse of the coarsest operator by Gauss-Jordan elimination in float64.
 
     Points tied to no anchor have no absolute height: the last pivot among them is 0, and it stays at 0.
     """
     n = height * width
-    a = np.zeros((n, 2 * n))
+    for row in range(n):
+        for column in range(2 * n):
+            a[row, column] = 0
     largest = 0.0
     for row in range(n):
         i, j = top + 1 + row // width, 1 + row % width
-        a[row, row] += max(data[ANCHOR, i, j], ZERO)
+        a[row, row] += data[ANCHOR, i, j] if data[ANCHOR, i, j] > ZERO else ZERO
         a[row, n + row] = 1
         tie(a, row, row + 1, data[EAST, i, j])
         tie(a, row, row + width, data[SOUTH, i, j])
         if level > 0:
             tie(a, row, row + width + 1, data[SOUTHEAST, i, j])
             tie(a, row, row + width - 1, data[SOUTHWEST, i, j])
-        largest = max(largest, a[row, row])
+        largest = a[row, row] if a[row, row] > largest else largest
     for pivot in range(n):
         value = a[pivot, pivot]
         scale = 1 / value if value > 1e-9 * largest else 0.0
@@ -344,7 +355,7 @@ def invert(data: Any, top: int, height: int, width: int, level: int, dense: Any)
             dense[row, column] = a[row, n + column]
 
 
-@njit(**INNER)  # type: ignore[misc]
+@njit(**LEAF)  # type: ignore[misc]
 def tie(a: Any, row: int, other: int, coupling: float) -> None:
     if coupling != 0:
         a[row, row] += coupling

@@ -16,7 +16,7 @@ from gelform.errors import ConvergenceError
 from gelform.solvers.conjugate import solve
 from gelform.solvers.cycle import DEPTH, PLANES, SEARCH
 from gelform.solvers.edges import Pair
-from gelform.solvers.hierarchy import build
+from gelform.solvers.hierarchy import LINES, N, build
 from gelform.solvers.pool import Pool
 from gelform.solvers.system import Problem, Solution, Weights, load, problem_from_gradients
 
@@ -35,6 +35,10 @@ class Hierarchy:
         self.data = np.zeros((PLANES, levels[-1][0] + levels[-1][1] + 3, shape[1] + 3), dtype=np.float32)
         self.dense = np.zeros((COARSEST, COARSEST), dtype=np.float32)
         self._frame = slice(1, shape[0] + 1), slice(1, shape[1] + 1)
+        self._line = np.zeros((3, shape[1] + 3), dtype=np.float32)
+        self._past = np.zeros(4)
+        self._lines = np.zeros(LINES * N, dtype=np.float32)
+        self._elimination = np.zeros((COARSEST, 2 * COARSEST))
         self._built = False
 
     def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
@@ -44,7 +48,8 @@ class Hierarchy:
 
     def rebuild(self) -> None:
         """Compute the coarse levels from the finest."""
-        build(self.data, self.levels, self.dense)
+        self._lines[:] = 0
+        build(self.data, self.levels, self.dense, self._lines, self._elimination)
         self._built = True
 
     def solve(
@@ -54,7 +59,9 @@ class Hierarchy:
         self.data[DEPTH : SEARCH + 1, : self.levels[0, 1] + 3] = 0
         if start is not None:
             self.data[DEPTH][self._frame] = start
-        done, estimate = solve(self.data, self.levels, self.dense, scale, tolerance, max_iterations)
+        done, estimate = solve(
+            self.data, self.levels, self.dense, self._line, self._past, scale, tolerance, max_iterations
+        )
         if not estimate <= tolerance:
             self._built = False
             raise ConvergenceError(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.solvers.cycle import RIGHT_SIDE
+from gelform.solvers.dct import DctSolver
 from gelform.solvers.edges import Pair, differences, divergence, edges_from_gradients
 from gelform.solvers.multigrid import Hierarchy
 from gelform.solvers.pool import Pool
@@ -27,10 +28,11 @@ LOSSES: dict[str, Loss] = {
     "cauchy": lambda r: 1 / (1 + (r / 2.385) ** 2),
     "l1": lambda r: 0.1 / np.maximum(np.abs(r), 0.1),
 }
-# The usual residual is the median over every so-manieth edge: enough of them, and a median is slow.
+# The usual residual is the median over every seventh edge: enough of them, and a median is slow.
 EVERY = 7
-# The weights move more from round to round than this leaves open.
-TOLERANCE = 1e-3
+# The weights move more from round to round than these leave open.
+TOLERANCE = 3e-3
+LAST_TOLERANCE = 1e-3
 
 
 class RobustSolver:
@@ -58,6 +60,7 @@ class RobustSolver:
         self.mm_per_px = mm_per_px
         self.rounds = rounds
         self._weight = LOSSES[loss]
+        self._uniform = DctSolver(shape, mm_per_px)
         self._pool = Pool(lambda: Hierarchy(shape))
 
     def __call__(
@@ -70,11 +73,15 @@ class RobustSolver:
         """Depth of one frame; given weights multiply those of the loss."""
         problem = _per_edge(problem_from_gradients(gradients, weights, mask, anchor))
         with self._pool.one() as hierarchy:
-            hierarchy.load(problem, self.mm_per_px)
-            depth, iterations, error = hierarchy.solve(TOLERANCE, 1000)
-            for _ in range(self.rounds):
+            if weights is None and mask is None and anchor is None:
+                depth, iterations, error = self._uniform(gradients), 0, 0.0
+            else:
+                hierarchy.load(problem, self.mm_per_px)
+                depth, iterations, error = hierarchy.solve(TOLERANCE, 1000)
+            for turn in range(self.rounds):
                 self._load_round(hierarchy, problem, depth)
-                depth, more, error = hierarchy.solve(TOLERANCE, 1000, depth, float(np.ptp(depth)))
+                tolerance = LAST_TOLERANCE if turn == self.rounds - 1 else TOLERANCE
+                depth, more, error = hierarchy.solve(tolerance, 1000, depth, float(np.ptp(depth)))
                 iterations += more
         return Solution(depth, problem.known, iterations, error)
 
@@ -111,5 +118,6 @@ def _per_edge(problem: Problem) -> Problem:
 
 def _usual(residual: Pair, weights: Pair) -> np.float32:
     """Median size of the residuals that count, as a standard deviation; tiny where all are 0."""
-    sizes = np.concatenate([np.abs(r[w > 0])[::EVERY] for r, w in zip(residual, weights)])
+    sample = [(r.ravel()[::EVERY], w.ravel()[::EVERY]) for r, w in zip(residual, weights)]
+    sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
     return np.float32(max(1.4826 * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))

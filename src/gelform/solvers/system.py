@@ -9,6 +9,7 @@ solvers that take weights, so that all of them solve the same problem. The array
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gelform.gradients import fill
-from gelform.solvers.cycle import ANCHOR, EAST, FAST, RIGHT_SIDE, SOUTH
+from gelform.solvers.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
 from gelform.solvers.edges import Pair, divergence, edges_from_gradients
 
 # Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
@@ -67,22 +68,33 @@ def problem_from_gradients(
     Only the ratios of weights and anchor count: both are divided by the largest weight.
     """
     shape = gradients.shape[:2]
-    mask = np.ones(shape, dtype=bool) if mask is None else mask
-    anchor = (
-        np.zeros(shape, dtype=np.float32) if anchor is None else np.where(mask, anchor, 0).astype(np.float32)
-    )
+    whole = mask is None
+    mask = _constant(shape, True) if mask is None else mask
+    if anchor is None:
+        anchor = _constant(shape, 0.0)
+    elif not whole:
+        anchor = anchor * mask
     if isinstance(weights, tuple):
         return _problem_per_edge(gradients, weights, mask, anchor)
     if weights is None:
-        return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask)
-    largest = _largest(weights[mask] if not mask.all() else weights)
-    told = mask & (weights >= FLOOR * largest)
-    if np.count_nonzero(told) < np.count_nonzero(mask):
+        return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask.copy())
+    largest = _largest(weights if whole else weights[mask])
+    told = weights >= FLOOR * largest
+    confidence = np.maximum(weights * np.float32(1 / largest), np.float32(FLOOR))
+    if not whole:
+        told, confidence = told & mask, confidence * mask
+    if np.count_nonzero(told) < (told.size if whole else np.count_nonzero(mask)):
         gradients = fill(gradients, told)
-    confidence = np.maximum(weights * np.float32(1 / largest), np.float32(FLOOR)) * mask
-    return Problem(
-        gradients, confidence, None, None, mask, anchor * np.float32(1 / largest), told | (anchor > 0)
-    )
+    known = told if anchor is _constant(shape, 0.0) else told | (anchor > 0)
+    if largest != 1:
+        anchor = anchor * np.float32(1 / largest)
+    return Problem(gradients, confidence, None, None, mask, anchor, known)
+
+
+@lru_cache(maxsize=16, typed=True)
+def _constant(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
+    """A map of one value, shared: nobody writes to it."""
+    return np.full(shape, value, dtype=bool if isinstance(value, bool) else np.float32)
 
 
 def _problem_per_edge(
@@ -99,7 +111,8 @@ def _problem_per_edge(
     known[:, :-1] |= told[0]
     known[1:] |= told[1]
     known[:-1] |= told[1]
-    return Problem(None, None, filled, scaled, mask, anchor / np.float32(largest), known)  # type: ignore[arg-type]
+    anchor = anchor / np.float32(largest)
+    return Problem(None, None, filled, scaled, mask, anchor, known)  # type: ignore[arg-type]
 
 
 def _largest(weights: NDArray[Any]) -> float:
@@ -125,7 +138,8 @@ def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -
     load_couplings(data, problem.edge_weights, problem.anchor, mm_per_px)
     flux = tuple(e * w for e, w in zip(problem.edges, problem.edge_weights))
     area = mm_per_px[0] * mm_per_px[1]
-    data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = divergence(flux, mm_per_px) * area  # type: ignore[arg-type]
+    right = divergence(flux, mm_per_px) * area  # type: ignore[arg-type]
+    data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = right
     return True
 
 
@@ -144,7 +158,7 @@ def load_couplings(
     data[ANCHOR, 1 : height + 1, 1 : width + 1] = anchor
 
 
-@njit(**FAST, cache=True)  # type: ignore[misc]
+@njit(**KERNEL)  # type: ignore[misc]
 def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float) -> Any:
     """Couplings are the harmonic means of two pixels' confidence: the variance of an averaged slope."""
     height, width = confidence.shape
@@ -171,7 +185,7 @@ def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: flo
     return change > 0
 
 
-@njit(**FAST, cache=True)  # type: ignore[misc]
+@njit(**KERNEL)  # type: ignore[misc]
 def _load_right_side(data: Any, g: Any, scale_x: float, scale_y: float) -> None:
     """Right side from slopes per pixel: what flows in over the edges minus what flows out."""
     height, width = g.shape[0], g.shape[1]

@@ -1,0 +1,425 @@
+"""The solvers' tables and picture: accuracy, lies, noise, sigma, speed, memory, first start.
+
+    python benchmarks/solvers.py [--quick] [-o benchmarks/results]
+
+Times are CPU times of one thread, 10 % quantile, as ratios to D: a bare float32 scipy.fft dctn + idctn pair
+of the same size, taken in turn with what is measured, so that a busy machine hits both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.fft import dctn, idctn
+
+import gelform
+from gelform.solvers import SOLVERS, UNIFORM, MultigridSolver, RobustSolver, SparseSolver
+from gelform.solvers.multigrid import Hierarchy
+from gelform.solvers.system import problem_from_gradients
+from scenes import (
+    BALL,
+    BALLS,
+    MM_PER_PX,
+    PEAKS,
+    SCENES,
+    SHAPE,
+    confidence_from_valid,
+    rmse_um,
+    scene,
+    with_liars,
+    with_noise,
+    with_patches,
+)
+
+NOISE = 0.05
+SIZES = [(240, 320), (480, 640), (960, 1280), (2048, 2048)]
+Table = dict[str, dict[str, float]]
+
+
+def depth_of(name: str, gradients: Any, **arguments: Any) -> Any:
+    return gelform.depth_from_gradients(gradients, mm_per_px=MM_PER_PX, solver=name, **arguments)
+
+
+def accuracy() -> Table:
+    """RMSE in um without noise."""
+    table: Table = {}
+    for name in SOLVERS:
+        table[name] = {}
+        for title in ("ball", "balls", "peaks", "texture", "plane"):
+            sample = scene(SCENES[title])
+            table[name][title] = rmse_um(depth_of(name, sample.gradients), sample.depth_mm)
+    return table
+
+
+def noise(repeats: int) -> Table:
+    """RMSE in um at several slope noises, and as a multiple of the closed form's."""
+    sample = scene(PEAKS)
+    table: Table = {}
+    for name in SOLVERS:
+        if name == "sparse":
+            continue
+        table[name] = {}
+        for sigma in (0.01, 0.05, 0.2):
+            errors = [
+                rmse_um(
+                    depth_of(name, with_noise(sample.gradients, sigma, np.random.default_rng(k))),
+                    sample.depth_mm,
+                )
+                for k in range(repeats)
+            ]
+            floor = 1e3 * np.sqrt(
+                np.mean(gelform.depth_sigma(np.full((*SHAPE, 2), sigma), mm_per_px=MM_PER_PX) ** 2)
+            )
+            table[name][f"{sigma:g}"] = float(np.sqrt(np.mean(np.square(errors))))
+            table[name][f"{sigma:g} / floor"] = table[name][f"{sigma:g}"] / float(floor)
+    return table
+
+
+def lies(repeats: int) -> Table:
+    """RMSE in um with 15 % lying pixels and slope noise 0.05: specks, and coherent patches."""
+    table: Table = {}
+    for corrupt, kind in ((with_liars, "specks"), (with_patches, "patches")):
+        for title, surface in (("ball", BALL), ("balls", BALLS)):
+            sums: dict[str, list[float]] = {}
+            for k in range(repeats):
+                rng = np.random.default_rng(k)
+                sample = scene(surface)
+                lying = corrupt(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
+                for name in ("dct", "robust_huber", "robust", "robust_l1", "gated"):
+                    error = rmse_um(depth_of(name, lying.gradients), sample.depth_mm)
+                    sums.setdefault(name, []).append(error)
+                known = depth_of("multigrid", lying.gradients, weights=lying.valid.astype(np.float32))
+                sums.setdefault("known, valid pixels", []).append(
+                    rmse_um(known, sample.depth_mm, lying.valid)
+                )
+                sums.setdefault("known, all pixels", []).append(rmse_um(known, sample.depth_mm))
+            for name, errors in sums.items():
+                table.setdefault(name, {})[f"{kind}, {title}"] = float(np.sqrt(np.mean(np.square(errors))))
+    return table
+
+
+def ratio(work: Callable[[], Any], bare: Callable[[], Any], repeats: int) -> tuple[float, float]:
+    """Time of work over that of bare, and in ms: 10 % quantiles of CPU times taken in turn."""
+    work(), bare()
+    times = []
+    for _ in range(repeats):
+        start = time.thread_time()
+        bare()
+        middle = time.thread_time()
+        work()
+        times.append((middle - start, time.thread_time() - middle))
+    low = np.quantile(times, 0.1, axis=0)
+    return float(low[1] / low[0]), float(1e3 * low[1])
+
+
+def lying_frame(shape: tuple[int, int], kind: str) -> tuple[Any, Any, tuple[float, float], Any]:
+    """Slopes with 10 % lies and confidence from 1 to 1e-3."""
+    sample = scene(PEAKS, shape, MM_PER_PX * SHAPE[0] / shape[0])
+    rng = np.random.default_rng(0)
+    corrupt = with_liars if kind == "specks" else with_patches
+    lying = corrupt(with_noise(sample.gradients, NOISE, rng), 0.1, rng)
+    weights = confidence_from_valid(lying.valid, low=1.001e-3).astype(np.float32)
+    return lying.gradients.astype(np.float32), weights, sample.mm_per_px, sample.depth_mm
+
+
+def speed(sizes: list[tuple[int, int]]) -> Table:
+    """Ratios to D."""
+    table: Table = {}
+    for shape in sizes:
+        repeats = max(5, int(4e6 / (shape[0] * shape[1])))
+        picture = np.random.default_rng(0).standard_normal(shape).astype(np.float32)
+
+        def bare(picture: Any = picture) -> Any:
+            return idctn(dctn(picture))
+
+        size = f"{shape[0]}x{shape[1]}"
+        for name in UNIFORM:
+            gradients, _, pitch, _ = lying_frame(shape, "specks")
+            solver = SOLVERS[name](shape, pitch)
+            table.setdefault(name, {})[size], ms = ratio(partial(solver, gradients), bare, repeats)
+            if name == "dct":
+                table.setdefault("dct, ms", {})[size] = ms
+                door = partial(gelform.depth_from_gradients, gradients, mm_per_px=pitch)
+                table.setdefault("dct, through the door", {})[size] = ratio(door, bare, repeats)[0]
+        for kind in ("specks", "patches"):
+            timed_weighted(table, shape, kind, bare, repeats)
+        gradients, _, pitch, _ = lying_frame(shape, "specks")
+        if shape[0] <= 960:
+            for name in ("robust", "gated"):
+                solver = SOLVERS[name](shape, pitch)
+                table.setdefault(name, {})[size] = ratio(
+                    partial(solver, gradients), bare, max(5, repeats // 3)
+                )[0]
+    return table
+
+
+def timed_weighted(
+    table: Table, shape: tuple[int, int], kind: str, bare: Callable[[], Any], repeats: int
+) -> None:
+    """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where that is feasible."""
+    gradients, weights, pitch, depth = lying_frame(shape, kind)
+    size = f"{shape[0]}x{shape[1]}"
+    hierarchy = Hierarchy(shape)
+    anchors = {"": None, ", anchored": np.where(depth < 0.05, 1e-2, 0).astype(np.float32)}
+    for title, anchor in anchors.items():
+        problem = problem_from_gradients(gradients, weights, None, anchor)
+
+        def work(problem: Any = problem) -> Any:
+            hierarchy.load(problem, pitch)
+            hierarchy.rebuild()
+            return hierarchy.solve(4e-4, 1000)
+
+        name = f"multigrid, {kind}{title}"
+        table.setdefault(name, {})[size], ms = ratio(work, bare, max(5, repeats // 3))
+        table.setdefault(f"{name}, iterations", {})[size] = work()[1]
+        if not title:
+            table.setdefault(f"{name}, ms", {})[size] = ms
+
+            def door() -> Any:
+                return MultigridSolver(shape, pitch)(gradients, weights)
+
+            table.setdefault(f"{name}, unprepared", {})[size] = ratio(door, bare, 5)[0]
+        if shape[0] <= 480:
+            exact = SparseSolver(shape, pitch)(gradients, weights, None, anchor).depth_mm
+            difference = (work()[0] - exact).astype(np.float64)
+            difference -= 0 if title else difference.mean()
+            table.setdefault(f"{name}, max error um", {})[size] = float(1e3 * np.abs(difference).max())
+
+
+def growth(table: Table) -> Table:
+    """Power of the number of pixels that times grow with."""
+    powers: Table = {"growth": {}}
+    for name, end in (("dct, ms", "960x1280"), ("multigrid, patches, ms", "2048x2048")):
+        if end in table.get(name, {}):
+            pixels = [np.prod([int(n) for n in size.split("x")]) for size in ("240x320", end)]
+            times = [table[name][size] for size in ("240x320", end)]
+            powers["growth"][f"{name} 240x320 to {end}"] = float(
+                np.diff(np.log(times))[0] / np.diff(np.log(pixels))[0]
+            )
+    return powers
+
+
+def uncertainty(count: int, probes: tuple[int, ...] = (32, 128)) -> Table:
+    """Standard deviation map, weighted and anchored, white and correlated, against Monte Carlo."""
+    rng = np.random.default_rng(1)
+    sample = scene(BALL, (120, 160), 2 * MM_PER_PX)
+    sigma = np.full((120, 160), NOISE)
+    sigma[:, :50] = 0.08
+    lying = ~with_liars(sample.gradients, 0.1, rng).valid
+    sigma[lying] = np.where(rng.uniform(size=np.count_nonzero(lying)) < 0.5, 0.25, 3.0)
+    weights = np.minimum(1, (NOISE / sigma) ** 2)
+    sigma = np.repeat(sigma[..., None], 2, axis=-1)
+    anchor = np.where(sample.depth_mm == 0, 1e-2, 0)
+    table: Table = {}
+    for length in (0, 10, 20):
+        arguments = {"mm_per_px": 2 * MM_PER_PX, "weights": weights, "anchor": anchor}
+        total = np.zeros((120, 160))
+        for _ in range(count):
+            errors = sigma * rng.standard_normal((120, 160, 2))
+            if length:
+                errors = np.sqrt(0.5) * (errors + sigma * correlated_errors((120, 160), length, rng))
+            total += gelform.depth_from_gradients(errors, **arguments).astype(np.float64) ** 2
+        for n in probes:
+            found = gelform.depth_sigma(sigma, correlation_px=length, probes=n, **arguments)
+            off = np.abs(found / np.sqrt(total / count) - 1)
+            row = table.setdefault(f"correlation {length} px, {n} probes", {})
+            row["median error"] = float(np.median(off))
+            row["error at 95 % of pixels"] = float(np.quantile(off, 0.95))
+    big = np.full((*SHAPE, 2), NOISE)
+    picture = np.zeros(SHAPE, dtype=np.float32)
+    weights = np.random.default_rng(0).uniform(0.2, 1, SHAPE)
+    for n in probes:
+        work = partial(
+            gelform.depth_sigma,
+            big,
+            mm_per_px=MM_PER_PX,
+            weights=weights,
+            anchor=1e-2,
+            correlation_px=20,
+            probes=n,
+        )
+        table[f"correlation 20 px, {n} probes"]["time / D, 240x320"] = ratio(
+            work, lambda: idctn(dctn(picture)), 7
+        )[0]
+    return table
+
+
+def correlated_errors(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Any:
+    """Errors of variance 1 with correlation exp(-d^2/(2 length^2))."""
+    from scipy.ndimage import gaussian_filter
+
+    blur = length / np.sqrt(2)
+    margin = int(5 * blur) + 1
+    noise = rng.standard_normal((shape[0] + 2 * margin, shape[1] + 2 * margin, 2))
+    impulse = np.zeros(2 * margin + 1)
+    impulse[margin] = 1
+    gain = np.sum(gaussian_filter(impulse, blur) ** 2)
+    return gaussian_filter(noise, (blur, blur, 0))[margin:-margin, margin:-margin] / gain
+
+
+def groove() -> Table:
+    """Gradients of the measured groove, integrated back: largest error as a share of the range."""
+    folder = Path(os.environ.get("GELFORM_DATA", "../shared/data")) / "groove"
+    files = sorted(folder.glob("*.np[yz]")) if folder.is_dir() else []
+    if not files:
+        return {}
+    loaded = np.load(files[0])
+    depth = np.asarray(
+        loaded if isinstance(loaded, np.ndarray) else loaded[loaded.files[0]], dtype=np.float64
+    )
+    gradients = gelform.gradients_from_depth(depth, mm_per_px=0.02746)
+    table: Table = {}
+    for name in ("dct", "dct4", "multigrid", "path"):
+        found = gelform.depth_from_gradients(gradients, mm_per_px=0.02746, solver=name)
+        difference = found - depth
+        table[name] = {
+            "RMS, share of range": float(np.std(difference) / np.ptp(depth)),
+            "largest, share of range": float(np.abs(difference - difference.mean()).max() / np.ptp(depth)),
+        }
+    return table
+
+
+START = """
+import time
+start = time.perf_counter(); cpu = time.process_time()
+import numpy as np
+import gelform
+g = np.zeros((240, 320, 2), np.float32); w = np.ones((240, 320), np.float32)
+g[..., 0] = np.linspace(0, 1, 320)
+gelform.depth_from_gradients(g, mm_per_px=0.06, weights=w)
+print(time.perf_counter() - start, time.process_time() - cpu)
+"""
+
+MEMORY = """
+import resource
+import numpy as np
+import gelform
+g = np.random.default_rng(0).standard_normal((2048, 2048, 2)).astype(np.float32)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+gelform.depth_from_gradients(g, mm_per_px=0.06, weights=np.ones((2048, 2048), np.float32))
+print(before / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def fresh_process(program: str, cache: str | None = None) -> list[float]:
+    environment = os.environ | ({"NUMBA_CACHE_DIR": cache} if cache else {})
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    return [float(word) for word in done.stdout.split()]
+
+
+def start_and_memory(large: bool) -> Table:
+    """First weighted solve in a new process, imports included; peak memory at 2048x2048."""
+    table: Table = {}
+    with tempfile.TemporaryDirectory() as cache:
+        for title in ("cold", "warm", "warm again"):
+            seconds, cpu = fresh_process(START, cache)
+            table[f"first weighted solve, {title}"] = {"s": seconds, "CPU s": cpu}
+    if large:
+        before, after = fresh_process(MEMORY)
+        table["memory at 2048x2048"] = {"MB in all": after, "MB by the solve": after - before}
+    return table
+
+
+def draw(results: dict[str, Table], path: Path) -> None:
+    """Error against time at 240x320: 15 % specks and slope noise 0.05 on the ball."""
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise SystemExit(
+            "Expected matplotlib for the picture. Install the extra: pip install gelform[plots]."
+        ) from error
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    rng = np.random.default_rng(0)
+    sample = scene(BALL)
+    lying = with_liars(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
+    gradients = lying.gradients.astype(np.float32)
+    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    runs: dict[str, Callable[[], Any]] = {
+        name: lambda name=name: depth_of(name, gradients)
+        for name in SOLVERS
+        if name not in ("multigrid", "sparse")
+    }
+    weights = lying.valid.astype(np.float32)
+    runs["multigrid, known confidence"] = lambda: depth_of("multigrid", gradients, weights=weights)
+    runs["sparse, known confidence"] = lambda: depth_of("sparse", gradients, weights=weights)
+    for rounds in (1, 5):
+        solver = RobustSolver(SHAPE, (MM_PER_PX, MM_PER_PX), rounds=rounds)
+        runs[f"robust, {rounds} rounds"] = lambda solver=solver: solver(gradients).depth_mm
+    picture = gradients[..., 0].copy()
+    for name, work in runs.items():
+        cost = ratio(work, lambda: idctn(dctn(picture)), 5)[0]
+        error = rmse_um(work(), sample.depth_mm)
+        axes.loglog(cost, error, "o", color="tab:orange" if "known" in name else "tab:blue")
+        axes.annotate(name, (cost, error), xytext=(5, 3), textcoords="offset points", fontsize=8)
+    axes.set(
+        xlabel="time / time of a bare DCT pair (240x320)",
+        ylabel="RMSE of depth (um)",
+        title="Ball, slope noise 0.05, 15 % of the pixels lie (orange: it is known which)",
+    )
+    axes.grid(True, which="both", alpha=0.25)
+    axes.margins(x=0.18)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def shown(title: str, table: Table) -> None:
+    columns = list(dict.fromkeys(column for row in table.values() for column in row))
+    width = max([len(name) for name in table] + [1])
+    print(f"\n{title}\n\n| {'':{width}} | " + " | ".join(columns) + " |")
+    print(f"|{'-' * (width + 2)}|" + "|".join("-" * (len(c) + 1) + ":" for c in columns) + "|")
+    for name, row in table.items():
+        cells = [f"{row[c]:.3g}" if c in row else "" for c in columns]
+        print(f"| {name:{width}} | " + " | ".join(f"{v:>{len(c)}}" for v, c in zip(cells, columns)) + " |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer repeats, up to 480x640")
+    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
+    options = parser.parse_args()
+    few = 2 if options.quick else 5
+    results: dict[str, Table] = {}
+    tables: dict[str, Callable[[], Table]] = {
+        "RMSE, um, without noise, 240x320": accuracy,
+        "RMSE, um, at slope noise (peaks)": lambda: noise(few),
+        "RMSE, um, 15 % of the pixels lie, slope noise 0.05": lambda: lies(few),
+        "Measured groove, there and back": groove,
+        "Standard deviation of depth against Monte Carlo": lambda: uncertainty(100 if options.quick else 400),
+        "Time / D (ms: absolute)": lambda: speed(SIZES[: 2 if options.quick else 4]),
+        "Start and memory": lambda: start_and_memory(not options.quick),
+    }
+    for title, make in tables.items():
+        results[title] = make()
+        shown(title, results[title])
+    results["Growth: power of the pixels"] = growth(results["Time / D (ms: absolute)"])
+    shown("Growth: power of the pixels", results["Growth: power of the pixels"])
+    options.output.mkdir(parents=True, exist_ok=True)
+    about = {"machine": platform.machine(), "python": platform.python_version(), "numpy": np.__version__}
+    (options.output / "solvers.json").write_text(
+        json.dumps({"about": about, "tables": results}, indent=1) + "\n"
+    )
+    draw(results, options.output / "solvers.png")
+    print(f"\npeak memory of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Compile the kernels before they are needed: once per installation; from then on they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from gelform.solvers.conjugate import solve
+from gelform.solvers.dct import DctSolver
+from gelform.solvers.hierarchy import build
+from gelform.solvers.multigrid import MultigridSolver
+
+MESSAGE = "Compiling the depth solvers for this machine: some seconds, once."
+
+
+def is_compiled() -> bool:
+    """Whether the weighted solver starts at once: compiled in this process, or kept on disk."""
+    return all(bool(kernel.signatures) or _is_kept(kernel) for kernel in (solve, build))
+
+
+def warmup(progress: Callable[[str], None] | None = None) -> None:
+    """Compile every kernel, or read it from numba's cache on disk; what follows then takes its usual time.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Is told, in one sentence, if it is going to take seconds.
+    """
+    if progress is not None and not is_compiled():
+        progress(MESSAGE)
+    gradients = np.zeros((8, 9, 2), dtype=np.float32)
+    weights = np.ones((8, 9), dtype=np.float32)
+    weights[3, 4] = 0
+    DctSolver((8, 9), (1.0, 1.0))(gradients)
+    MultigridSolver((8, 9), (1.0, 1.0))(gradients, weights)
+
+
+def _is_kept(kernel: object) -> bool:
+    """An index newer than the source lies in numba's cache."""
+    function = kernel.py_func  # type: ignore[attr-defined]
+    source = Path(function.__code__.co_filename)
+    folder = Path(kernel.stats.cache_path)  # type: ignore[attr-defined]
+    kept = folder.glob(f"{source.stem}.{function.__name__}-*.nbi")
+    return any(index.stat().st_mtime > source.stat().st_mtime for index in kept)
