@@ -2,7 +2,7 @@
 
     python docs/check.py
 
-Blocks run in the order of their page in one namespace, in a temporary folder. A block after a line that holds
+The blocks of a page run in order in one namespace, in a temporary folder of the page's own. A block after a line that holds
 `<!-- not run` is left out: it needs hardware or a user's own files.
 """
 
@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
-COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "info")
+COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "info")
 
 
 def broken_links(page: Path) -> list[str]:
@@ -61,11 +61,11 @@ def main() -> int:
     wrong = [problem for page in PAGES for problem in (*broken_links(page), *unknown_commands(page))]
     for problem in wrong:
         print(f"broken: {problem}")
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        for page in PAGES:
+    for page in PAGES:
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
             run_blocks(page)
-        os.chdir(ROOT)
+            os.chdir(ROOT)
     return 1 if wrong else 0
 
 

@@ -271,7 +271,7 @@ def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> 
     axes.margins(x=0.01, y=0.12)
     _quiet(axes, "both")
     axes.legend(frameon=False, fontsize=9, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=2)
-    axes.set_title("profiles through the deepest point", fontsize=10, color=INK)
+    axes.set_title("profiles through the deepest point", fontsize=10, color=INK, loc="left")
     axes.set_xlabel("distance from it (mm)")
     axes.set_ylabel("depth (mm)")
 

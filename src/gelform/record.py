@@ -125,7 +125,6 @@ class Calibration:
             "forward_settings": {"position_degrees": list(self.forward.position_degrees)},
             "slope_sigma": asdict(self.slope_sigma),
             "untouched_change": self.untouched_change,
-            "response": 1.0,
             "crosstalk": None,
             "held_out": self.held_out,
             "training_digests": list(self.training_digests),

@@ -201,7 +201,12 @@ def _draft(
         untouched_change=_untouched_change(used, contacts),
         held_out={},
         training_digests=tuple(presses.presses[i].digest for i in refined.accepted),
-        settings={"zone": chosen.zone, **dict(chosen.settings), "presses": len(used)},
+        settings={
+            "zone": chosen.zone,
+            **dict(chosen.settings),
+            "presses": len(used),
+            "response": presses.response,
+        },
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
@@ -270,11 +275,15 @@ def _report(
         }
         for s in scores
     ]
-    notes = (
+    notes: tuple[str, ...] = (
         f"Held-out errors: {len(errors)} presses in folds; circles, model and zone of a fold never saw its presses. "
         "The candidate was chosen by the same folds, so its errors are slightly optimistic.",
         "Crosstalk is absorbed in the color model. The errors do not include the uncertainty of mm_per_px.",
     )
+    if presses.response != 1:
+        notes += (
+            f"The camera's response, exponent {presses.response:g}, is absorbed in the model, not undone.",
+        )
     return CalibrationReport(tuple(rows), tuple(candidates), summary(list(errors.values())), seconds, notes)
 
 

@@ -55,6 +55,7 @@ class Presses:
     mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation where known
     sensor_name, serial, gel_id : from sensor.toml or the profile
     view : how frames become images
+    response : exponent of the camera's response, from sensor.toml; recorded, not undone
     """
 
     folder: str
@@ -66,6 +67,7 @@ class Presses:
     serial: str | None
     gel_id: str | None
     view: View
+    response: float = 1.0
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -137,6 +139,7 @@ def read_presses(
         serial=settings.serial or None,
         gel_id=settings.gel_id or None,
         view=view,
+        response=settings.response,
     )
 
 

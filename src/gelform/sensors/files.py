@@ -38,6 +38,7 @@ class SensorSettings:
     name : str
     mm_per_px : mm per image pixel, after the view
     mm_per_px_sigma : its standard deviation, mm; None where it is not known
+    response : exponent of the camera's response, I = light^response; 1 where it is linear or not known
     serial, gel_id : which unit and which gel; empty where they are not known
     view : from the camera's frames to the images; identity by default
     """
@@ -45,6 +46,7 @@ class SensorSettings:
     name: str
     mm_per_px: float
     mm_per_px_sigma: float | None = None
+    response: float = 1.0
     serial: str = ""
     gel_id: str = ""
     view: View = field(default_factory=View)
@@ -89,7 +91,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def read_sensor_toml(path: str | Path) -> SensorSettings:
-    """Read a `sensor.toml`: `name`, `mm_per_px`, optional `mm_per_px_sigma`, `serial`, `gel_id` and `[view]`.
+    """Read a `sensor.toml`: `name`, `mm_per_px`, optional `mm_per_px_sigma`, `response`, `serial`, `gel_id` and `[view]`.
 
     Raises
     ------
@@ -123,6 +125,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         **texts,
         mm_per_px=check_positive(settings["mm_per_px"], "mm_per_px"),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
+        response=check_positive(settings.get("response", 1.0), "response"),
         view=View.from_dict(settings.get("view", {})),
     )
 

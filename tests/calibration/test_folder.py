@@ -1,0 +1,174 @@
+"""Folders of presses: three layouts give the same presses, and what is wrong with one is said."""
+
+import csv
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+import gelform
+from gelform.view import View
+
+
+@pytest.fixture
+def copy(folder, tmp_path):
+    """The press folder, free to be spoilt."""
+    return shutil.copytree(folder, tmp_path / "presses")
+
+
+def rewrite(folder, change):
+    """presses.csv with its rows changed: `change` gets the header and the rows."""
+    with (folder / "presses.csv").open(newline="") as file:
+        header, *rows = list(csv.reader(file))
+    header, rows = change(header, rows)
+    with (folder / "presses.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+
+
+def test_press_folder_is_read_as_it_was_written(presses, simulated):
+    assert len(presses.presses) == len(simulated.presses)
+    for press, truth in zip(presses.presses, simulated.presses):
+        np.testing.assert_array_equal(press.image, truth.image)
+        assert press.ball_diameter_mm == truth.ball_diameter_mm
+        assert press.label is None
+    assert presses.mm_per_px == simulated.sensor.mm_per_px
+    assert presses.background.dtype == np.float32
+    assert len({press.digest for press in presses.presses}) == len(presses.presses)
+
+
+def test_gs_sdk_folder_is_read_as_it_is(copy, presses, tmp_path):
+    target = tmp_path / "gs_sdk"
+    target.mkdir()
+    shutil.copy(copy / "background.png", target)
+    rows = ["experiment_reldir,diameter(mm)"]
+    for i, press in enumerate(presses.presses):
+        (target / f"5mm/{i}").mkdir(parents=True)
+        shutil.copy(copy / press.name, target / f"5mm/{i}/gelsight.png")
+        rows.append(f"5mm/{i},{press.ball_diameter_mm}")
+    np.savez(target / "5mm/0/label.npz", center=np.array([80.5, 60.0]), radius=21)
+    (target / "catalog.csv").write_text("\n".join(rows) + "\n")
+    read = gelform.read_presses(target, mm_per_px=presses.mm_per_px)
+    assert [p.digest for p in read.presses] == [p.digest for p in presses.presses]
+    assert read.presses[0].label == (80.5, 60.0, 21.0)
+    assert read.presses[1].label is None
+
+
+def test_plain_folder_needs_a_ball_and_a_scale(copy, presses):
+    plain = copy.parent / "plain"
+    plain.mkdir()
+    shutil.copy(copy / "background.png", plain)
+    shutil.copy(copy / presses.presses[0].name, plain / "a.png")
+    with pytest.raises(gelform.DataError, match="No scale"):
+        gelform.read_presses(plain, ball_diameter_mm=5.0)
+    with pytest.raises(gelform.DataError, match="which ball pressed"):
+        gelform.read_presses(plain, mm_per_px=0.1)
+    read = gelform.read_presses(plain, ball_diameter_mm=5.0, mm_per_px=0.1)
+    assert [p.name for p in read.presses] == ["a.png"]
+    np.testing.assert_array_equal(read.presses[0].image, presses.presses[0].image)
+
+
+def test_profile_gives_scale_and_view(copy, presses):
+    (copy / "sensor.toml").unlink()
+    for path in [copy / "background.png", *(copy / press.name for press in presses.presses)]:
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(path), cv2.resize(image, (336, 252)))
+    read = gelform.read_presses(copy, sensor="gelsight-mini")
+    assert read.mm_per_px == 0.0634
+    assert read.image_shape == (240, 320)
+    assert read.presses[0].image.shape == (240, 320, 3)
+    assert read.view.frame_shape == (252, 336)
+
+
+def test_crop_and_view_of_the_settings(copy):
+    cropped = gelform.read_presses(copy, crop=(10, 20, 100, 80))
+    assert cropped.image_shape == (80, 100)
+    whole = gelform.read_presses(copy)
+    np.testing.assert_array_equal(cropped.background, whole.background[20:100, 10:110])
+    (copy / "sensor.toml").write_text(
+        'name = "s"\nmm_per_px = 0.1\nresponse = 2.2\n[view]\nframe_shape = [132, 176]\nflip = "x"\n'
+    )
+    turned = gelform.read_presses(copy)
+    assert turned.view == View((132, 176), flip="x")
+    assert turned.response == 2.2
+    np.testing.assert_allclose(turned.background, whole.background[:, ::-1])
+
+
+def test_labels_and_other_indenters(copy, presses):
+    def label_the_first(header, rows):
+        names = ["center_x_px", "center_y_px", "contact_radius_px", "indenter"]
+        rows = [
+            [*row, "80.5", "60", "21", "ball"] if i == 0 else [*row, "", "", "", "cone"]
+            for i, row in enumerate(rows)
+        ]
+        return [*header, *names], rows
+
+    rewrite(copy, label_the_first)
+    read = gelform.read_presses(copy)
+    assert len(read.presses) == 1
+    assert read.presses[0].label == (80.5, 60.0, 21.0)
+
+
+def test_progress_is_reported(copy):
+    calls = []
+    gelform.read_presses(copy, progress=lambda *call: calls.append(call))
+    assert calls[-1][:2] == (14, 14)
+
+
+SPOILT = {
+    "missing column": (lambda h, r: (["image", "diameter"], r), "columns image, ball_diameter_mm .* missing"),
+    "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball diameter in mm > 0 .* line 2"),
+    "diameter in words": (lambda h, r: (h, [[r[0][0], "small"], *r[1:]]), "as a number, got 'small'"),
+    "diameter of nan": (lambda h, r: (h, [[r[0][0], "nan"], *r[1:]]), "finite number"),
+    "negative diameter": (lambda h, r: (h, [[r[0][0], "-5"], *r[1:]]), "> 0"),
+    "missing image": (lambda h, r: (h, [["nowhere.png", "5"], *r[1:]]), r"No file .*nowhere\.png"),
+    "no rows": (lambda h, r: (h, []), "No press in"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_spoilt_table(copy, name):
+    change, message = SPOILT[name]
+    rewrite(copy, change)
+    with pytest.raises(gelform.DataError, match=message):
+        gelform.read_presses(copy)
+
+
+def test_no_folder_and_no_background(copy, tmp_path):
+    with pytest.raises(gelform.DataError, match="not there"):
+        gelform.read_presses(tmp_path / "nothing")
+    with pytest.raises(gelform.DataError, match="which is a file"):
+        gelform.read_presses(copy / "presses.csv")
+    (copy / "background.png").unlink()
+    with pytest.raises(gelform.DataError, match="No background"):
+        gelform.read_presses(copy)
+
+
+def test_empty_folder(tmp_path):
+    with pytest.raises(gelform.DataError, match=r"No scale|No background"):
+        gelform.read_presses(tmp_path)
+
+
+def test_images_of_two_sizes(copy, presses):
+    cv2.imwrite(str(copy / presses.presses[3].name), np.zeros((50, 60, 3), np.uint8))
+    with pytest.raises(gelform.DataError, match=r"one size: .* is 50x60 px"):
+        gelform.read_presses(copy)
+
+
+def test_truncated_image(copy, presses):
+    path = copy / presses.presses[2].name
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(gelform.DataError, match="truncated"):
+        gelform.read_presses(copy)
+
+
+@pytest.mark.parametrize("pitch", [0, -0.1, float("nan")])
+def test_scale_must_be_positive(copy, pitch):
+    with pytest.raises(ValueError, match="mm_per_px > 0"):
+        gelform.read_presses(copy, mm_per_px=pitch)
+
+
+def test_unknown_sensor_lists_the_known(copy):
+    (copy / "sensor.toml").unlink()
+    with pytest.raises(gelform.SensorError, match="gelsight-mini, digit"):
+        gelform.read_presses(copy, sensor="gelsite")
