@@ -8,7 +8,7 @@ import pytest
 
 from gelform.cli import app, main
 
-COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "info")
+COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "info")
 HEAVY = ("numpy", "scipy", "cv2", "numba", "matplotlib")
 
 

@@ -1,0 +1,252 @@
+"""Figures of the simulator: exactness, speed, likeness to real sensors, same bytes.
+
+    python benchmarks/simulator.py -o benchmarks/results/simulator.json [--calibration HALF.npz]
+
+Speed is processor time of one thread, beside D: a bare float32 cosine transform and back of the same size in the
+same run. Likeness needs the real data (GELFORM_DATA). `--calibration` is one made from the presses 0, 2, 4 ... of
+mini-ball; without it one is made, which takes minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.fft import dctn, idctn
+
+import gelform
+from gelform.batch.simulated import SetOfPresses, save_simulated_set
+from gelform.gradients import gradients_from_normals
+from gelform.normals import normals_from_image
+from gelform.simulate import (
+    LAYOUTS,
+    Ball,
+    Coating,
+    Coin,
+    Gel,
+    Led,
+    Optics,
+    Pose,
+    Screw,
+    SimulatedSensor,
+    Timing,
+    exposed,
+    simulate_background,
+    simulate_press,
+    simulate_sequence,
+    slide_poses,
+)
+from gelform.simulate.gel import depth_of_ball
+from gelform.simulate.like import Twin
+from gelform.simulate.presets import PRESETS
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+def far_lights() -> tuple[SimulatedSensor, np.ndarray]:
+    """Three distant lights, one per channel, and the matrix that photometric stereo needs."""
+    directions = np.array([[0.55, 0.0, 0.83], [-0.28, 0.48, 0.83], [-0.28, -0.48, 0.83]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    far = 1e8
+    leds = tuple(
+        Led(tuple(map(float, far * d)), tuple(map(float, 150 * far**2 * np.eye(3)[c])))
+        for c, d in enumerate(directions)
+    )
+    return SimulatedSensor(leds), 150 * directions
+
+
+def exactness() -> dict[str, float]:
+    """One light on a ball against Lambert's law; depth from normals of a noise-free frame."""
+    sensor, lights = far_lights()
+    press = simulate_press(sensor, Ball(3), depth_mm=0.8, rng=None, oversample=1, quantise=False)
+    analytic = np.maximum(press.normals @ lights.T, 0)
+    result = {
+        "forward_against_analytic_relative": float(np.abs(press.image - analytic).max() / analytic.max())
+    }
+    for name, quantise in (("unquantised", False), ("8_bits", True)):
+        shown = simulate_press(sensor, Ball(3), depth_mm=0.8, rng=None, oversample=1, quantise=quantise)
+        normals, _ = normals_from_image(shown.image.astype(np.float32), lights)
+        depth = gelform.depth_from_gradients(
+            gradients_from_normals(normals), mm_per_px=sensor.mm_per_px, zero="mean", solver="dct"
+        )
+        error = depth - (press.depth_mm - press.depth_mm.mean())
+        result[f"depth_rmse_um_{name}"] = float(1000 * np.sqrt(np.mean(error**2)))
+    return result
+
+
+def cpu_ms(work: Callable[[], Any], repeats: int) -> float:
+    """Median processor time of the calling thread, ms."""
+    work()
+    times = []
+    for _ in range(repeats):
+        start = time.thread_time()
+        work()
+        times.append(time.thread_time() - start)
+    return 1000 * float(np.median(times))
+
+
+def everything_on() -> SimulatedSensor:
+    """A sensor with every part of the model at work but cast shadows."""
+    base = LAYOUTS["three-edges"]
+    sensor = replace(
+        base,
+        leds=tuple(replace(led, beam_power=1) for led in base.leds),
+        gel=Gel(thickness_mm=3.0, bulge=0.6),
+        coating=Coating(
+            specular=0.1,
+            scattering=0.3,
+            interreflection=0.1,
+            roughness=0.01,
+            scratches=4,
+            dust=5,
+            marker_pitch_mm=2.0,
+        ),
+        optics=Optics(height_mm=25.0, distortion=(-0.05, 0.0), response_gamma=1.2, jpeg_quality=90),
+        timing=Timing(flicker=0.01, readout_s=0.01, drift=(0.05, 0.02, 0.0)),
+        shading=((1.0, 0.0, 0.0, 0.0, 0.0, 0.0),) * 3,
+    )
+    return exposed(sensor, (78, 95, 105))
+
+
+def speed() -> dict[str, Any]:
+    """Frames per second of a sliding ball at 240x320, and single presses, beside D."""
+    cv2.setNumThreads(1)
+    pair = np.random.default_rng(0).standard_normal((240, 320)).astype(np.float32)
+    full = everything_on()
+    result: dict[str, Any] = {}
+    for name, sensor in (
+        ("plain", LAYOUTS["three-edges"]),
+        ("everything_but_cast_shadows", full),
+        ("everything", replace(full, cast_shadows=True)),
+    ):
+        frames = simulate_sequence(
+            sensor, Ball(3), slide_poses(0.6, (-3, 0), (3, 0), 80), rng=np.random.default_rng(0)
+        )
+        before = cpu_ms(lambda: idctn(dctn(pair)), 50)
+        frame = cpu_ms(lambda frames=frames: next(frames), 60)
+        transform = (before + cpu_ms(lambda: idctn(dctn(pair)), 50)) / 2
+        result[name] = {"fps": 1000 / frame, "ms": frame, "D_ms": transform, "in_D": frame / transform}
+    for indenter in (Ball(3), Coin(), Screw()):
+        one = cpu_ms(
+            lambda indenter=indenter: simulate_press(
+                LAYOUTS["three-edges"], indenter, depth_mm=0.4, rng=None, oversample=3
+            ),
+            5,
+        )
+        result[f"press_{type(indenter).__name__}_oversample_3_ms"] = one
+    return result
+
+
+def same_bytes() -> bool:
+    """Whether one worker and two write the same data set."""
+    wanted = SetOfPresses(replace(PRESETS["digit"], shape=(80, 60), mm_per_px=0.2), (5.0,), count=4, seed=3)
+    with tempfile.TemporaryDirectory() as folder:
+        kept = []
+        for workers in (1, 2):
+            made = save_simulated_set(Path(folder) / str(workers), wanted, workers=workers)
+            kept.append({p.relative_to(made): p.read_bytes() for p in made.rglob("*") if p.is_file()})
+    return kept[0] == kept[1]
+
+
+def backgrounds() -> dict[str, Any]:
+    """Presets beside real backgrounds: mean levels and shape."""
+    result = {}
+    for name, folder in (("gelsight-mini", "mini-ball"), ("digit", "digit-ball")):
+        real = cv2.imread(str(DATA / folder / "background.png"))[..., ::-1].astype(np.float64)
+        made = simulate_background(PRESETS[name], None, quantise=False)
+        apart = cv2.GaussianBlur(real, (0, 0), 2) - cv2.GaussianBlur(made, (0, 0), 2)
+        result[name] = {
+            "mean_real": real.mean((0, 1)).tolist(),
+            "mean_simulated": made.mean((0, 1)).tolist(),
+            "shape_rmse": np.sqrt(np.mean(apart**2, axis=(0, 1))).tolist(),
+        }
+    return result
+
+
+def likeness(calibration_path: Path | None) -> dict[str, Any]:
+    """Held-out real presses of mini-ball beside `--like` and the preset: grey levels inside the contact."""
+    presses = gelform.read_presses(DATA / "mini-ball")
+    if calibration_path is None:
+        calibration = gelform.calibrate(
+            presses.subset(range(0, len(presses.presses), 2)), color_model="polynomial"
+        )
+    else:
+        calibration = gelform.load_calibration(calibration_path)
+    with (DATA / "mini-ball" / "reference_circles.csv").open(encoding="utf-8") as file:
+        circles = {row["image"]: row for row in csv.DictReader(file)}
+    twin, preset = Twin(calibration), PRESETS["gelsight-mini"]
+    rest = simulate_background(preset, None, quantise=False)
+    errors: dict[str, list[float]] = {"like": [], "preset_change": [], "real_change": []}
+    changes: dict[str, list[np.ndarray]] = {"real": [], "like": [], "preset": []}
+    for press in presses.presses[1::2]:
+        pose, ball = _pose_of(press, circles[press.name], twin.sensor)
+        made = twin.press(ball, pose, rng=None)
+        by_preset = simulate_press(
+            preset, ball, depth_mm=pose.depth_mm, center_mm=pose.center_mm, rng=None, quantise=False
+        )
+        inside = made.contact
+        real = (press.image - calibration.background.astype(np.float64))[inside]
+        errors["like"].append(float(np.abs(press.image.astype(np.float64) - made.image)[inside].mean()))
+        errors["preset_change"].append(float(np.abs(real - (by_preset.image - rest)[inside]).mean()))
+        errors["real_change"].append(float(np.abs(real).mean()))
+        changes["real"].append(real)
+        changes["like"].append((made.image - calibration.background)[inside])
+        changes["preset"].append((by_preset.image - rest)[inside])
+    quantiles = {
+        k: np.quantile(np.concatenate(v), np.linspace(0.005, 0.995, 199), axis=0) for k, v in changes.items()
+    }
+    return {
+        "presses": len(errors["like"]),
+        "mean_absolute_difference_like": float(np.mean(errors["like"])),
+        "median_over_presses_like": float(np.median(errors["like"])),
+        "mean_absolute_difference_preset": float(np.mean(errors["preset_change"])),
+        "mean_absolute_change_of_the_presses": float(np.mean(errors["real_change"])),
+        "histogram_distance_like": np.abs(quantiles["real"] - quantiles["like"]).mean(0).tolist(),
+        "histogram_distance_preset": np.abs(quantiles["real"] - quantiles["preset"]).mean(0).tolist(),
+    }
+
+
+def _pose_of(press: Any, circle: dict[str, str], sensor: SimulatedSensor) -> tuple[Pose, Ball]:
+    """The pose whose contact is the circle that is known of a real press."""
+    x, y, a = (float(circle[key]) for key in ("center_x_px", "center_y_px", "contact_radius_px"))
+    radius = press.ball_diameter_mm / 2
+    a_mm = min(a * sensor.mm_per_px, 0.95 * radius)
+    depth = depth_of_ball(
+        radius,
+        a_mm / np.sqrt(radius**2 - a_mm**2),
+        sensor.relaxation_mm,
+        thickness_mm=sensor.gel.thickness_mm,
+        bulge=sensor.gel.bulge,
+    )
+    height, width = sensor.shape
+    center = (x - (width - 1) / 2) * sensor.mm_per_px, (y - (height - 1) / 2) * sensor.mm_per_px
+    return Pose(depth, center), Ball(radius)
+
+
+def main() -> None:
+    """Measure, print and, with -o, write."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--calibration", type=Path)
+    arguments = parser.parse_args()
+    figures: dict[str, Any] = {"exactness": exactness(), "speed": speed(), "same_bytes": same_bytes()}
+    if DATA.is_dir():
+        figures |= {"backgrounds": backgrounds(), "likeness": likeness(arguments.calibration)}
+    text = json.dumps(figures, indent=1)
+    print(text)
+    if arguments.output is not None:
+        arguments.output.write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
