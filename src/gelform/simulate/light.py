@@ -94,9 +94,8 @@ def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, flo
     """What an LED of unit power with a Gaussian spectrum gives in the three channels of a usual colour
     sensor.
 
-    The channels' sensitivities are Gaussians about 600, 540 and 465 nm, 45, 45 and 35 nm wide (standard
-    deviations), which
-    is near to what makers of Bayer sensors publish; the product of two Gaussians integrates in closed form.
+    The channels' sensitivities are taken as Gaussians about 600, 540 and 465 nm, 45, 45 and 35 nm wide (standard
+    deviations): round figures, measured on no camera. The product of two Gaussians integrates in closed form.
 
     Parameters
     ----------

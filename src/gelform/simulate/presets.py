@@ -174,11 +174,10 @@ def _digit() -> SimulatedSensor:
 
 
 def _gelslim() -> SimulatedSensor:
-    """After GelSlim 3.0: low grazing light from the edges, a lens from the side; 240x320.
+    """In the manner of GelSlim 3.0: low light from the edges, markers, a lens with distortion; 240x320.
 
-    From its published description (Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022), not fitted: no
-    images of one were at
-    hand.
+    The idea is that of Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022; the figures are guesses, not taken
+    from it and fitted to nothing: no images of one were at hand.
     """
     leds = (
         *led_row((-17, -8, 4), (-17, 8, 4), (1, 0.05, 0.02), 4),
