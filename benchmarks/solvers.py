@@ -169,7 +169,7 @@ def speed(sizes: list[tuple[int, int]]) -> Table:
 def timed_weighted(
     table: Table, shape: tuple[int, int], kind: str, bare: Callable[[], Any], repeats: int
 ) -> None:
-    """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where that is feasible."""
+    """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where feasible."""
     gradients, weights, pitch, depth = lying_frame(shape, kind)
     size = f"{shape[0]}x{shape[1]}"
     hierarchy = Hierarchy(shape)
@@ -374,7 +374,7 @@ def draw(results: dict[str, Table], path: Path) -> None:
         title="Ball, slope noise 0.05, 15 % of the pixels lie (orange: it is known which)",
     )
     axes.grid(True, which="both", alpha=0.25)
-    axes.margins(x=0.18)
+    axes.margins(x=0.25)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
