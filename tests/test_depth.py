@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import gelform
-from gelform.depth import depth_from_gradients, integrate
+from gelform.depth import depth_from_gradients, edge_residuals, integrate
 from scenes import BALL, BUMP, CUT_BALL, MM_PER_PX, PLANE, SHAPE, SMALL_BALL, gaussian, polynomial, scene
 
 
@@ -145,3 +148,86 @@ def test_bad_input_is_refused(change, text):
     arguments = {"gradients": np.zeros((4, 5, 2)), "mm_per_px": 0.1} | change
     with pytest.raises(ValueError, match=text):
         depth_from_gradients(arguments.pop("gradients"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"weights": np.ones((5, 4))}, r"Expected weights of shape \(4, 5\), got \(5, 4\)"),
+        ({"weights": -np.ones((4, 5))}, "Expected weights >= 0, got -1"),
+        ({"weights": np.full((4, 5), np.nan)}, "Expected finite weights, got 20 values"),
+        ({"weights": np.ones((3, 4, 5))}, r"Expected weights of shape \(4, 5\) or \(4, 5\), got \(3, 4, 5\)"),
+        (
+            {"weights": (np.ones((4, 5)), np.ones((4, 5)))},
+            r"weights per edge of shapes \(4, 4\) and \(3, 5\)",
+        ),
+        ({"weights": (np.ones((4, 4)), -np.ones((3, 5)))}, "Expected weights >= 0"),
+        ({"mask": np.zeros((4, 5), dtype=bool)}, "Expected mask with at least one True pixel"),
+        ({"mask": np.ones((4, 4), dtype=bool)}, r"Expected mask of shape \(4, 5\)"),
+        ({"anchor": -1.0}, "Expected anchor >= 0"),
+        ({"anchor": np.ones((5, 4))}, r"Expected anchor of shape \(4, 5\)"),
+        ({"level": "tilt"}, "Expected level as None, 'slope', 'plane' or 'quadratic'"),
+        (
+            {"solver": "dct", "weights": np.ones((4, 5))},
+            "no weights, mask or anchor for solver 'dct'.*multigrid",
+        ),
+    ],
+)
+def test_bad_weights_masks_and_anchors_are_refused(arguments, text):
+    with pytest.raises(ValueError, match=text):
+        depth_from_gradients(np.zeros((4, 5, 2)), mm_per_px=0.1, **arguments)
+
+
+def test_mask_of_numbers_is_refused():
+    with pytest.raises(TypeError, match="Expected mask as bool, got int64"):
+        depth_from_gradients(np.zeros((4, 5, 2)), mm_per_px=0.1, mask=np.ones((4, 5), dtype=np.int64))
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"weights": np.ones((6, 7))}, {"mask": np.ones((6, 7), bool)}, {"anchor": 0.1}]
+)
+def test_auto_takes_multigrid_for_weights_mask_or_anchor_and_says_so(arguments):
+    solution = integrate(np.full((6, 7, 2), 0.1), mm_per_px=0.1, **arguments)
+    assert solution.solver == "multigrid"
+    assert solution.iterations > 0
+    assert 0 <= solution.tolerance <= 4e-4
+
+
+def test_slopes_at_rest_are_flat_for_every_argument():
+    for arguments in ({}, {"weights": np.ones((6, 7))}, {"anchor": 0.1}, {"mask": np.eye(6, 7, dtype=bool)}):
+        depth = depth_from_gradients(np.zeros((6, 7, 2)), mm_per_px=0.1, **arguments)
+        assert np.array_equal(depth, np.zeros((6, 7)))
+
+
+def test_edge_residuals_name_the_edges_that_contradict():
+    _, gradients, pitch = scene(BUMP, (30, 40), 0.3)
+    gradients[12, 20] += (0.0, 1.0)
+    rx, ry = edge_residuals(depth_from_gradients(gradients, mm_per_px=pitch), gradients, mm_per_px=pitch)
+    assert rx.shape == (30, 39)
+    assert ry.shape == (29, 40)
+    assert np.unravel_index(np.argmax(np.abs(ry)), ry.shape) in [(11, 20), (12, 20)]
+
+
+def test_islands_are_counted_by_what_is_known():
+    weights = np.ones((12, 15))
+    weights[:, 7] = 0
+    weights[6, :] = 0
+    solution = integrate(np.full((12, 15, 2), 0.1), mm_per_px=0.1, weights=weights)
+    assert solution.islands == 4
+    assert not solution.known[6].any()
+
+
+def test_float64_and_float32_slopes_give_the_same():
+    _, gradients, pitch = scene(BUMP, (30, 40), 0.3)
+    single = depth_from_gradients(gradients.astype(np.float32), mm_per_px=pitch)
+    assert np.array_equal(single, depth_from_gradients(gradients, mm_per_px=pitch))
+
+
+def test_measured_groove_comes_back():
+    folder = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "groove"
+    if not folder.is_dir():
+        pytest.skip(f"no measured groove in {folder}: set GELFORM_DATA")
+    truth = np.load(folder / "heightmap_mm.npy").astype(np.float64)
+    gradients = gelform.gradients_from_depth(truth, mm_per_px=0.02746)
+    depth = depth_from_gradients(gradients, mm_per_px=0.02746)
+    assert np.std(depth - truth) < 1e-3 * np.ptp(truth)

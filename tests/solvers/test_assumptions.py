@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -74,3 +76,9 @@ def test_periodic_and_zero_border_lose_a_tilt():
     for solver in (FourierSolver, DstSolver):
         assert np.ptp(solver(truth.shape, pitch)(gradients)) < 0.3 * np.ptp(truth)
     assert np.ptp(DctSolver(truth.shape, pitch)(gradients)) == pytest.approx(np.ptp(truth), rel=1e-4)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_guide_says_when_to_take_it(solver):
+    guide = Path(__file__).parents[2] / "docs" / "choosing-a-solver.md"
+    assert f"`{solver}`" in guide.read_text()

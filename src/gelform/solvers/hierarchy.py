@@ -252,8 +252,9 @@ def between(t: Any, n: int) -> None:
     for j in range(n):
         c1, c2, anchor = t[IN_1 + j], t[IN_2 + j], t[IN_3 + j]
         w1, w2 = c1 + t[SIDE_1 + j], c2 + t[SIDE_2 + j]
-        w1 = w1 if w1 > ZERO else ZERO
-        w2 = w2 if w2 > ZERO else ZERO
+        # Where columns hold together far more than rows, collapsed couplings can be negative, a little.
+        w1 = w1 if w1 > ZERO else -w1
+        w2 = w2 if w2 > ZERO else -w2
         total = w1 + w2 + anchor
         scale = ONE / (total + TINY)
         w1, w2, missing = w1 * scale, w2 * scale, anchor * scale

@@ -1,0 +1,107 @@
+"""Draw the pictures of docs/choosing-a-solver.md: one for each way in which integration fails.
+
+python benchmarks/solver_pictures.py [-o docs/images]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+import gelform
+from scenes import BALL, BALLS, MM_PER_PX, SHAPE, rmse_um, scene, with_liars, with_noise
+
+Panels = dict[str, Any]
+
+
+def depth_of(gradients: Any, solver: str = "dct", **arguments: Any) -> Any:
+    return gelform.depth_from_gradients(gradients, mm_per_px=MM_PER_PX, solver=solver, **arguments)
+
+
+def noise() -> tuple[Any, Panels]:
+    truth, gradients, _ = scene(BALL)
+    noisy = with_noise(gradients, 0.05, np.random.default_rng(0))
+    return truth, {name: depth_of(noisy, name) for name in ("path", "dct")}
+
+
+def outliers() -> tuple[Any, Panels]:
+    truth, gradients, _ = scene(BALL)
+    rng = np.random.default_rng(0)
+    lying = with_liars(with_noise(gradients, 0.05, rng), 0.15, rng)
+    panels = {name: depth_of(lying.gradients, name) for name in ("dct", "robust", "gated")}
+    panels["multigrid, known"] = depth_of(lying.gradients, "multigrid", weights=lying.valid * 1.0)
+    return truth, panels
+
+
+def border() -> tuple[Any, Panels]:
+    truth, gradients, _ = scene(BALLS)
+    return truth, {name: depth_of(gradients, name) for name in ("dst", "fourier", "dct")}
+
+
+def hole() -> tuple[Any, Panels]:
+    """A highlight: slopes in a disc of 25 px are wrong."""
+    truth, gradients, _ = scene(BALL)
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    hidden = (rows - 105) ** 2 + (cols - 185) ** 2 < 25**2
+    gradients[hidden] = (0.8, -0.4)
+    weights = np.where(hidden, 0.0, 1.0)
+    return truth, {
+        "dct": depth_of(gradients),
+        "multigrid, weight 0 there": depth_of(gradients, "multigrid", weights=weights),
+    }
+
+
+def wall() -> tuple[Any, Panels]:
+    """A step of 0.5 mm, one pixel wide: steeper than slopes of 1 that the sensor can see."""
+    truth = np.zeros(SHAPE)
+    truth[70:170, 100:220] = 0.5
+    gradients = np.clip(gelform.gradients_from_depth(truth, mm_per_px=MM_PER_PX), -1, 1)
+    panels = {name: depth_of(gradients, name) for name in ("dct", "robust_l1", "gated")}
+    return truth, panels
+
+
+def draw(truth: Any, panels: Panels, path: Path) -> None:
+    """Truth, then for each solver the depth and below it the error."""
+    figure, axes = plt.subplots(
+        2, len(panels) + 1, figsize=(2.6 * (len(panels) + 1), 4.1), layout="constrained"
+    )
+    errors = {name: 1e3 * (depth - truth - np.mean(depth - truth)) for name, depth in panels.items()}
+    limit = max(np.quantile(np.abs(error), 0.99) for error in errors.values())
+    low, high = truth.min() - 0.05, truth.max() + 0.05
+    axes[0, 0].imshow(truth, vmin=low, vmax=high, cmap="viridis")
+    axes[0, 0].set_title("true depth", fontsize=9)
+    axes[1, 0].axis("off")
+    for column, (name, depth) in enumerate(panels.items(), start=1):
+        shown = depth - np.mean(depth - truth)
+        axes[0, column].imshow(shown, vmin=low, vmax=high, cmap="viridis")
+        axes[0, column].set_title(name, fontsize=9)
+        picture = axes[1, column].imshow(errors[name], vmin=-limit, vmax=limit, cmap="RdBu_r")
+        axes[1, column].set_title(f"error, RMSE {rmse_um(depth, truth):.3g} um", fontsize=9)
+    figure.colorbar(picture, ax=axes[1, 1:], label="um", shrink=0.9)
+    for axis in axes.ravel():
+        axis.set_xticks([])
+        axis.set_yticks([])
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/images"))
+    folder = parser.parse_args().output
+    folder.mkdir(parents=True, exist_ok=True)
+    for make in (noise, outliers, border, hole, wall):
+        truth, panels = make()
+        draw(truth, panels, folder / f"solver-{make.__name__}.png")
+        print(make.__name__, {name: round(rmse_um(depth, truth), 2) for name, depth in panels.items()})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Slopes: from normals and depth, their curl, and filling what is unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
+from gelform.normals import normals_from_gradients
+from scenes import PEAKS, polynomial, scene
+
+PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
+QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
+
+
+@pytest.mark.parametrize("pitch", PITCHES)
+def test_gradients_from_depth_are_exact_on_quadratics_border_included(pitch):
+    truth, gradients, _ = scene(QUADRATIC, (12, 17), pitch)
+    assert gradients_from_depth(truth, mm_per_px=pitch) == pytest.approx(gradients, abs=1e-5)
+
+
+def test_gradients_from_depth_converge_with_order_two():
+    errors = []
+    for n in (1, 2, 4):
+        truth, gradients, pitch = scene(PEAKS, (60 * n, 80 * n), 0.25 / n)
+        errors.append(np.max(np.abs(gradients_from_depth(truth, mm_per_px=pitch) - gradients)))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.4)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.4)
+
+
+@pytest.mark.parametrize("shape", [(1, 5), (5, 1), (2, 2)])
+def test_gradients_from_depth_of_thin_frames(shape):
+    truth, gradients, pitch = scene(polynomial({(1, 0): 0.3, (0, 1): -0.2}), shape, 0.1)
+    expected = gradients * [shape[1] > 1, shape[0] > 1]
+    assert gradients_from_depth(truth, mm_per_px=pitch) == pytest.approx(expected, abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_round_trip_with_normals(seed):
+    gradients = np.random.default_rng(seed).uniform(-3, 3, (4, 5, 2)).astype(np.float32)
+    assert gradients_from_normals(normals_from_gradients(gradients)) == pytest.approx(gradients, abs=2e-5)
+
+
+def test_normals_that_face_away_are_refused():
+    with pytest.raises(ValueError, match="face the camera"):
+        gradients_from_normals(np.array([0.0, 0.1, -1.0]))
+
+
+@pytest.mark.parametrize("pitch", PITCHES)
+def test_curl_of_a_surface_is_zero_and_of_a_rotation_is_not(pitch):
+    truth, gradients, _ = scene(QUADRATIC, (12, 17), pitch)
+    assert curl(gradients, mm_per_px=pitch) == pytest.approx(np.zeros_like(truth), abs=1e-5)
+    y, x = np.mgrid[:12, :17] * np.array([pitch[1], pitch[0]])[:, None, None]
+    rotation = np.stack([y, -x], axis=-1)
+    assert curl(rotation, mm_per_px=pitch) == pytest.approx(np.full((12, 17), 2.0), abs=1e-4)
+
+
+class TestFill:
+    @settings(max_examples=30, deadline=None)
+    @given(seed=st.integers(0, 10**6))
+    def test_unknown_values_have_no_influence_and_known_ones_stay(self, seed):
+        rng = np.random.default_rng(seed)
+        values = rng.standard_normal((11, 14, 2)).astype(np.float32)
+        known = rng.uniform(size=(11, 14)) > 0.6
+        known[5, 5] = True
+        other = np.where(known[..., None], values, 1e3 * rng.standard_normal(values.shape)).astype(np.float32)
+        filled = fill(values, known)
+        assert np.array_equal(filled, fill(other, known))
+        assert np.array_equal(filled[known], values[known])
+        assert filled.min() >= values[known].min() - 1e-5
+        assert filled.max() <= values[known].max() + 1e-5
+
+    def test_scattered_holes_in_a_plane_are_filled_closely(self):
+        plane, _, _ = scene(polynomial({(1, 0): 1.0, (0, 1): -0.5}), (60, 80), 0.1)
+        known = np.random.default_rng(1).uniform(size=plane.shape) > 0.3
+        error = np.abs(fill(plane[..., None], known)[..., 0] - plane)[2:-2, 2:-2]
+        assert error.max() < 0.12
+        assert np.sqrt(np.mean(error[~known[2:-2, 2:-2]] ** 2)) < 0.02
+
+    def test_a_hole_is_filled_between_its_sides(self):
+        x = np.linspace(0, 1, 64)[None, :, None] * np.ones((64, 1, 1))
+        known = np.ones((64, 64), dtype=bool)
+        known[20:44, 20:44] = False
+        filled = fill(x, known)[..., 0]
+        assert np.max(np.abs(filled - x[..., 0])) < 0.1
+        assert np.all(np.diff(filled[32]) > -1e-3)
+
+    def test_one_known_pixel_fills_all(self):
+        known = np.zeros((9, 13), dtype=bool)
+        known[3, 7] = True
+        values = np.zeros((9, 13, 2))
+        values[3, 7] = (2.0, -1.0)
+        assert fill(values, known) == pytest.approx(np.broadcast_to([2.0, -1.0], (9, 13, 2)))
+
+    def test_argument_is_not_changed(self):
+        values = np.ones((4, 5, 2), dtype=np.float32)
+        values[0, 0] = 9
+        known = np.ones((4, 5), dtype=bool)
+        known[0, 0] = False
+        fill(values, known)
+        assert values[0, 0, 0] == 9
+
+    def test_nothing_known_is_refused(self):
+        with pytest.raises(ValueError, match="Expected known with at least one True pixel"):
+            fill(np.zeros((3, 4, 2)), np.zeros((3, 4), dtype=bool))
+
+    def test_wrong_shape_is_refused(self):
+        with pytest.raises(ValueError, match=r"Expected values of shape \(H, W, C\), got \(3, 4\)"):
+            fill(np.zeros((3, 4)), np.ones((3, 4), dtype=bool))
