@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -128,7 +129,9 @@ def _refined_and_folded(
 def _check_enough(presses: Presses, refined: Refined) -> None:
     if len(refined.accepted) >= MIN_PRESSES:
         return
-    reasons = Counter(reason.split(":")[0].split(" (")[0] for reason in refined.reasons if reason is not None)
+    figures = r" ?\(?\d[\d.]*( px)?\)?"  # alike but for these, reasons are counted together
+    heads = [reason.split(":")[0] for reason in refined.reasons if reason is not None]
+    reasons = Counter(re.sub(figures, "", head) for head in heads)
     listed = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common(4))
     raise CalibrationError(
         f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
