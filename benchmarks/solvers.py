@@ -379,7 +379,7 @@ def draw(results: dict[str, Table], path: Path) -> None:
         title="Ball, slope noise 0.05, 15 % of the pixels lie (orange: it is known which)",
     )
     axes.grid(True, which="both", alpha=0.25)
-    axes.margins(x=0.25)
+    axes.set_xlim(right=8e3)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
