@@ -1,0 +1,57 @@
+"""What the first weighted solve costs in a new process, and the memory of a large one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+
+Table = dict[str, dict[str, float]]
+
+START = """
+import time
+start = time.perf_counter(); cpu = time.process_time()
+import numpy as np
+import gelform
+g = np.zeros((240, 320, 2), np.float32); w = np.ones((240, 320), np.float32)
+g[..., 0] = np.linspace(0, 1, 320)
+gelform.depth_from_gradients(g, mm_per_px=0.06, weights=w)
+print(time.perf_counter() - start, time.process_time() - cpu)
+"""
+
+MEMORY = """
+import numpy as np
+import gelform
+
+def peak():
+    # Not getrusage: a new process inherits that of the one that started it.
+    line = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+    return float(line.split()[1]) / 1024
+
+g = np.random.default_rng(0).standard_normal((2048, 2048, 2)).astype(np.float32)
+before = peak()
+gelform.depth_from_gradients(g, mm_per_px=0.06, weights=np.ones((2048, 2048), np.float32))
+print(before, peak())
+"""
+
+
+def fresh_process(program: str, cache: str | None = None) -> list[float]:
+    environment = os.environ | ({"NUMBA_CACHE_DIR": cache} if cache else {})
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    return [float(word) for word in done.stdout.split()]
+
+
+def start_and_memory(large: bool) -> Table:
+    """First weighted solve in a new process, imports included; peak memory at 2048x2048."""
+    table: Table = {}
+    with tempfile.TemporaryDirectory() as cache:
+        for title in ("cold", "warm", "warm again"):
+            seconds, cpu = fresh_process(START, cache)
+            table[f"first weighted solve, {title}"] = {"s": seconds, "CPU s": cpu}
+    if large:
+        before, after = fresh_process(MEMORY)
+        table["memory at 2048x2048"] = {"MB in all": after, "MB by the solve": after - before}
+    return table
