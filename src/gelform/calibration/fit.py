@@ -77,9 +77,12 @@ def calibrate(
     found = [find_contact_of(press, progress, i, len(prepared)) for i, press in enumerate(prepared)]
     refined, folds = _refined_and_folded(prepared, found, progress)
     _check_enough(presses, refined)
-    chosen, scores = _choose(color_model, presses, prepared, found, folds, progress)
-    draft = _draft(presses, prepared, refined, chosen)
-    errors, sigma = _held_out(draft, presses, found, folds, chosen, progress)
+    candidates = candidates_for(color_model, len(folds[0].training))
+    by_offset = _by_offset(presses, prepared, candidates)
+    chosen, scores = _choose(candidates, by_offset, found, folds, progress)
+    suited = by_offset[COLOR_MODELS[chosen.model].change_offset]
+    draft = _draft(presses, suited, refined, chosen)
+    errors, sigma = _held_out(draft, presses, suited, found, folds, chosen, progress)
     report = _report(presses, refined, errors, scores, chosen, time.monotonic() - started)
     return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
 
@@ -140,24 +143,32 @@ def _check_enough(presses: Presses, refined: Refined) -> None:
     )
 
 
+def _by_offset(
+    presses: Presses, prepared: list[PreparedPress], candidates: Sequence[Candidate]
+) -> dict[float, list[PreparedPress]]:
+    """The presses as each candidate wants them, by the offset of its division, prepared once each.
+
+    A candidate that divides by the bare background is left out where the background has pixels of 0.
+    """
+    by_offset = {COLOR_MODELS["polynomial"].change_offset: prepared}
+    for offset in {COLOR_MODELS[c.model].change_offset for c in candidates} - by_offset.keys():
+        if offset > 0 or float(presses.background.min()) > 0:
+            by_offset[offset] = prepare(presses, offset)
+    return by_offset
+
+
 def _choose(
-    color_model: str,
-    presses: Presses,
-    prepared: list[PreparedPress],
+    candidates: Sequence[Candidate],
+    by_offset: dict[float, list[PreparedPress]],
     found: Sequence[Contact],
     folds: Sequence[Fold],
     progress: Progress,
 ) -> tuple[Candidate, list[Score]]:
     """The training zone, then the candidate, with the smallest held-out error."""
-    by_offset = {COLOR_MODELS["polynomial"].change_offset: prepared}
-    candidates = candidates_for(color_model, len(folds[0].training))
-    for offset in {COLOR_MODELS[c.model].change_offset for c in candidates} - by_offset.keys():
-        if offset > 0 or float(presses.background.min()) > 0:
-            by_offset[offset] = prepare(presses, offset)
     able = [c for c in candidates if COLOR_MODELS[c.model].change_offset in by_offset]
     if not able:
         raise CalibrationError(
-            f"The color model {color_model} divides by the background, which has pixels of 0. "
+            f"The color model {candidates[0].model} divides by the background, which has pixels of 0. "
             "Raise the exposure, or calibrate with --model polynomial."
         )
 
@@ -182,9 +193,6 @@ def _draft(
     presses: Presses, prepared: list[PreparedPress], refined: Refined, chosen: Candidate
 ) -> Calibration:
     """The calibration fitted on every accepted press; held-out figures are filled in later."""
-    offset = COLOR_MODELS[chosen.model].change_offset
-    if offset != COLOR_MODELS["polynomial"].change_offset:
-        prepared = prepare(presses, offset)
     used = [prepared[i] for i in refined.accepted]
     contacts = [refined.contacts[i] for i in refined.accepted]
     return Calibration(
@@ -197,7 +205,7 @@ def _draft(
         mm_per_px_sigma=presses.mm_per_px_sigma,
         background=presses.background,
         background_noise=_pixel_noise(presses.background),
-        change=change_settings(presses.image_shape, offset),
+        change=change_settings(presses.image_shape, COLOR_MODELS[chosen.model].change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
         slope_sigma=SlopeSigma(0.02, 0.1, 0.05, 10.0 * scale_of(presses.image_shape)),
@@ -218,13 +226,13 @@ def _draft(
 def _held_out(
     draft: Calibration,
     presses: Presses,
+    prepared: list[PreparedPress],
     found: Sequence[Contact],
     folds: Sequence[Fold],
     chosen: Candidate,
     progress: Progress,
 ) -> tuple[dict[int, PressErrors], SlopeSigma]:
     """Errors of every usable press through the whole path, with the model of the fold that left it out."""
-    prepared = prepare(presses, draft.change.offset)
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
     for done, fold in enumerate(folds):
