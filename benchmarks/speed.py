@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 import gelform
+from gelform.anchor import RestAnchor
 from gelform.background import (
     change_with_gain,
     check_background,
@@ -82,13 +83,21 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     untouched = untouched_from_color_change(change, calibration.untouched_change)
     pitch = calibration.mm_per_px
     depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, zero=untouched)
+    sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
+    anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
+    _, confidence = sigma(gradients, image, untouched, change)
+    hold = anchor(gradients, untouched)
     return {
         "background check": lambda: check_background(image, background),
         "color change": lambda: change_with_gain(image, background, gain, blur),
         "color model (polynomial 4-3-1)": lambda: model.gradients_from_color(change),
         "untouched pixels": lambda: untouched_from_color_change(change, calibration.untouched_change),
-        "sigma and confidence": lambda: calibration.slope_sigma.at(gradients, image),
-        "depth (dct), zero, residual": lambda: gelform.integrate(gradients, mm_per_px=pitch, zero=untouched),
+        "sigma and confidence": lambda: sigma(gradients, image, untouched, change),
+        "anchor at rest": lambda: anchor(gradients, untouched),
+        "depth (dct), for comparison": lambda: gelform.integrate(gradients, mm_per_px=pitch, zero=untouched),
+        "depth (weighted, anchored), residual": lambda: gelform.integrate(
+            gradients, mm_per_px=pitch, weights=confidence, anchor=hold
+        ),
         "contact": lambda: contact_from_depth(depth, mm_per_px=pitch),
         "whole frame": lambda: reconstruct(image),
     }

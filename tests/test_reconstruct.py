@@ -8,7 +8,7 @@ import pytest
 
 import gelform
 from gelform.frames import Frame
-from gelform.simulate import Ball, simulate_press
+from gelform.simulate import Ball, Punch, simulate_press
 
 
 @pytest.fixture(scope="module")
@@ -140,3 +140,36 @@ def test_albedo_where_the_model_is_photometric_stereo(presses, press):
     assert result.albedo.shape == press.image.shape[:2]
     assert np.median(result.albedo) == pytest.approx(1, abs=0.05)
     np.testing.assert_allclose(np.linalg.norm(result.normals, axis=-1), 1, atol=1e-5)
+
+
+def test_the_flat_face_of_a_punch_keeps_its_depth(calibration, sensor):
+    """Its colour is that of rest: an anchor that goes by colour alone would pull it to 0."""
+    punch = simulate_press(
+        sensor, Punch(4.0), depth_mm=0.3, center_mm=(-1.0, 0.5), rng=np.random.default_rng(6)
+    )
+    depth = gelform.Reconstructor(calibration)(punch.image).depth_mm
+    plain = gelform.Reconstructor(calibration, solver="dct")(punch.image).depth_mm
+    face = punch.depth_mm > 0.295
+    assert face.sum() > 300
+    assert depth[face].mean() == pytest.approx(plain[face].mean(), abs=0.015)
+    far = punch.depth_mm < 1e-3
+    assert np.sqrt(np.mean(depth[far] ** 2)) < np.sqrt(np.mean(plain[far] ** 2))
+
+
+def test_solvers_without_weights_get_none(calibration, press):
+    assert gelform.Reconstructor(calibration)(press.image).solver == "multigrid"
+    assert gelform.Reconstructor(calibration, solver="dct")(press.image).solver == "dct"
+    robust = gelform.Reconstructor(calibration, solver="robust")(press.image)
+    error = robust.depth_mm - press.depth_mm
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_wrong_slopes_that_are_known_to_be_wrong_do_no_harm(calibration, press):
+    """A glint saturates a disc beside the contact: weights keep its slopes out, an unweighted solve takes them."""
+    image = press.image.copy()
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    image[np.hypot(x - 40, y - 90) < 8] = 255
+    clean = {s: gelform.Reconstructor(calibration, solver=s)(press.image).depth_mm for s in ("auto", "dct")}
+    glint = {s: gelform.Reconstructor(calibration, solver=s)(image).depth_mm for s in ("auto", "dct")}
+    off = {s: np.sqrt(np.mean((glint[s] - clean[s]) ** 2)) for s in clean}
+    assert off["auto"] < 0.3 * off["dct"]

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.errors import CalibrationError
+from gelform.npz_files import write_npz
+from gelform.record import KIND
 
 
 @pytest.fixture
@@ -29,7 +32,7 @@ def test_no_pickles_and_readable_settings(saved):
     with np.load(saved, allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))
         assert meta["format"] == "gelform calibration"
-        assert meta["format_version"] == 1
+        assert meta["format_version"] == 2
         assert meta["mm_per_px"] == pytest.approx(0.1153)
         assert file["background"].dtype == np.float32
 
@@ -98,3 +101,18 @@ def test_missing_file(tmp_path):
 def test_forward_response_wants_a_frame(calibration):
     with pytest.raises(ValueError, match="Expected gradients of shape"):
         calibration.color_from_gradients(np.zeros((3, 3, 2)))
+
+
+def test_the_first_format_is_read_for_ever(calibration, simulated, tmp_path):
+    """Version 1 had a law of two figures for sigma and no gamut."""
+    arrays, meta = calibration._contents()
+    arrays = {name: array for name, array in arrays.items() if not name.startswith("gamut")}
+    del meta["gamut"]
+    meta["slope_sigma"] = {"rest": 0.02, "growth": 0.1, "clean": 0.04, "correlation_px": 9.0}
+    write_npz(tmp_path / "old.npz", arrays, meta, kind=KIND, version=1, error=CalibrationError)
+    old = gelform.load_calibration(tmp_path / "old.npz")
+    assert old.gamut is None
+    assert old.slope_sigma.clean == 0.04
+    image = simulated.presses[0].image
+    fresh = gelform.Reconstructor(calibration, solver="dct")(image)
+    np.testing.assert_array_equal(gelform.Reconstructor(old, solver="dct")(image).depth_mm, fresh.depth_mm)

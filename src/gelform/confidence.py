@@ -8,70 +8,219 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+
+from gelform.color_models.gamut import Gamut
 
 SATURATED_SIGMA = 1.0
+SLOPE_BINS = 10
+PLACES = (3, 4)  # rows, columns
+ONE_SIGMA = 0.6827
+MIN_IN_BIN = 50
+PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
+ROUNDS = 3
+TABLE = 64  # the law, tabulated for the frame's kernel
+
+
+@dataclass(frozen=True)
+class SlopeErrors:
+    """Errors of slopes on presses that the model has not seen.
+
+    Attributes
+    ----------
+    slopes : (N,) measured |gradient| in contact
+    errors : (N, 2) of its components
+    x, y : (N,) place in the frame, 0-1
+    press : (N,) index of the press: pixels of one press are no independent witnesses
+    rest : (M, 2) slopes read where nothing touched, their bias removed: all of it is error
+    """
+
+    slopes: NDArray[Any]
+    errors: NDArray[Any]
+    x: NDArray[Any]
+    y: NDArray[Any]
+    press: NDArray[Any]
+    rest: NDArray[Any]
 
 
 @dataclass(frozen=True)
 class SlopeSigma:
-    """Standard deviation of a slope component, `sqrt(rest^2 + (growth |gradient|)^2)`.
+    """Standard deviation of a slope component, by slope and place.
+
+    68 % of the errors are within it: it is fitted to that share, not to the
+    variance, which a few bad pixels would rule.
 
     Attributes
     ----------
-    rest : at slope 0, mm/mm
-    growth : per unit of slope; what a color model gets wrong grows with the slope
+    rest : of untouched gel
+    slopes, sigmas : a law in contact, linear between these |gradient| and proportional beyond the last
+    place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
     clean : the value on a good pixel in contact: confidence is 1 up to it
-    correlation_px : over which slope errors are alike
+    correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
+    correlated_share : share of the variance that is correlated; the rest is white
     """
 
     rest: float
-    growth: float
+    slopes: tuple[float, ...]
+    sigmas: tuple[float, ...]
     clean: float
     correlation_px: float
+    correlated_share: float = 1.0
+    place: tuple[tuple[float, ...], ...] = ((1.0,),)
 
     @classmethod
-    def fit(cls, slopes: NDArray[Any], errors: NDArray[Any], correlation_px: float) -> SlopeSigma:
-        """From held-out slopes |g| (N,) and the errors (N, 2) of their components, by robust binned variance."""
-        edges = np.linspace(0, max(float(np.percentile(slopes, 99)), 0.1), 9)
-        bins = np.digitize(slopes, edges[1:-1])
-        rows = []
-        for b in range(8):
-            members = errors[bins == b].ravel()
-            if members.size >= 50:
-                spread = 1.4826 * float(np.median(np.abs(members)))
-                rows.append((float(np.mean(slopes[bins == b])) ** 2, spread**2, members.size))
-        square, variance, count = np.array(rows).T
-        relative = np.sqrt(count) / variance  # a bin counts by its relative error: the small ones at rest too
-        design = np.stack([np.ones_like(square), square], axis=1) * relative[:, None]
-        rest, growth = np.maximum(nnls(design, variance * relative)[0], 1e-6)
-        clean = float(np.sqrt(np.average(variance, weights=count)))
-        return cls(float(np.sqrt(rest)), float(np.sqrt(growth)), clean, correlation_px)
+    def fit(cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float) -> SlopeSigma:
+        """The law and the factors that hold 68 % of the held-out errors within one sigma, everywhere alike."""
+        slopes, error = held_out.slopes, np.abs(held_out.errors)
+        edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
+        bins = np.clip(np.digitize(slopes, edges[1:-1]), 0, len(edges) - 2)
+        place = np.ones(PLACES)
+        for _ in range(ROUNDS):
+            factor = _at_place(place, held_out.x, held_out.y)[:, None]
+            knots = [
+                (float(slopes[bins == b].mean()), float(np.quantile((error / factor)[bins == b], ONE_SIGMA)))
+                for b in range(len(edges) - 1)
+                if np.count_nonzero(bins == b) >= MIN_IN_BIN
+            ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
+            law = _law(slopes, *np.array(knots).T)[:, None]
+            place = _place_factors(held_out, error / law)
+        rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA)) if held_out.rest.size else knots[0][1]
+        clean = float(np.sqrt(np.mean(law**2)))
+        return cls(
+            rest=max(rest, 1e-5),
+            slopes=tuple(k[0] for k in knots),
+            sigmas=tuple(max(k[1], 1e-5) for k in knots),
+            clean=max(clean, 1e-5),
+            correlation_px=float(correlation_px),
+            correlated_share=float(correlated_share),
+            place=tuple(tuple(float(v) for v in row) for row in place),
+        )
 
-    def at(
-        self, gradients: NDArray[np.float32], image: NDArray[Any]
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> SlopeSigma:
+        """What `dataclasses.asdict` gave; the two-figure law of the first file format too."""
+        if "growth" in values:
+            slopes = np.linspace(0, 1, SLOPE_BINS + 1)
+            sigmas = np.hypot(values["rest"], values["growth"] * slopes)
+            return cls(
+                values["rest"],
+                tuple(slopes.tolist()),
+                tuple(sigmas.tolist()),
+                values["clean"],
+                values["correlation_px"],
+            )
+        exact = {name: tuple(values[name]) for name in ("slopes", "sigmas")}
+        return cls(**{**values, **exact, "place": tuple(tuple(row) for row in values["place"])})
+
+    def of(self, slopes: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
+        """Standard deviation of scattered slopes |g| in contact, at places 0-1."""
+        law = _law(np.asarray(slopes), np.array(self.slopes), np.array(self.sigmas))
+        return law * _at_place(np.array(self.place), x, y)
+
+    def prepare(self, shape: tuple[int, int], gamut: Gamut | None = None) -> PreparedSigma:
+        """Ready for frames of a shape (H, W)."""
+        return PreparedSigma(self, shape, gamut)
+
+
+class PreparedSigma:
+    """Standard deviation and confidence of whole frames; immutable, shared by threads."""
+
+    def __init__(self, sigma: SlopeSigma, shape: tuple[int, int], gamut: Gamut | None) -> None:
+        self.gamut = gamut
+        grid = np.array(sigma.place)
+        y, x = ((np.arange(n) + 0.5) / n for n in shape)
+        factor = _at_place(grid, *np.broadcast_arrays(x[None, :], y[:, None]))
+        self._place = (factor**2).astype(np.float32)
+        self._step = np.float32(1.25 * max(sigma.slopes) / (TABLE - 2))
+        at = self._step * np.arange(TABLE)
+        knots = np.array(sigma.slopes), np.array(sigma.sigmas)
+        self._table = (_law(at, *knots) ** 2).astype(np.float32)
+        self._grows = np.float32(knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else np.float32(0)
+        self._rest = np.float32(sigma.rest**2)
+        self._clean = np.float32(sigma.clean**2)
+
+    def __call__(
+        self,
+        gradients: NDArray[np.float32],
+        image: NDArray[Any],
+        untouched: NDArray[np.bool_],
+        color_change: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Standard deviation (H, W, 2), the same for both components, and confidence (H, W) of a frame's slopes.
+        """Standard deviation (H, W), alike for both components, and confidence (H, W) of a frame's slopes.
 
-        A pixel with a channel at 0 or 255 is clipped: its slope is not known better than `SATURATED_SIGMA`.
+        Untouched pixels have the deviation of rest. A pixel with a channel at 0 or 255 is clipped: its slope is
+        not known better than `SATURATED_SIGMA`. A colour beyond those of the training presses adds its distance
+        to them (`Gamut`).
         """
         sigma = np.empty(gradients.shape[:2], dtype=np.float32)
         confidence = np.empty(gradients.shape[:2], dtype=np.float32)
+        beyond = _NOTHING
+        if self.gamut is not None and color_change is not None:
+            beyond = self.gamut.distance_of(color_change)
         _sigma_and_confidence(
-            gradients, image, self.rest**2, self.growth**2, self.clean**2, sigma, confidence
-        )
-        return np.broadcast_to(sigma[..., None], gradients.shape), confidence
+            gradients, image, untouched, beyond, self._place, self._table, self._step, self._grows,
+            self._rest, self._clean, sigma, confidence,
+        )  # fmt: skip
+        return sigma, confidence
+
+
+_NOTHING = np.zeros((0, 0), dtype=np.float32)
+
+
+def _law(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:
+    """Linear between the knots, constant before the first, proportional to the slope beyond the last."""
+    within = np.interp(slopes, knots, sigmas)
+    return within * np.maximum(1.0, slopes / knots[-1] if knots[-1] > 0 else 1.0)
+
+
+def _at_place(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
+    """Factors at places 0-1, bilinear between the cells' centres."""
+    rows, columns = grid.shape
+    column = np.clip(np.asarray(x) * columns - 0.5, 0, columns - 1).astype(np.float32)
+    row = np.clip(np.asarray(y) * rows - 0.5, 0, rows - 1).astype(np.float32)
+    flat = column.reshape(-1, 1), row.reshape(-1, 1)
+    left, top = (np.minimum(v.astype(int), max(n - 2, 0)) for v, n in zip(flat, (columns, rows)))
+    right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
+    u, v = flat[0] - left, flat[1] - top
+    upper = (1 - u) * grid[top, left] + u * grid[top, right]
+    lower = (1 - u) * grid[bottom, left] + u * grid[bottom, right]
+    value: NDArray[np.float64] = ((1 - v) * upper + v * lower).reshape(np.shape(column))
+    return value
+
+
+def _place_factors(held_out: SlopeErrors, ratio: NDArray[Any]) -> NDArray[np.float64]:
+    """What each cell's errors are over the law, drawn towards 1 where few presses touched it."""
+    rows, columns = PLACES
+    row = np.clip((held_out.y * rows).astype(int), 0, rows - 1)
+    column = np.clip((held_out.x * columns).astype(int), 0, columns - 1)
+    factors = np.ones(PLACES)
+    for r, c in np.ndindex(PLACES):
+        here = (row == r) & (column == c)
+        if np.count_nonzero(here) >= MIN_IN_BIN:
+            presses = len(np.unique(held_out.press[here]))
+            trust = presses / (presses + PRIOR_PRESSES)
+            factors[r, c] = max(float(np.quantile(ratio[here], ONE_SIGMA)), 0.1) ** trust
+    return factors
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _sigma_and_confidence(gradients, image, rest2, growth2, clean2, sigma, confidence):  # type: ignore[no-untyped-def]
+def _sigma_and_confidence(  # type: ignore[no-untyped-def]
+    gradients, image, untouched, beyond, place, table, step, grows, rest, clean, sigma, confidence
+):
     height, width, _ = gradients.shape
-    rest, growth, clean = np.float32(rest2), np.float32(growth2), np.float32(clean2)
     clipped = np.float32(SATURATED_SIGMA**2)
+    last = table.shape[0] - 2
     for y in range(height):
         for x in range(width):
             p, q = gradients[y, x, 0], gradients[y, x, 1]
-            variance = rest + growth * (p * p + q * q)
+            square = p * p + q * q
+            at = np.sqrt(square) / step
+            index = min(int(at), last)
+            between = at - np.float32(index)
+            inside = table[index] + between * (table[index + 1] - table[index])
+            law = inside if at <= np.float32(last) else grows * square
+            variance = rest if untouched[y, x] else law * place[y, x]
+            if beyond.shape[0] > 0:
+                variance += beyond[y, x] * beyond[y, x]
             darkest = min(image[y, x, 0], image[y, x, 1], image[y, x, 2])
             brightest = max(image[y, x, 0], image[y, x, 1], image[y, x, 2])
             variance = max(variance, clipped if (darkest <= 0) | (brightest >= 255) else variance)

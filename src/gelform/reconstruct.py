@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.anchor import RestAnchor
 from gelform.background import (
     Finding,
     change_with_gain,
@@ -19,10 +20,11 @@ from gelform.background import (
 from gelform.checks import check_image
 from gelform.color_models.lambertian import PreparedLambertian
 from gelform.contact import contact_from_depth
-from gelform.depth import integrate
+from gelform.depth import Integration, integrate
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.record import Calibration
+from gelform.solvers import UNIFORM
 from gelform.solvers.pool import Pool
 from gelform.view import image_from_frame
 
@@ -35,12 +37,18 @@ class Reconstructor:
 
     A pure function of the image: the same bytes whatever came before, and safe to share between threads.
 
+    The slopes' bias, read from the untouched pixels, is removed first. Then depth is the weighted least-squares
+    surface: every slope counts by its confidence, and untouched pixels are softly anchored at 0. The order
+    matters: an anchor alone would bend the surface to hide the bias.
+
     Parameters
     ----------
     calibration : of this sensor and gel
     background : (H, W, 3), 0-255, optional
         The untouched image of today; the calibration's own by default.
     solver : "auto" or a name in `gelform.solvers.SOLVERS`
+        "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dst`, `fourier`, `path`) get neither
+        weights nor anchor.
 
     Raises
     ------
@@ -61,6 +69,10 @@ class Reconstructor:
             self.background = today.astype(np.float32)
         self._gain = gain_from_background(self.background, calibration.change)
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
+        self._sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
+        self._anchor = RestAnchor(
+            calibration.image_shape, calibration.mm_per_px, calibration.slope_sigma.clean
+        )
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -88,15 +100,15 @@ class Reconstructor:
             gradients, sigma = self._model.gradients_from_color(change)
             untouched, scarce = self._untouched(change)
             albedo = self._albedo_source(change)
-        _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
-        spread, confidence = self.calibration.slope_sigma.at(gradients, image)
+            _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
+            spread, confidence = self._sigma(gradients, image, untouched, change)
         pitch = self.calibration.mm_per_px
-        solution = integrate(gradients, mm_per_px=pitch, zero=untouched, solver=self.solver)
+        solution = self._integrate(gradients, confidence, untouched)
         return Reconstruction(
             depth_mm=solution.depth_mm,
             depth_sigma_mm=None,
             gradients=gradients,
-            gradients_sigma=sigma if sigma is not None else spread,
+            gradients_sigma=np.broadcast_to(spread[..., None], gradients.shape) if sigma is None else sigma,
             confidence=confidence,
             contact=contact_from_depth(solution.depth_mm, mm_per_px=pitch),
             known=solution.known,
@@ -112,6 +124,16 @@ class Reconstructor:
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
         )
+
+    def _integrate(
+        self, gradients: NDArray[np.float32], confidence: NDArray[np.float32], untouched: NDArray[np.bool_]
+    ) -> Integration:
+        """Depth of the slopes, weighted and anchored where the solver can."""
+        pitch = self.calibration.mm_per_px
+        if self.solver in UNIFORM:
+            return integrate(gradients, mm_per_px=pitch, zero=untouched, solver=self.solver)
+        anchor = self._anchor(gradients, untouched)
+        return integrate(gradients, mm_per_px=pitch, weights=confidence, anchor=anchor, solver=self.solver)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; only photometric stereo tells it."""

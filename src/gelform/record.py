@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from gelform.background import ChangeSettings
 from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.color_models.forward import ForwardResponse
+from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.npz_files import digest_of, read_npz, write_npz
 from gelform.view import View
 
 KIND = "gelform calibration"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MAX_BYTES = 512 * 2**20
 
 
@@ -44,6 +45,7 @@ class Calibration:
     training_digests : SHA-256 of the images that were used
     settings : what the calibration chose: training zone, model settings ...
     library_version, created_utc : by what and when
+    gamut : the colours it was fitted on; None where they are not known
     report : the CalibrationReport of the run that made it; not saved
     """
 
@@ -66,6 +68,7 @@ class Calibration:
     settings: dict[str, Any]
     library_version: str
     created_utc: str
+    gamut: Gamut | None = None
     report: Any = field(default=None, repr=False)
 
     @cached_property
@@ -111,6 +114,8 @@ class Calibration:
             "forward_noise": self.forward.noise,
             **{f"model_{name}": array for name, array in model_arrays.items()},
         }
+        if self.gamut is not None:
+            arrays |= {"gamut_distance": self.gamut.distance, "gamut_low": self.gamut.low}
         meta: dict[str, Any] = {
             "sensor_name": self.sensor_name,
             "serial": self.serial,
@@ -124,6 +129,8 @@ class Calibration:
             "model_settings": model_settings,
             "forward_settings": {"position_degrees": list(self.forward.position_degrees)},
             "slope_sigma": asdict(self.slope_sigma),
+            "gamut": self.gamut
+            and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
             "crosstalk": None,
             "held_out": self.held_out,
@@ -173,11 +180,14 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         change=ChangeSettings(**meta["change"]),
         color_model=COLOR_MODELS[meta["color_model"]].from_arrays(own, meta["model_settings"]),
         forward=ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"]),
-        slope_sigma=SlopeSigma(**meta["slope_sigma"]),
+        slope_sigma=SlopeSigma.from_dict(meta["slope_sigma"]),
         untouched_change=meta["untouched_change"],
         held_out=meta["held_out"],
         training_digests=tuple(meta["training_digests"]),
         settings=meta["settings"],
         library_version=meta["library_version"],
         created_utc=meta["created_utc"],
+        gamut=Gamut(arrays["gamut_distance"], arrays["gamut_low"], **meta["gamut"])
+        if meta.get("gamut")
+        else None,
     )

@@ -33,6 +33,7 @@ from gelform.calibration.select import (
 from gelform.calibration.spread import slope_sigma_from_folds
 from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.color_models.forward import ForwardResponse
+from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.metrics import PressErrors, ball_center
@@ -43,6 +44,7 @@ from gelform.record import Calibration
 BLUR_PX = 1.25
 MIN_PRESSES = 3
 UNTOUCHED_PERCENTILE = 99.0
+FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
 
 
 def calibrate(
@@ -195,6 +197,7 @@ def _draft(
     """The calibration fitted on every accepted press; held-out figures are filled in later."""
     used = [prepared[i] for i in refined.accepted]
     contacts = [refined.contacts[i] for i in refined.accepted]
+    samples = chosen.samples(used, contacts)
     return Calibration(
         sensor_name=presses.sensor_name,
         serial=presses.serial,
@@ -208,7 +211,7 @@ def _draft(
         change=change_settings(presses.image_shape, COLOR_MODELS[chosen.model].change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
-        slope_sigma=SlopeSigma(0.02, 0.1, 0.05, 10.0 * scale_of(presses.image_shape)),
+        slope_sigma=FIRST_GUESS,
         untouched_change=_untouched_change(used, contacts),
         held_out={},
         training_digests=tuple(presses.presses[i].digest for i in refined.accepted),
@@ -220,6 +223,7 @@ def _draft(
         },
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        gamut=Gamut.fit(samples.color_change, samples.gradients),
     )
 
 

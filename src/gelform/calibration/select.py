@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gelform.calibration.presses import Contact
 from gelform.calibration.refine import agreement, fit_model, misfit_reasons, recentered, refine
 from gelform.calibration.samples import PreparedPress, contact_samples, with_rest_samples
-from gelform.color_models import COLOR_MODELS, ColorModel
+from gelform.color_models import COLOR_MODELS, ColorModel, Samples
 from gelform.metrics import angle_deg, ball_center, ball_gradients
 from gelform.progress import Progress, no_progress
 
@@ -39,9 +39,12 @@ class Candidate:
 
     def fit(self, presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> ColorModel:
         """The model, fitted on presses with known circles."""
-        samples = contact_samples(presses, contacts, self.zone)
-        samples = with_rest_samples(samples, presses, contacts)
+        samples = self.samples(presses, contacts)
         return COLOR_MODELS[self.model].fit(samples, **dict(self.settings))
+
+    def samples(self, presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> Samples:
+        """What it is fitted on: the contacts' zones and gel at rest."""
+        return with_rest_samples(contact_samples(presses, contacts, self.zone), presses, contacts)
 
     def describe(self) -> str:
         """Name, settings and zone, short."""

@@ -1,4 +1,4 @@
-"""How far off held-out slopes are: their standard deviation as a function of slope, and their correlation."""
+"""How far off held-out slopes are: their standard deviation by slope and place, and their correlation."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.presses import Contact, scale_of
-from gelform.calibration.samples import PreparedPress
+from gelform.calibration.samples import REST_DISTANCE, PreparedPress
 from gelform.calibration.select import Fold
 from gelform.color_models import ColorModel
-from gelform.confidence import SlopeSigma
+from gelform.confidence import SlopeErrors, SlopeSigma
 from gelform.metrics import ball_center, ball_gradients
 
 LAGS = 24
+PER_PRESS = 2_000
+ZONE = 0.85  # beyond it the gel has left the ball: what differs there is no error of the model
 
 
 def slope_sigma_from_folds(
@@ -23,26 +25,63 @@ def slope_sigma_from_folds(
     presses: Sequence[PreparedPress],
     found: Sequence[Contact],
 ) -> SlopeSigma:
-    """Standard deviation and correlation length of the slopes, from presses that each model has not seen."""
+    """Standard deviation and correlation of the slopes, from presses that each model has not seen.
+
+    A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
+    the root of the number of presses, the rate at which errors of estimation fall.
+    """
+    share_seen = np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds])
     step = max(1, round(scale_of(presses[0].size.shape)))
-    slopes, errors, products = [], [], np.zeros(LAGS)
+    parts, rest, products = [], [], []
     for model, fold in zip(models, folds):
         for i in fold.held_out:
-            seen, error = _residual_map(presses[i], found[i], model)
-            inside = np.isfinite(error[..., 0])
-            slopes.append(np.linalg.norm(seen[inside], axis=-1)[::5])
-            errors.append(error[inside][::5])
-            products += _lag_products(error, step)
-    below = np.nonzero(products < products[0] / np.e)[0]
-    lag = step * (int(below[0]) if below.size else LAGS - 1)
-    return SlopeSigma.fit(np.concatenate(slopes), np.concatenate(errors), float(max(1, lag)))
+            seen, error, rows, cols = _residual_map(presses[i], found[i], model)
+            products.append(_lag_products(error, step))
+            thin = slice(None, None, max(1, len(rows) // PER_PRESS))
+            at = (rows - rows.min())[thin], (cols - cols.min())[thin]
+            height, width = presses[i].size.shape
+            parts.append(
+                (
+                    np.linalg.norm(seen[at], axis=-1),
+                    error[at],
+                    (cols[thin] + 0.5) / width,
+                    (rows[thin] + 0.5) / height,
+                    np.full(len(at[0]), i),
+                )
+            )
+            rest.append(_rest_slopes(presses[i], found[i], model))
+    slopes, errors, x, y, press = (np.concatenate([part[k] for part in parts]) for k in range(5))
+    length, share = correlation_from_products(np.mean(products, axis=0), step)
+    held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, np.concatenate(rest))
+    return SlopeSigma.fit(held_out, length, share)
+
+
+def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
+    """Length (px) and share of the correlated part: `share exp(-lag^2 / (2 length^2))` at lags from 1 on.
+
+    The nugget, what of the variance is gone at the first lag, is white.
+    """
+    correlation = products / max(products[0], 1e-30)
+    below = np.nonzero(correlation[1:] < 0.05)[0]
+    last = max(3, int(below[0]) + 1 if below.size else LAGS)
+    lags = step * np.arange(1, last)
+    best = (np.inf, float(step), 0.0)
+    for length in step * np.geomspace(0.7, LAGS, 60):
+        shape = np.exp(-(lags**2) / (2 * length**2))
+        share = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
+        misfit = float(np.square(share * shape - correlation[1:last]).sum())
+        best = min(best, (misfit, float(length), share))
+    return best[1], best[2]
 
 
 def _residual_map(
     press: PreparedPress, found: Contact, model: ColorModel
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Slopes and their errors in the contact's bounding box, NaN outside its inner 90 %; the centre is free."""
-    rows, cols = press.pixels(found, 0.9)
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
+    """Slopes and their errors in the contact's bounding box, NaN outside its inner part, and its pixels.
+
+    The centre is free: labels are off by a pixel.
+    """
+    rows, cols = press.pixels(found, ZONE)
     gradients = press.gradients(model, rows, cols)
     center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
     error = gradients - ball_gradients(cols, rows, center, press.ball_radius_px)
@@ -50,7 +89,19 @@ def _residual_map(
     maps = np.full((2, *box), np.nan)
     for values, into in zip((gradients, error), maps):
         into[rows - rows.min(), cols - cols.min()] = values
-    return maps[0], maps[1]
+    return maps[0], maps[1], rows, cols
+
+
+def _rest_slopes(press: PreparedPress, found: Contact, model: ColorModel) -> NDArray[np.float64]:
+    """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does."""
+    height, width = press.size.shape
+    step = max(1, int(np.sqrt(height * width / PER_PRESS)))
+    rows, cols = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
+    far = np.hypot(cols - found.x_px, rows - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
+    if not far.any():
+        return np.zeros((0, 2))
+    slopes = press.gradients(model, rows[far], cols[far])
+    return slopes - np.median(slopes, axis=0)
 
 
 def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:

@@ -1,0 +1,67 @@
+"""What is held at rest: untouched gel, drifted gel too, but never the flat face of something pressed."""
+
+import numpy as np
+import pytest
+
+from gelform.anchor import REST_SIGMA_MM, RestAnchor
+from gelform.depth import depth_from_gradients
+from gelform.gradients import gradients_from_depth
+
+SHAPE, PITCH, CLEAN = (120, 160), 0.1, 0.03
+
+
+def plateau(height_mm: float, radius_px: float = 22.0):
+    """A flat punch with sloping walls: its face has the slope, and so the colour, of rest."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    rho = np.hypot(x - 70, y - 60)
+    depth = height_mm * np.clip((radius_px + 6 - rho) / 6, 0, 1)
+    gradients = gradients_from_depth(depth, mm_per_px=PITCH).astype(np.float32)
+    return depth, gradients, np.linalg.norm(gradients, axis=-1) < 1e-3, rho < radius_px - 2
+
+
+def test_untouched_gel_is_held_as_the_units_say():
+    gradients = np.zeros((*SHAPE, 2), dtype=np.float32)
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, np.ones(SHAPE, dtype=bool))
+    np.testing.assert_allclose(anchor, (CLEAN * PITCH / REST_SIGMA_MM) ** 2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("height_mm", [0.15, 0.5])
+def test_a_flat_face_is_not_held(height_mm):
+    _, gradients, untouched, face = plateau(height_mm)
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    assert untouched[face].all()
+    assert anchor[face].max() < 0.02 * anchor[:5].mean()
+    found = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=anchor)
+    assert found[face].mean() == pytest.approx(height_mm, rel=0.03)
+    naive = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=untouched * np.float32(anchor[:5].mean()))
+    assert naive[face].mean() < 0.8 * height_mm  # what colour alone would have made of it
+
+
+def test_drift_is_taken_out():
+    """Slopes that are wrong by a smooth field lift the far gel; the anchor holds it, the press stays."""
+    depth, gradients, untouched, _ = plateau(0.4)
+    x = np.linspace(-1, 1, SHAPE[1])[None, :]
+    gradients[..., 0] += (0.02 * x).astype(np.float32)
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    far = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 70])[:, None, None])) > 45
+
+    def off(hold):
+        z = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=hold, zero=untouched)
+        return np.sqrt(np.mean((z - depth)[far] ** 2))
+
+    assert off(anchor) < 0.75 * off(None)
+
+
+def test_touched_pixels_hold_nothing():
+    _, gradients, untouched, _ = plateau(0.3)
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    assert not anchor[~untouched].any()
+    assert (anchor >= 0).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (7, 5), (61, 83), (3, 200)])
+def test_any_shape(shape):
+    gradients = np.zeros((*shape, 2), dtype=np.float32)
+    anchor = RestAnchor(shape, PITCH, CLEAN)(gradients, np.ones(shape, dtype=bool))
+    assert anchor.shape == shape
+    assert np.isfinite(anchor).all()
