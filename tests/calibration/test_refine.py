@@ -6,9 +6,9 @@ import numpy as np
 
 import gelform
 from gelform.calibration.fit import prepare
+from gelform.calibration.folds import make_folds, unlike_the_others
 from gelform.calibration.presses import find_contact
 from gelform.calibration.refine import refine, refining_degrees
-from gelform.calibration.select import make_folds, unlike_the_others
 
 
 def errors_px(contacts, simulated):

@@ -16,20 +16,13 @@ from gelform import __version__
 from gelform.background import ChangeSettings, check_background, color_change_from_image
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
+from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
+from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
 from gelform.calibration.samples import PreparedPress, contact_samples
-from gelform.calibration.select import (
-    ZONES,
-    Candidate,
-    Fold,
-    Score,
-    candidates_for,
-    make_folds,
-    score,
-    unlike_the_others,
-)
+from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
 from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.color_models.forward import ForwardResponse
@@ -81,11 +74,13 @@ def calibrate(
     _check_enough(presses, refined)
     candidates = candidates_for(color_model, len(folds[0].training))
     by_offset = _by_offset(presses, prepared, candidates)
-    chosen, scores = _choose(candidates, by_offset, found, folds, progress)
-    suited = by_offset[COLOR_MODELS[chosen.model].change_offset]
-    draft = _draft(presses, suited, refined, chosen)
-    errors, sigma = _held_out(draft, presses, suited, found, folds, chosen, progress)
-    report = _report(presses, refined, errors, scores, chosen, time.monotonic() - started)
+    sizes = size_folds(prepared, found, refined.accepted, progress=progress)
+    able = _able(candidates, by_offset)
+    selection = select(able, by_offset, found, folds, sizes, progress=progress)
+    draft = _draft(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
+    errors, sigma = _held_out(draft, presses, by_offset, found, folds, selection, progress)
+    left_out = tuple(c.model for c in candidates if c not in able)
+    report = _report(presses, refined, errors, selection, left_out, time.monotonic() - started)
     return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
 
 
@@ -153,42 +148,21 @@ def _by_offset(
     A candidate that divides by the bare background is left out where the background has pixels of 0.
     """
     by_offset = {COLOR_MODELS["polynomial"].change_offset: prepared}
-    for offset in {COLOR_MODELS[c.model].change_offset for c in candidates} - by_offset.keys():
+    for offset in {c.change_offset for c in candidates} - by_offset.keys():
         if offset > 0 or float(presses.background.min()) > 0:
             by_offset[offset] = prepare(presses, offset)
     return by_offset
 
 
-def _choose(
-    candidates: Sequence[Candidate],
-    by_offset: dict[float, list[PreparedPress]],
-    found: Sequence[Contact],
-    folds: Sequence[Fold],
-    progress: Progress,
-) -> tuple[Candidate, list[Score]]:
-    """The training zone, then the candidate, with the smallest held-out error."""
-    able = [c for c in candidates if COLOR_MODELS[c.model].change_offset in by_offset]
+def _able(candidates: Sequence[Candidate], by_offset: dict[float, list[PreparedPress]]) -> list[Candidate]:
+    """The candidates that can work with this background."""
+    able = [c for c in candidates if c.change_offset in by_offset]
     if not able:
         raise CalibrationError(
             f"The color model {candidates[0].model} divides by the background, which has pixels of 0. "
             "Raise the exposure, or calibrate with --model polynomial."
         )
-
-    def held_out(candidate: Candidate) -> Score:
-        return score(candidate, folds, by_offset[COLOR_MODELS[candidate.model].change_offset], found)
-
-    zoned = []
-    for done, zone in enumerate(ZONES):
-        zoned.append(held_out(replace(able[-1], zone=zone)))
-        progress(done + 1, len(ZONES) + len(able), "choosing the training zone")
-    best = min(zoned, key=lambda s: s.mean_deg)
-    scores = []
-    for done, candidate in enumerate(able[:-1]):
-        scores.append(held_out(replace(candidate, zone=best.candidate.zone)))
-        progress(len(ZONES) + done + 1, len(ZONES) + len(able), "choosing the color model")
-    scores.append(best)
-    chosen = min(scores, key=lambda s: s.mean_deg).candidate
-    return chosen, scores + [s for s in zoned if s is not best]
+    return able
 
 
 def _draft(
@@ -208,7 +182,7 @@ def _draft(
         mm_per_px_sigma=presses.mm_per_px_sigma,
         background=presses.background,
         background_noise=_pixel_noise(presses.background),
-        change=change_settings(presses.image_shape, COLOR_MODELS[chosen.model].change_offset),
+        change=change_settings(presses.image_shape, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
         slope_sigma=FIRST_GUESS,
@@ -230,21 +204,29 @@ def _draft(
 def _held_out(
     draft: Calibration,
     presses: Presses,
-    prepared: list[PreparedPress],
+    by_offset: dict[float, list[PreparedPress]],
     found: Sequence[Contact],
     folds: Sequence[Fold],
-    chosen: Candidate,
+    selection: Selection,
     progress: Progress,
 ) -> tuple[dict[int, PressErrors], SlopeSigma]:
-    """Errors of every usable press through the whole path, with the model of the fold that left it out."""
+    """Errors of every usable press through the whole path, with what was chosen and fitted without it.
+
+    The slopes' spread is that of the chosen candidate: it becomes the calibration's.
+    """
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
-    for done, fold in enumerate(folds):
-        model = chosen.fit([prepared[i] for i in fold.training], fold.contacts)
-        reconstruct = Reconstructor(replace(draft, color_model=model))
+    prepared = by_offset[selection.chosen.change_offset]
+    for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
+        suited = by_offset[candidate.change_offset]
+        model = candidate.fit([suited[i] for i in fold.training], fold.contacts)
+        change = change_settings(presses.image_shape, candidate.change_offset)
+        reconstruct = Reconstructor(replace(draft, color_model=model, change=change))
         for i in fold.held_out:
-            circle = _free_circle(prepared[i], found[i], model, chosen.zone)
+            circle = _free_circle(suited[i], found[i], model, candidate.zone)
             errors[i] = errors_of(presses.presses[i], circle, reconstruct)
+        if candidate != selection.chosen:
+            model = selection.chosen.fit([prepared[i] for i in fold.training], fold.contacts)
         models.append(model)
         progress(done + 1, len(folds), "measuring on held-out presses")
     return errors, slope_sigma_from_folds(models, folds, prepared, found)
@@ -264,8 +246,8 @@ def _report(
     presses: Presses,
     refined: Refined,
     errors: dict[int, PressErrors],
-    scores: Sequence[Score],
-    chosen: Candidate,
+    selection: Selection,
+    left_out: Sequence[str],
     seconds: float,
 ) -> CalibrationReport:
     rows = []
@@ -283,23 +265,34 @@ def _report(
         )
     candidates = [
         {
-            "candidate": s.candidate.describe(),
-            "normal_free_deg": s.mean_deg,
-            "standard_error_deg": s.standard_error_deg,
-            "chosen": s.candidate == chosen,
+            "candidate": trial.candidate.describe(),
+            "normal_free_deg": trial.mean_deg(),
+            "standard_error_deg": standard_error([s.normal_deg for s in trial.by_fold.values()]),
+            "normal_free_deg_other_size": trial.mean_deg(by_size=True),
+            "cap_free_um": 1e3 * presses.mm_per_px * float(trial.expected_losses().mean()),
+            "cap_free_um_se": 1e3 * presses.mm_per_px * standard_error(trial.expected_losses()),
+            "chosen": trial.candidate == selection.chosen,
         }
-        for s in scores
+        for trial in selection.trials
     ]
     notes: tuple[str, ...] = (
-        f"Held-out errors: {len(errors)} presses in folds; circles, model and zone of a fold never saw its presses. "
-        "The candidate was chosen by the same folds, so its errors are slightly optimistic.",
+        f"Held-out errors: {len(errors)} presses in {len(selection.by_fold)} folds; circles, model, its kind and its zone "
+        f"were found without a fold's presses. {_agreeing(selection)} folds chose what all presses together chose.",
         "Crosstalk is absorbed in the color model. The errors do not include the uncertainty of mm_per_px.",
+    )
+    notes += tuple(
+        f"{name} was left out: it divides by the background, which has pixels of 0." for name in left_out
     )
     if presses.response != 1:
         notes += (
             f"The camera's response, exponent {presses.response:g}, is absorbed in the model, not undone.",
         )
     return CalibrationReport(tuple(rows), tuple(candidates), summary(list(errors.values())), seconds, notes)
+
+
+def _agreeing(selection: Selection) -> str:
+    agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
+    return f"{agree} of {len(selection.by_fold)}"
 
 
 def _untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> float:

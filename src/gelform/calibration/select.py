@@ -1,167 +1,254 @@
-"""Choose the color model and the zone that trains, on presses that the model has not seen.
+"""Choose the color model and the zone that trains, by the depth error on presses that the model has not seen.
 
-The presses are dealt into folds. For each fold the circles of the other presses are refined from scratch, the
-candidates are fitted on them, and the fold's own presses are scored: no pixel of a scored press, nor a circle
-that it helped to place, is ever in the model that scores it.
+The training zone is chosen first, by errors on presses and, where there are two sizes of ball, on a whole size that
+was left out: slopes near the rim are not the ball's, and which ball it was shows most there.
+
+The model is chosen by the errors to expect of it with all presses. Those of folds (4/5 of the presses) still favour
+models with few terms, so they are extrapolated from errors with 4/5 and with 3/5 of the presses, as a power of
+their number. A model that fails on the other size of ball is out; the simplest within one standard error of the best
+is chosen.
+
+Choosing on the scores that are then reported flatters them. So the choice is made once more for each fold, without
+its presses (by models that left out two folds, not extrapolated: a little pessimistic), and the fold's presses are
+scored by what was chosen then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.presses import Contact
-from gelform.calibration.refine import agreement, fit_model, misfit_reasons, recentered, refine
-from gelform.calibration.samples import PreparedPress, contact_samples, with_rest_samples
-from gelform.color_models import COLOR_MODELS, ColorModel, Samples
+from gelform.calibration.folds import Fold
+from gelform.calibration.ladder import DEFAULT_ZONE, ZONES, Candidate
+from gelform.calibration.presses import Contact, scale_of
+from gelform.calibration.samples import PreparedPress
+from gelform.color_models import ColorModel
+from gelform.depth import depth_from_gradients
 from gelform.metrics import angle_deg, ball_center, ball_gradients
 from gelform.progress import Progress, no_progress
 
-FOLDS = 5
-ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
-SCORED_ZONE = 0.8
-MIN_TO_JUDGE = 40
-DEFAULT_ZONE = 0.8
-DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18))
+INSET_PX = 3.0  # of the contact's rim, at 240 rows: as `metrics.press_errors` has it
+SCORED_PIXELS = 500
+PATCH = 24  # samples across the contact that are integrated to score the depth
+SELECTION_SAMPLES = 8_000
+SIZE_FACTOR = 1.5  # worse by size than the others, each measured by itself: it has learnt the ball
+MIN_FOLDS = 4
+
+Presses = Mapping[float, Sequence[PreparedPress]]  # by the offset of their color changes
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A color model with its settings and the zone of the contact radius that it trains on."""
+class PressScore:
+    """How far off a press is: normals in degrees, and the cap's shape in px, both with a free centre."""
 
-    model: str
-    zone: float
-    settings: tuple[tuple[str, Any], ...] = ()
-
-    def fit(self, presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> ColorModel:
-        """The model, fitted on presses with known circles."""
-        samples = self.samples(presses, contacts)
-        return COLOR_MODELS[self.model].fit(samples, **dict(self.settings))
-
-    def samples(self, presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> Samples:
-        """What it is fitted on: the contacts' zones and gel at rest."""
-        return with_rest_samples(contact_samples(presses, contacts, self.zone), presses, contacts)
-
-    def describe(self) -> str:
-        """Name, settings and zone, short."""
-        degrees = dict(self.settings).get("position_degrees")
-        return f"{self.model}{' ' + '-'.join(map(str, degrees)) if degrees else ''}, zone {self.zone:g}"
+    normal_deg: float
+    cap_px: float
 
 
 @dataclass(frozen=True)
-class Fold:
-    """The presses that are scored, those that train, and the refined circles of the latter."""
+class Trial:
+    """A candidate's scores on presses that its models had not seen.
 
-    held_out: tuple[int, ...]
-    training: tuple[int, ...]
-    contacts: tuple[Contact, ...]
-
-
-@dataclass(frozen=True)
-class Score:
-    """A candidate's held-out normal error per press, degrees."""
+    Attributes
+    ----------
+    candidate : Candidate
+    by_fold : press -> score, the press's fold left out
+    by_size : press -> score, all balls of its size left out; empty where no size can be
+    by_pair : fold -> press of another fold -> score, both folds left out
+    """
 
     candidate: Candidate
-    errors_deg: NDArray[np.float64]
+    by_fold: Mapping[int, PressScore]
+    by_size: Mapping[int, PressScore]
+    by_pair: Mapping[int, Mapping[int, PressScore]]
 
-    @property
-    def mean_deg(self) -> float:
-        """Mean over the presses."""
-        return float(self.errors_deg.mean())
+    def mean_deg(self, by_size: bool = False) -> float:
+        """Mean held-out normal error, degrees; NaN where no size was left out."""
+        scores = self.by_size if by_size else self.by_fold
+        return float(np.mean([s.normal_deg for s in scores.values()])) if scores else float("nan")
 
-    @property
-    def standard_error_deg(self) -> float:
-        """Standard error of that mean."""
-        return (
-            float(self.errors_deg.std(ddof=1) / np.sqrt(len(self.errors_deg)))
-            if len(self.errors_deg) > 1
-            else 0.0
-        )
+    def zone_losses(self, without: Sequence[int] = ()) -> NDArray[np.float64]:
+        """Cap error of each press, px, the mean of both ways to leave it out; some presses not asked."""
+        ways = self.by_fold, self.by_size
+        asked = sorted(set(self.by_fold) - set(without))
+        return np.array([np.mean([scores[i].cap_px for scores in ways if i in scores]) for i in asked])
+
+    def expected_losses(self) -> NDArray[np.float64]:
+        """Cap error of each press, px, that a model of all presses can be expected to have.
+
+        Errors fall as a power of the number of presses; which power, the models of fewer presses tell.
+        """
+        seen = np.array([self.by_fold[i].cap_px for i in sorted(self.by_fold)])
+        folds = len(self.by_pair)
+        if folds < MIN_FOLDS:
+            return seen
+        fewer = [score.cap_px for scores in self.by_pair.values() for score in scores.values()]
+        learnt = min(float(seen.mean() / np.mean(fewer)), 1.0)
+        power = np.log(folds / (folds - 1)) / np.log((folds - 1) / (folds - 2))
+        return seen * learnt**power
+
+    def losses_without(self, fold: int) -> NDArray[np.float64]:
+        """Cap error, px, of the presses outside a fold, as if that fold did not exist."""
+        return np.array([score.cap_px for _, score in sorted(self.by_pair[fold].items())])
+
+    def size_ratio(self, without_fold: int | None = None) -> float:
+        """Cap error on balls of a size that was left out over that with as few presses of all sizes; 1 if unknown."""
+        pairs = [self.by_pair[without_fold]] if without_fold is not None else list(self.by_pair.values())
+        fewer = [score.cap_px for scores in pairs for score in scores.values()]
+        asked = {i for scores in pairs for i in scores}
+        by_size = [score.cap_px for i, score in self.by_size.items() if i in asked]
+        return float(np.mean(by_size) / np.mean(fewer)) if by_size and fewer else 1.0
 
 
-def make_folds(
-    presses: Sequence[PreparedPress],
+@dataclass(frozen=True)
+class Selection:
+    """What was chosen, what each fold would have chosen without its own presses, and what was tried."""
+
+    chosen: Candidate
+    by_fold: tuple[Candidate, ...]
+    trials: tuple[Trial, ...]
+
+
+def select(
+    candidates: Sequence[Candidate],
+    presses: Presses,
     found: Sequence[Contact],
-    usable: Sequence[int],
+    folds: Sequence[Fold],
+    sizes: Sequence[Fold],
     *,
     progress: Progress = no_progress,
-) -> list[Fold]:
-    """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles."""
-    ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
-    count = min(FOLDS, len(ordered))
-    folds = []
-    for f in range(count):
-        training = [i for k, i in enumerate(ordered) if k % count != f]
-        refined = refine([presses[i] for i in training], [found[i] for i in training])
-        kept = refined.accepted
-        folds.append(
-            Fold(
-                held_out=tuple(i for k, i in enumerate(ordered) if k % count == f),
-                training=tuple(training[k] for k in kept),
-                contacts=tuple(refined.contacts[k] for k in kept),
-            )
-        )
-        progress(f + 1, count, "holding presses out")
-    return folds
+) -> Selection:
+    """The training zone, judged by the last candidate, then the candidate.
 
-
-def unlike_the_others(
-    presses: Sequence[PreparedPress], found: Sequence[Contact], folds: Sequence[Fold]
-) -> dict[int, str]:
-    """Presses that a model of the others contradicts, with the reason: a wrong ball diameter, say.
-
-    A press that helped to fit a model bends it towards itself, so each is judged by the fold that left it out.
-    Under `MIN_TO_JUDGE` presses the others do not know enough of every place, and none is judged.
+    Parameters
+    ----------
+    candidates : simplest first
+    presses : prepared, by the `change_offset` that the candidates want
+    found : the circles found in single images
+    folds, sizes : from `make_folds` and `size_folds`
     """
-    if sum(len(fold.held_out) for fold in folds) < MIN_TO_JUDGE:
-        return {}
-    indices, agreements = [], []
-    for fold in folds:
-        model = fit_model([presses[i] for i in fold.training], fold.contacts)
-        for i in fold.held_out:
-            indices.append(i)
-            agreements.append(agreement(presses[i], recentered(presses[i], found[i], found[i], model), model))
-    reasons = zip(indices, misfit_reasons(agreements))
-    return {i: reason for i, reason in reasons if reason is not None}
+    known: dict[tuple[Candidate, bool], Trial] = {}
+    expected = len(ZONES) + len(candidates)
+
+    def tried(candidate: Candidate, pairs: bool) -> Trial:
+        if (candidate, pairs) not in known:
+            known[candidate, pairs] = try_candidate(candidate, presses, found, folds, sizes, pairs=pairs)
+            progress(len(known), max(expected, len(known)), f"trying {candidate.describe()}")
+        return known[candidate, pairs]
+
+    zoned = [tried(replace(candidates[-1], zone=zone), pairs=False) for zone in ZONES]
+
+    def ladder(without: Sequence[int] = ()) -> list[Trial]:
+        zone = zone_within_one_error(zoned, without)
+        return [tried(replace(c, zone=zone), pairs=True) for c in candidates]
+
+    steps = ladder()
+    chosen = simplest_within_one_error(steps, [t.expected_losses() for t in steps])
+    by_fold = []
+    for f, fold in enumerate(folds):
+        steps_without = ladder(fold.held_out)
+        losses = [t.losses_without(f) for t in steps_without]
+        by_fold.append(simplest_within_one_error(steps_without, losses, f) if losses[0].size else chosen)
+    others = [t for (c, pairs), t in known.items() if not pairs and (c, True) not in known]
+    return Selection(
+        chosen, tuple(by_fold), tuple(t for (_, pairs), t in known.items() if pairs) + tuple(others)
+    )
 
 
-def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried, simplest first, at the default zone."""
-    polynomials = [
-        Candidate("polynomial", DEFAULT_ZONE, (("position_degrees", degrees),))
-        for degrees, needed in DEGREES
-        if presses >= needed
+def zone_within_one_error(zoned: Sequence[Trial], without: Sequence[int] = ()) -> float:
+    """The zone nearest the usual one whose mean loss is within one standard error of the best's, press by press."""
+    losses = [trial.zone_losses(without) for trial in zoned]
+    best = min(losses, key=lambda loss: float(loss.mean()))
+    within = [
+        trial.candidate.zone
+        for trial, loss in zip(zoned, losses)
+        if (loss - best).mean() <= standard_error(loss - best)
     ]
-    known: dict[str, list[Candidate]] = {
-        "lambertian": [Candidate("lambertian", DEFAULT_ZONE)],
-        "polynomial": polynomials,
-    }
-    if color_model == "auto":
-        return known["lambertian"] + polynomials
-    if color_model not in known:
-        raise ValueError(f"Expected color_model among auto, {', '.join(known)}, got {color_model!r}.")
-    return known[color_model]
+    return min(within, key=lambda zone: abs(zone - DEFAULT_ZONE))
 
 
-def score(
-    candidate: Candidate, folds: Sequence[Fold], presses: Sequence[PreparedPress], found: Sequence[Contact]
-) -> Score:
-    """Held-out normal error of a candidate; `presses` are prepared as its model wants them."""
-    errors = []
-    for fold in folds:
-        model = candidate.fit([presses[i] for i in fold.training], fold.contacts)
-        errors += [normal_error_deg(presses[i], found[i], model) for i in fold.held_out]
-    return Score(candidate, np.array(errors))
+def simplest_within_one_error(
+    ladder: Sequence[Trial], losses: Sequence[NDArray[np.float64]], without_fold: int | None = None
+) -> Candidate:
+    """The first trial whose mean loss is within one standard error of the best's, press by press.
+
+    Those that fail on a size of ball that was left out do not run.
+    """
+    ratios = [trial.size_ratio(without_fold) for trial in ladder]
+    runs = [k for k, ratio in enumerate(ratios) if ratio <= SIZE_FACTOR * min(ratios)]
+    best = losses[min(runs, key=lambda k: losses[k].mean())]
+    within = [k for k in runs if (losses[k] - best).mean() <= standard_error(losses[k] - best)]
+    return ladder[within[0]].candidate
 
 
-def normal_error_deg(press: PreparedPress, found: Contact, model: ColorModel) -> float:
-    """Mean angle to the ball's normals in the scored zone, with a free centre: labels are off by a pixel."""
-    rows, cols = press.pixels(found, SCORED_ZONE, 1500)
+def standard_error(values: Sequence[float] | NDArray[np.float64]) -> float:
+    """Standard error of the mean of values; 0 of a single one."""
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+
+
+def try_candidate(
+    candidate: Candidate,
+    presses: Presses,
+    found: Sequence[Contact],
+    folds: Sequence[Fold],
+    sizes: Sequence[Fold],
+    *,
+    pairs: bool,
+) -> Trial:
+    """Fit a candidate on every fold, every size that can be left out, and pairs of folds; score what was left out."""
+    suited = presses[candidate.change_offset]
+
+    def scores(some: Sequence[Fold]) -> dict[int, PressScore]:
+        left_out = {}
+        for fold in some:
+            if fold.training:
+                training = [suited[i] for i in fold.training]
+                model = candidate.fit(training, fold.contacts, total=SELECTION_SAMPLES)
+                left_out.update({i: press_score(suited[i], found[i], model) for i in fold.held_out})
+        return left_out
+
+    by_pair = (
+        {}
+        if not pairs
+        else {
+            f: scores([fold.without(other.held_out) for g, other in enumerate(folds) if g != f])
+            for f, fold in enumerate(folds)
+        }
+    )
+    return Trial(candidate, scores(folds), scores(sizes), by_pair)
+
+
+def press_score(press: PreparedPress, found: Contact, model: ColorModel) -> PressScore:
+    """Errors of a model inside a contact, 3 px off its rim; the centre is free, since labels are off by a pixel."""
+    zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
+    rows, cols = press.pixels(found, zone, SCORED_PIXELS)
     gradients = press.gradients(model, rows, cols)
     center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
     truth = ball_gradients(cols, rows, center, press.ball_radius_px)
-    return float(angle_deg(gradients, truth).mean())
+    return PressScore(
+        float(angle_deg(gradients, truth).mean()),
+        _cap_error_px(press, found, model, center, rows, cols, zone),
+    )
+
+
+def _cap_error_px(
+    press: PreparedPress,
+    found: Contact,
+    model: ColorModel,
+    center: tuple[float, float],
+    rows: NDArray[np.intp],
+    cols: NDArray[np.intp],
+    zone: float,
+) -> float:
+    """Standard deviation of the depth, integrated over the contact's bounding box, minus the ball's cap."""
+    step = max(1, round(2 * zone * found.radius_px / PATCH))
+    y, x = np.mgrid[rows.min() : rows.max() + 1 : step, cols.min() : cols.max() + 1 : step]
+    gradients = press.gradients(model, y.ravel(), x.ravel()).reshape(*y.shape, 2)
+    depth = depth_from_gradients(gradients.astype(np.float32), mm_per_px=float(step), solver="dct")
+    square = (x - center[0]) ** 2 + (y - center[1]) ** 2
+    inside = (x - found.x_px) ** 2 + (y - found.y_px) ** 2 < (zone * found.radius_px) ** 2
+    cap = np.sqrt(np.maximum(press.ball_radius_px**2 - square, 0))
+    return float(np.std((depth - cap)[inside]))

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.calibration.folds import Fold
 from gelform.calibration.presses import Contact, scale_of
 from gelform.calibration.samples import REST_DISTANCE, PreparedPress
-from gelform.calibration.select import Fold
 from gelform.color_models import ColorModel
 from gelform.confidence import SlopeErrors, SlopeSigma
 from gelform.metrics import ball_center, ball_gradients

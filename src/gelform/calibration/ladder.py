@@ -1,0 +1,79 @@
+"""What calibration tries: color models with their settings, simplest first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gelform.calibration.presses import Contact
+from gelform.calibration.samples import TOTAL_SAMPLES, PreparedPress, contact_samples, with_rest_samples
+from gelform.color_models import COLOR_MODELS, ColorModel, Samples
+
+ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
+DEFAULT_ZONE = 0.8
+DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A color model with its settings and the zone of the contact radius that it trains on."""
+
+    model: str
+    zone: float
+    settings: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def change_offset(self) -> float:
+        """What its color changes are divided by beside the background."""
+        return float(COLOR_MODELS[self.model].change_offset)
+
+    def fit(
+        self,
+        presses: Sequence[PreparedPress],
+        contacts: Sequence[Contact],
+        *,
+        total: int = TOTAL_SAMPLES,
+    ) -> ColorModel:
+        """The model, fitted on presses with known circles."""
+        return self.fit_samples(self.samples(presses, contacts, total=total))
+
+    def fit_samples(self, samples: Samples) -> ColorModel:
+        """The model, fitted on samples."""
+        model: ColorModel = COLOR_MODELS[self.model].fit(samples, **dict(self.settings))
+        return model
+
+    def samples(
+        self,
+        presses: Sequence[PreparedPress],
+        contacts: Sequence[Contact],
+        *,
+        total: int = TOTAL_SAMPLES,
+    ) -> Samples:
+        """What it is fitted on: the contacts' zones and gel at rest."""
+        return with_rest_samples(
+            contact_samples(presses, contacts, self.zone, total=total), presses, contacts
+        )
+
+    def describe(self) -> str:
+        """Name, settings and zone, short."""
+        degrees = dict(self.settings).get("position_degrees")
+        return f"{self.model}{' ' + '-'.join(map(str, degrees)) if degrees else ''}, zone {self.zone:g}"
+
+
+def candidates_for(color_model: str, presses: int) -> list[Candidate]:
+    """What is tried, simplest first, at the default zone."""
+    polynomials = [
+        Candidate("polynomial", DEFAULT_ZONE, (("position_degrees", degrees),))
+        for degrees, needed in DEGREES
+        if presses >= needed
+    ]
+    known: dict[str, list[Candidate]] = {
+        "lambertian": [Candidate("lambertian", DEFAULT_ZONE)],
+        "polynomial": polynomials,
+    }
+    if color_model == "auto":
+        return known["lambertian"] + polynomials
+    if color_model not in known:
+        raise ValueError(f"Expected color_model among auto, {', '.join(known)}, got {color_model!r}.")
+    return known[color_model]
