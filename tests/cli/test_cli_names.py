@@ -77,3 +77,16 @@ def test_folders_that_cannot_be_made(tmp_path):
     with pytest.raises(DataError, match="Cannot make the folder"):
         make_folder(tmp_path / "file" / "below")
     assert make_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_a_user_is_told_of_the_first_compilation(monkeypatch):
+    """Nobody waits seconds in front of a silent screen: once, and only where there is something to compile."""
+    from gelform.cli.console import warm
+    from gelform.solvers import warmup
+
+    told = []
+    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
+    warm(lambda *call: told.append(call))
+    monkeypatch.setattr(warmup, "is_compiled", lambda: True)
+    warm(lambda *call: told.append(call))
+    assert told == [(0, 1, warmup.MESSAGE)]

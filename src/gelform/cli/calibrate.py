@@ -24,6 +24,7 @@ from gelform.cli.console import (
     progress_shown,
     say,
     show_table,
+    warm,
 )
 from gelform.cli.names import make_folder
 from gelform.errors import CalibrationError, DataError
@@ -73,6 +74,7 @@ def calibrate(
     from gelform.calibration.folder import read_presses
 
     with progress_shown(quiet) as progress:
+        warm(progress)
         found = read_presses(
             presses,
             sensor=sensor,

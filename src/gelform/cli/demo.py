@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import Json, Progress, Quiet, json_bytes, print_json, progress_shown, say, show_table
+from gelform.cli.console import (
+    Json,
+    Progress,
+    Quiet,
+    json_bytes,
+    print_json,
+    progress_shown,
+    say,
+    show_table,
+    warm,
+)
 
 if TYPE_CHECKING:
     from gelform.record import Calibration
@@ -40,6 +50,7 @@ def demo(
     check_matplotlib()
     started = time.monotonic()
     with written_whole(output) as folder, progress_shown(quiet) as progress:
+        warm(progress)
         sensor = _simulated(folder / "presses", progress)
         calibration = _calibrated(folder, progress)
         errors = {}

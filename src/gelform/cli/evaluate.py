@@ -20,6 +20,7 @@ from gelform.cli.console import (
     progress_shown,
     say,
     show_table,
+    warm,
 )
 
 COLUMNS = ("normal_free_deg", "cap_free_um", "radius_percent", "off_contact_um")
@@ -51,6 +52,7 @@ def evaluate(
 
     loaded = load_calibration(calibration)
     with progress_shown(quiet) as progress:
+        warm(progress)
         found = read_presses(
             presses,
             sensor=sensor,

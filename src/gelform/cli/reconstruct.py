@@ -20,6 +20,7 @@ from gelform.cli.console import (
     progress_shown,
     say,
     show_table,
+    warm,
 )
 from gelform.cli.names import check_results, make_folder, result_paths
 from gelform.errors import GelformError
@@ -73,7 +74,7 @@ def reconstruct(
 
         check_matplotlib()
     with progress_shown(quiet) as progress:
-        progress(0, len(images), "starting (the first run ever compiles for some seconds)")
+        warm(progress)
         run = _prepared(calibration, background, solver)
         make_folder(output)
         rows = []
