@@ -11,18 +11,29 @@ No colour change means no slope, in every model.
 from typing import Any
 
 from gelform.color_models.lambertian import LambertianModel
+from gelform.color_models.mlp import MlpModel
+from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
 
 COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
     "polynomial": PolynomialModel,
+    "mlp": MlpModel,
+}
+
+# Made by other packages, never fitted here: only importers make them.
+IMPORTED_MODELS: dict[str, Any] = {
+    "network": NetworkModel,
 }
 
 __all__ = [
     "COLOR_MODELS",
+    "IMPORTED_MODELS",
     "ColorModel",
     "LambertianModel",
+    "MlpModel",
+    "NetworkModel",
     "PolynomialModel",
     "PreparedColorModel",
     "Samples",

@@ -1,0 +1,118 @@
+"""A small network from colour change and place to gradients, trained on presses; its answer at rest is zero.
+
+The network's own answer to the untouched colour at the same place is subtracted, in training too: no colour
+change, no slope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.color_models.layers import Layers, RestedNetwork
+from gelform.color_models.least_squares import unit_position
+from gelform.color_models.seam import Samples
+
+
+@dataclass(frozen=True)
+class MlpModel:
+    """A network of five inputs (colour change R, G, B in units of its spread; x, y) and two slopes.
+
+    Attributes
+    ----------
+    layers : five inputs, two outputs
+    change_scale : (3,) float64, what the colour change is divided by
+    shape : (H, W) of the images it was fitted on
+    """
+
+    layers: Layers
+    change_scale: NDArray[np.float64]
+    shape: tuple[int, int]
+
+    name: ClassVar[str] = "mlp"
+    change_offset: ClassVar[float] = 10.0
+
+    def __post_init__(self) -> None:
+        if (self.layers.inputs, self.layers.outputs) != (5, 2):
+            raise ValueError(
+                f"Expected a network of 5 inputs and 2 outputs, got {self.layers.inputs} and {self.layers.outputs}."
+            )
+
+    @classmethod
+    def fit(
+        cls,
+        samples: Samples,
+        *,
+        hidden: tuple[int, ...] = (32, 32),
+        steps: int = 3000,
+        weight_decay: float = 1e-3,
+        seed: int = 0,
+    ) -> MlpModel:
+        """Train on the samples, in seconds; the same samples, settings and torch give the same network.
+
+        Raises
+        ------
+        GelformError
+            torch is not installed: `pip install "gelform[torch]"`.
+        """
+        from gelform.color_models.mlp_training import train
+
+        change = np.asarray(samples.color_change, dtype=np.float64)
+        total = max(float(samples.weight.sum()), 1e-12)
+        scale = np.sqrt(samples.weight @ change**2 / total) + 1e-6
+        place = np.stack(unit_position(samples.x_px, samples.y_px, samples.shape), axis=-1)
+        layers = train(
+            change / scale,
+            place,
+            samples.gradients,
+            samples.weight,
+            hidden=hidden,
+            steps=steps,
+            weight_decay=weight_decay,
+            seed=seed,
+        )
+        return cls(layers, scale, samples.shape)
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels."""
+        prepared = PreparedMlp(self, np.asarray(x_px), np.asarray(y_px))
+        return prepared.gradients_from_color(np.asarray(color_change, dtype=np.float32))[0].astype(np.float64)
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedMlp:
+        """The inputs at rest of a frame, and the network's answer to them."""
+        if tuple(shape) != tuple(self.shape):
+            raise ValueError(
+                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
+            )
+        y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
+        return PreparedMlp(self, x, y)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Layers and scale."""
+        return {**self.layers.to_arrays(), "change_scale": self.change_scale}, {"shape": list(self.shape)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> MlpModel:
+        """The model of `to_arrays`."""
+        height, width = settings["shape"]
+        return cls(Layers.from_arrays(arrays), arrays["change_scale"], (height, width))
+
+
+class PreparedMlp:
+    """The network with its answer at rest at given places; immutable, shared by threads."""
+
+    def __init__(self, model: MlpModel, x_px: NDArray[Any], y_px: NDArray[Any]) -> None:
+        inputs = np.zeros((5, len(x_px)), dtype=np.float32)
+        inputs[3:] = unit_position(x_px, y_px, model.shape)
+        self._network = RestedNetwork(model.layers, inputs, (0, 1, 2), 1 / model.change_scale)
+        self._rest = self._network.outputs_from_color(np.zeros((len(x_px), 3), dtype=np.float32))
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (..., 2) of a color change (..., 3); their deviation is the calibration's."""
+        slopes = self._network.outputs_from_color(color_change.reshape(-1, 3)) - self._rest
+        return slopes.reshape(*color_change.shape[:-1], 2), None
