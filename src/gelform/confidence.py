@@ -163,6 +163,21 @@ class PreparedSigma:
         return sigma, confidence
 
 
+class UnknownSigma:
+    """Of an imported calibration: no deviation, and confidence 1 but where a pixel is clipped."""
+
+    def __call__(
+        self,
+        gradients: NDArray[np.float32],
+        image: NDArray[Any],
+        untouched: NDArray[np.bool_],
+        color_change: NDArray[np.float32] | None = None,
+    ) -> tuple[None, NDArray[np.float32]]:
+        """None, and 0 where a channel is at 0 or 255, else 1."""
+        clipped = (image.min(axis=-1) <= 0) | (image.max(axis=-1) >= 255)
+        return None, (~clipped).astype(np.float32)
+
+
 _NOTHING = np.zeros((0, 0), dtype=np.float32)
 
 

@@ -28,7 +28,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
     """One picture of a result: what came in, what was found, and how deep it is.
 
     Image (where given), normals, both slopes, depth with a scale bar and the contact's outline, and the
-    profiles along x and y through the deepest point, in mm.
+    profiles along x and y through the deepest point, in mm; in widths of a pixel where the scale is unknown.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
     GelformError
         matplotlib is not installed.
     """
-    shape = result.depth_mm.shape
-    shown = None if image is None else check_image(image, shape=(shape[0], shape[1])).astype(np.uint8)
-    row, column = _deepest(result.depth_mm)
+    depth, shape = _depth(result), result.shape
+    shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)
+    row, column = _deepest(depth)
     heights = _heights(shape[0] / shape[1], 3 if shown is None else 4, len(result.health))
     figure = _figure(WIDTH, sum(heights))
     top, bottom = figure.subfigures(2, 1, height_ratios=heights)
@@ -170,16 +170,29 @@ def _heights(aspect: float, panels: int, lines: int) -> tuple[float, float]:
 
 
 def _headline(result: Reconstruction, row: int, column: int) -> str:
-    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
-    area = np.count_nonzero(result.contact) * pitch_x * pitch_y
+    pitch_x, pitch_y = _pitch(result)
+    area, unit = np.count_nonzero(result.contact) * pitch_x * pitch_y, _unit(result)
     facts = [
-        f"deepest {result.depth_mm[row, column]:.3f} mm",
-        f"contact {area:.1f} mm²",
-        f"{pitch_x:.4g} mm/px",
+        f"deepest {_depth(result)[row, column]:.3f} {unit}",
+        f"contact {area:.1f} {unit}²",
+        f"{pitch_x:.4g} mm/px" if result.mm_per_px is not None else "scale unknown",
         f"zero: {result.zero}",
         f"solver: {result.solver}",
     ]
     return "   |   ".join(facts) + "".join(f"\n! {finding.message}" for finding in result.health)
+
+
+def _pitch(result: Reconstruction) -> tuple[float, float]:
+    """Of a pixel, in the picture's unit."""
+    return (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
+
+
+def _depth(result: Reconstruction) -> NDArray[np.float32]:
+    return result.depth_mm if result.mm_per_px is not None else result.depth_px
+
+
+def _unit(result: Reconstruction) -> str:
+    return "px" if result.mm_per_px is None else "mm"
 
 
 def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | None) -> None:
@@ -209,31 +222,31 @@ def _deepest(depth_mm: NDArray[np.float32]) -> tuple[int, int]:
 
 
 def _extent(result: Reconstruction) -> tuple[float, float, float, float]:
-    """Edges of the picture in mm, with the first pixel's centre at 0."""
-    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
-    height, width = result.depth_mm.shape
+    """Edges of the picture in mm (or px), with the first pixel's centre at 0."""
+    pitch_x, pitch_y = _pitch(result)
+    height, width = _depth(result).shape
     return -pitch_x / 2, (width - 0.5) * pitch_x, (height - 0.5) * pitch_y, -pitch_y / 2
 
 
 def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column: int) -> None:
-    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
+    pitch_x, pitch_y = _pitch(result)
     left, right, low, high = _extent(result)
     shown = axes.imshow(
-        result.depth_mm, cmap="viridis", extent=(left, right, low, high), interpolation="nearest"
+        _depth(result), cmap="viridis", extent=(left, right, low, high), interpolation="nearest"
     )
-    figure.colorbar(shown, ax=axes, shrink=0.92, pad=0.015, label="depth (mm, 0 at rest)")
+    figure.colorbar(shown, ax=axes, shrink=0.92, pad=0.015, label=f"depth ({_unit(result)}, 0 at rest)")
     if result.contact.any() and not result.contact.all():
-        y, x = (np.arange(size) * pitch for size, pitch in zip(result.depth_mm.shape, (pitch_y, pitch_x)))
+        y, x = (np.arange(size) * pitch for size, pitch in zip(_depth(result).shape, (pitch_y, pitch_x)))
         axes.contour(x, y, result.contact, levels=[0.5], colors="white", linewidths=0.8, alpha=0.8)
     axes.axhline(row * pitch_y, color=ALONG_X, linewidth=1, alpha=0.9)
     axes.axvline(column * pitch_x, color=ALONG_Y, linewidth=1, alpha=0.9)
-    _draw_scale_bar(axes, left, right, low, high)
+    _draw_scale_bar(axes, left, right, low, high, _unit(result))
     axes.set_title("depth, the contact outlined", fontsize=10, color=INK)
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    axes.set_xlabel(f"x ({_unit(result)})")
+    axes.set_ylabel(f"y ({_unit(result)})")
 
 
-def _draw_scale_bar(axes: Any, left: float, right: float, low: float, high: float) -> None:
+def _draw_scale_bar(axes: Any, left: float, right: float, low: float, high: float, unit: str) -> None:
     """A white bar of a round length, about a quarter of the width, in the lower left corner."""
     from matplotlib.patheffects import withStroke
 
@@ -243,37 +256,42 @@ def _draw_scale_bar(axes: Any, left: float, right: float, low: float, high: floa
     axes.plot(
         [x, x + length], [y, y], color="white", linewidth=3.5, solid_capstyle="butt", path_effects=outline
     )
-    label = axes.text(x + length / 2, y - 0.02 * (low - high), f"{length:g} mm", ha="center", va="bottom")
+    label = axes.text(x + length / 2, y - 0.02 * (low - high), f"{length:g} {unit}", ha="center", va="bottom")
     label.set(color="white", fontsize=10, fontweight="bold")
     label.set_path_effects([withStroke(linewidth=2.5, foreground="black")])
 
 
 def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> None:
-    pitch_x, pitch_y = check_mm_per_px(result.mm_per_px)
+    pitch_x, pitch_y = _pitch(result)
     along = (
-        ("along x", ALONG_X, result.depth_mm[row], (np.arange(result.depth_mm.shape[1]) - column) * pitch_x),
+        ("along x", ALONG_X, _depth(result)[row], (np.arange(_depth(result).shape[1]) - column) * pitch_x),
         (
             "along y",
             ALONG_Y,
-            result.depth_mm[:, column],
-            (np.arange(result.depth_mm.shape[0]) - row) * pitch_y,
+            _depth(result)[:, column],
+            (np.arange(_depth(result).shape[0]) - row) * pitch_y,
         ),
     )
     axes.axhline(0, color=FAINT, linewidth=0.8)
     for name, color, depth, place in along:
         axes.plot(place, depth, color=color, linewidth=1.5, label=name)
     axes.fill_between(along[0][3], along[0][2], 0, color=ALONG_X, alpha=0.1)
-    axes.plot(0, result.depth_mm[row, column], "o", color=INK, markersize=4)
-    deepest = float(result.depth_mm[row, column])
+    axes.plot(0, _depth(result)[row, column], "o", color=INK, markersize=4)
+    deepest = float(_depth(result)[row, column])
     axes.annotate(
-        f"{deepest:.3f} mm", (0, deepest), (6, 4), textcoords="offset points", fontsize=9, color=INK
+        f"{deepest:.3f} {_unit(result)}",
+        (0, deepest),
+        (6, 4),
+        textcoords="offset points",
+        fontsize=9,
+        color=INK,
     )
     axes.margins(x=0.01, y=0.12)
     _quiet(axes, "both")
     axes.legend(frameon=False, fontsize=9, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=2)
     axes.set_title("profiles through the deepest point", fontsize=10, color=INK, loc="left")
-    axes.set_xlabel("distance from it (mm)")
-    axes.set_ylabel("depth (mm)")
+    axes.set_xlabel(f"distance from it ({_unit(result)})")
+    axes.set_ylabel(f"depth ({_unit(result)})")
 
 
 def _round_length(length: float) -> float:

@@ -19,6 +19,7 @@ from gelform.background import (
 )
 from gelform.checks import check_image
 from gelform.color_models.lambertian import PreparedLambertian
+from gelform.confidence import PreparedSigma, UnknownSigma
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
 from gelform.frames import Frame
@@ -30,6 +31,9 @@ from gelform.view import image_from_frame
 
 MIN_UNTOUCHED = 0.02
 BIAS_SAMPLES = 5_000
+# Of a calibration that was imported without them: they only say where contact and rest are, never how deep.
+USUAL_WIDTH_MM = 20.0
+USUAL_SIGMA = 0.05
 
 
 class Reconstructor:
@@ -69,10 +73,12 @@ class Reconstructor:
             self.background = today.astype(np.float32)
         self._gain = gain_from_background(self.background, calibration.change)
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
-        self._sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
-        self._anchor = RestAnchor(
-            calibration.image_shape, calibration.mm_per_px, calibration.slope_sigma.clean
-        )
+        self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
+        self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
+        self._sigma: PreparedSigma | UnknownSigma = UnknownSigma()
+        if calibration.slope_sigma is not None:
+            self._sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
+        self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -102,17 +108,18 @@ class Reconstructor:
             albedo = self._albedo_source(change)
             _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
             spread, confidence = self._sigma(gradients, image, untouched, change)
-        pitch = self.calibration.mm_per_px
+            spread, confidence = self._with_own(sigma, spread, confidence)
+        scaled = self.calibration.mm_per_px is not None
         solution = self._integrate(gradients, confidence, untouched)
         return Reconstruction(
-            depth_mm=solution.depth_mm,
+            depth_mm=solution.depth_mm if scaled else None,  # type: ignore[arg-type]  # then reading it raises
             depth_sigma_mm=None,
             gradients=gradients,
-            gradients_sigma=np.broadcast_to(spread[..., None], gradients.shape) if sigma is None else sigma,
+            gradients_sigma=spread,
             confidence=confidence,
-            contact=contact_from_depth(solution.depth_mm, mm_per_px=pitch),
+            contact=contact_from_depth(solution.depth_mm, mm_per_px=self._pitch),
             known=solution.known,
-            mm_per_px=pitch,
+            mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
             zero="untouched",
             solver=solution.solver,
@@ -123,13 +130,27 @@ class Reconstructor:
             wall_time_ns=getattr(frame, "wall_time_ns", None),
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
+            unscaled_px=None if scaled else solution.depth_mm / np.float32(self._pitch),
         )
+
+    def _with_own(
+        self,
+        own: NDArray[np.float32] | None,
+        spread: NDArray[np.float32] | None,
+        confidence: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
+        """Deviation (H, W, 2) and confidence, where the color model knows of its own: the larger deviation counts."""
+        both = None if spread is None else np.broadcast_to(spread[..., None], (*spread.shape, 2))
+        if own is None:
+            return both, confidence
+        limit = np.square(np.float32(self._clean) / own.max(axis=-1))
+        return own if both is None else np.maximum(own, both), np.minimum(confidence, limit)
 
     def _integrate(
         self, gradients: NDArray[np.float32], confidence: NDArray[np.float32], untouched: NDArray[np.bool_]
     ) -> Integration:
         """Depth of the slopes, weighted and anchored where the solver can."""
-        pitch = self.calibration.mm_per_px
+        pitch = self._pitch
         if self.solver in UNIFORM:
             return integrate(gradients, mm_per_px=pitch, zero=untouched, solver=self.solver)
         anchor = self._anchor(gradients, untouched)

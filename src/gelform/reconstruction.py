@@ -15,15 +15,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background import Finding
-from gelform.errors import DataError
+from gelform.checks import check_mm_per_px
+from gelform.errors import DataError, GelformError
 from gelform.normals import normals_from_gradients
 from gelform.npz_files import read_npz, write_npz
 
 KIND = "gelform result"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # the newest that is read; results with a scale are written as version 1
 MAX_BYTES = 4 * 2**30
-_MAPS = ("depth_mm", "depth_sigma_mm", "gradients", "gradients_sigma", "confidence", "contact", "known")
+_DEPTH = ("depth_mm", "unscaled_px")
+_MAPS = ("depth_sigma_mm", "gradients", "gradients_sigma", "confidence", "contact", "known")
 _OPTIONAL = ("depth_sigma_mm", "gradients_sigma")
+
+
+class _DepthMm:
+    """The field `depth_mm`: reading it where it is None, because the scale is unknown, raises."""
+
+    def __get__(self, result: Reconstruction, owner: type | None = None) -> NDArray[np.float32]:
+        depth: NDArray[np.float32] | None = result.__dict__["depth_mm"]
+        if depth is None:
+            raise GelformError(
+                "The scale of this calibration is unknown, so there is no depth_mm. Read depth_px, the depth in "
+                "widths of a pixel, or import the calibration again with the width of a pixel on the gel: "
+                "gelform import ... --mm-per-px F."
+            )
+        return depth
+
+    def __set__(self, result: Reconstruction, depth: NDArray[np.float32] | None) -> None:
+        result.__dict__["depth_mm"] = depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +51,15 @@ class Reconstruction:
 
     Attributes
     ----------
-    depth_mm : (H, W) float32, mm, 0 at rest, positive where pressed; finite everywhere
+    depth_mm : (H, W) float32, mm, 0 at rest, positive where pressed; finite everywhere. Where the calibration has
+        no scale it is None, and reading it raises GelformError: read depth_px
     depth_sigma_mm : (H, W) float32, mm, one standard deviation, or None
     gradients : (H, W, 2) float32, slopes dz/dx and dz/dy, mm/mm
     gradients_sigma : (H, W, 2) float32, their standard deviation, or None
     confidence : (H, W) float32, 0-1
     contact : (H, W) bool, where something touches
     known : (H, W) bool; False where the depth was filled without information
-    mm_per_px : float or (x, y), mm
+    mm_per_px : float or (x, y), mm; None where the calibration has no scale
     mm_per_px_sigma : its standard deviation, mm, or None; not part of depth_sigma_mm
     zero : what depth 0 is: "untouched", "border", "mean"
     solver : the method that integrated
@@ -50,6 +70,7 @@ class Reconstruction:
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : of the calibration that was used
     albedo_source : gives the albedo when it is asked for; not saved
+    unscaled_px : (H, W) float32, depth in widths of a pixel, where mm_per_px is None
     """
 
     depth_mm: NDArray[np.float32]
@@ -59,7 +80,7 @@ class Reconstruction:
     confidence: NDArray[np.float32]
     contact: NDArray[np.bool_]
     known: NDArray[np.bool_]
-    mm_per_px: float | tuple[float, float]
+    mm_per_px: float | tuple[float, float] | None
     mm_per_px_sigma: float | None = None
     zero: str = "untouched"
     solver: str = ""
@@ -72,16 +93,20 @@ class Reconstruction:
     wall_time_ns: int | None = None
     calibration_digest: str = ""
     albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
+    unscaled_px: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.depth_mm)
+        given, empty = _DEPTH if self.mm_per_px is not None else _DEPTH[::-1]
+        if self.__dict__[empty] is not None or self.__dict__[given] is None:
+            raise ValueError(f"Expected {given} and no {empty} with mm_per_px={self.mm_per_px}.")
+        shape = np.shape(self.__dict__[given])
         if len(shape) != 2:
-            raise ValueError(f"Expected depth_mm of shape (H, W), got {shape}.")
-        for name in _MAPS[1:]:
+            raise ValueError(f"Expected {given} of shape (H, W), got {shape}.")
+        for name in _MAPS:
             wanted = (*shape, 2) if name.startswith("gradients") else shape
             values = getattr(self, name)
             if np.shape(values) != wanted and not (values is None and name in _OPTIONAL):
-                raise ValueError(f"Expected {name} of shape {wanted}, as depth_mm, got {np.shape(values)}.")
+                raise ValueError(f"Expected {name} of shape {wanted}, as {given}, got {np.shape(values)}.")
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
@@ -97,6 +122,30 @@ class Reconstruction:
         return None if self.albedo_source is None else self.albedo_source()
 
     @property
+    def depth_px(self) -> NDArray[np.float32]:
+        """Depth (H, W) in widths of a pixel: depth_mm / mm_per_px, and all there is without a scale.
+
+        Raises
+        ------
+        GelformError
+            The pixels are not square.
+        """
+        if self.unscaled_px is not None:
+            return self.unscaled_px
+        pitch_x, pitch_y = check_mm_per_px(self.mm_per_px)
+        if pitch_x != pitch_y:
+            raise GelformError(
+                f"Expected square pixels for a depth in pixels, got mm_per_px={self.mm_per_px}."
+            )
+        return (self.depth_mm / np.float32(pitch_x)).astype(np.float32)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the maps."""
+        height, width = self.confidence.shape
+        return height, width
+
+    @property
     def peak_mm(self) -> float:
         """The deepest point, mm."""
         return float(self.depth_mm.max())
@@ -107,7 +156,8 @@ class Reconstruction:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
-        picture = base64.b64encode(_depth_png(self.depth_mm)).decode("ascii")
+        depth = self.depth_mm if self.unscaled_px is None else self.unscaled_px
+        picture = base64.b64encode(_depth_png(depth)).decode("ascii")
         rows = "".join(
             f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
             for name, value in [*self._figures().items(), *((f.name, f.message) for f in self.health)]
@@ -118,7 +168,15 @@ class Reconstruction:
         )
 
     def _figures(self) -> dict[str, str]:
-        height, width = self.depth_mm.shape
+        height, width = self.shape
+        if self.mm_per_px is None:
+            return {
+                "height x width": f"{height}x{width} px, scale unknown",
+                "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px",
+                "contact": f"{np.count_nonzero(self.contact)} px",
+                "zero": self.zero,
+                "solver": self.solver,
+            }
         pitch = np.broadcast_to(self.mm_per_px, 2)
         area = np.count_nonzero(self.contact) * float(pitch[0] * pitch[1])
         return {
@@ -130,10 +188,15 @@ class Reconstruction:
         }
 
 
+# After the class is made, so that the field has no default.
+Reconstruction.depth_mm = _DepthMm()  # type: ignore[assignment]
+
+
 def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a result as one `.npz` without pickles, under a temporary name first.
 
-    `numpy.load` gives its maps by name, and `mm_per_px`; `load_result` gives all of it.
+    `numpy.load` gives its maps by name, and `mm_per_px`; `load_result` gives all of it. A result without a scale
+    holds `depth_px` instead of `depth_mm` and `mm_per_px`.
 
     Raises
     ------
@@ -143,10 +206,14 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
     arrays = {
         name: getattr(result, name) for name in (*_MAPS, "markers") if getattr(result, name) is not None
     }
-    arrays["mm_per_px"] = np.asarray(result.mm_per_px, dtype=np.float64)
+    if result.mm_per_px is None:
+        arrays["depth_px"] = result.depth_px
+    else:
+        arrays |= {"depth_mm": result.depth_mm, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
     meta = {name: getattr(result, name) for name in _META}
     meta["health"] = [asdict(finding) for finding in result.health]
-    write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
+    version = FORMAT_VERSION if result.mm_per_px is None else 1
+    write_npz(path, arrays, meta, kind=KIND, version=version, overwrite=overwrite, error=DataError)
 
 
 def load_result(path: str | PathLike[str]) -> Reconstruction:
@@ -161,18 +228,23 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
     )
     try:
-        pitch = arrays.pop("mm_per_px")
+        pitch = arrays.pop("mm_per_px") if "depth_px" not in arrays else None
         settings = {name: meta[name] for name in _META}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
         settings["contacts"] = None if meta["contacts"] is None else tuple(meta["contacts"])
-        maps: dict[str, Any] = {name: arrays.pop(name, None) for name in (*_MAPS, "markers")}
-        return Reconstruction(
-            **maps, **settings, mm_per_px=pitch.item() if pitch.ndim == 0 else tuple(pitch.tolist())
-        )
+        maps: dict[str, Any] = {name: arrays.pop(name, None) for name in (*_MAPS, "depth_mm", "markers")}
+        maps["unscaled_px"] = arrays.pop("depth_px", None)
+        return Reconstruction(**maps, **settings, mm_per_px=_pitch(pitch))
     except (KeyError, TypeError, ValueError) as problem:
         raise DataError(
             f"{path} is damaged: {type(problem).__name__}: {problem}. Reconstruct again."
         ) from problem
+
+
+def _pitch(stored: NDArray[Any] | None) -> float | tuple[float, float] | None:
+    if stored is None:
+        return None
+    return float(stored.item()) if stored.ndim == 0 else tuple(stored.tolist())
 
 
 _META = (

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background import ChangeSettings
-from gelform.color_models import COLOR_MODELS, ColorModel
+from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel
 from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
@@ -33,13 +33,14 @@ class Calibration:
     sensor_name, serial, gel_id : which sensor, which unit, which gel
     view : how frames become images; identity where images were calibrated as they are
     image_shape : (H, W)
-    mm_per_px, mm_per_px_sigma : pixel pitch, mm, and its standard deviation where known
+    mm_per_px, mm_per_px_sigma : pixel pitch, mm, and its standard deviation where known; a pitch of None (an
+        imported calibration without a scale) gives gradients and depth_px, not depth_mm
     background : (H, W, 3) float32, the untouched image
     background_noise : (3,) standard deviation of a background pixel, grey levels
     change : how an image becomes a color change
     color_model : colour -> gradients
-    forward : gradients -> colour, fitted on the same presses
-    slope_sigma : standard deviation of the slopes, and their correlation length
+    forward : gradients -> colour, fitted on the same presses; None where it was imported without
+    slope_sigma : standard deviation of the slopes, and their correlation length; None where nobody knows
     untouched_change : color changes smaller than this mean: not touched
     held_out : errors on presses that were left out, by name
     training_digests : SHA-256 of the images that were used
@@ -54,14 +55,14 @@ class Calibration:
     gel_id: str | None
     view: View
     image_shape: tuple[int, int]
-    mm_per_px: float
+    mm_per_px: float | None
     mm_per_px_sigma: float | None
     background: NDArray[np.float32]
     background_noise: NDArray[np.float64]
     change: ChangeSettings
     color_model: ColorModel
-    forward: ForwardResponse
-    slope_sigma: SlopeSigma
+    forward: ForwardResponse | None
+    slope_sigma: SlopeSigma | None
     untouched_change: float
     held_out: dict[str, float]
     training_digests: tuple[str, ...]
@@ -77,15 +78,43 @@ class Calibration:
         arrays, meta = self._contents()
         return digest_of(arrays, meta)
 
+    @property
+    def known_mm_per_px(self) -> float:
+        """The pixel pitch, mm, where millimetres are needed.
+
+        Raises
+        ------
+        CalibrationError
+            The scale is unknown: imported without one.
+        """
+        if self.mm_per_px is None:
+            raise CalibrationError(
+                f"The scale of this calibration ({self.sensor_name}) is unknown. Import it again with the width of a "
+                "pixel on the gel: gelform import ... --mm-per-px F."
+            )
+        return self.mm_per_px
+
     def color_from_gradients(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
-        """Forward response: expected color change (H, W, 3) of gradients (H, W, 2)."""
+        """Forward response: expected color change (H, W, 3) of gradients (H, W, 2).
+
+        Raises
+        ------
+        CalibrationError
+            Imported from a package that does not say it.
+        """
+        source: Any = self.forward if self.forward is not None else self.color_model
+        if not hasattr(source, "color_from_gradients"):
+            raise CalibrationError(
+                f"This calibration ({self.sensor_name}, color model {self.color_model.name}) was imported without a "
+                "forward response: what colour a slope gives is not known. Calibrate on presses of a ball."
+            )
         height, width = self.image_shape
         if np.shape(gradients) != (height, width, 2):
             raise ValueError(
                 f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
             )
         y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-        change = self.forward.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
+        change = source.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
         return change.reshape(height, width, 3).astype(np.float32)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -110,8 +139,7 @@ class Calibration:
         arrays: dict[str, NDArray[Any]] = {
             "background": self.background,
             "background_noise": self.background_noise,
-            "forward_coefficients": self.forward.coefficients,
-            "forward_noise": self.forward.noise,
+            **_forward_arrays(self.forward),
             **{f"model_{name}": array for name, array in model_arrays.items()},
         }
         if self.gamut is not None:
@@ -127,8 +155,8 @@ class Calibration:
             "change": asdict(self.change),
             "color_model": self.color_model.name,
             "model_settings": model_settings,
-            "forward_settings": {"position_degrees": list(self.forward.position_degrees)},
-            "slope_sigma": asdict(self.slope_sigma),
+            "forward_settings": self.forward and {"position_degrees": list(self.forward.position_degrees)},
+            "slope_sigma": self.slope_sigma and asdict(self.slope_sigma),
             "gamut": self.gamut
             and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
@@ -163,10 +191,10 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
 
 def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
     shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
-    if meta["color_model"] not in COLOR_MODELS:
-        raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(COLOR_MODELS)}")
+    models = {**COLOR_MODELS, **IMPORTED_MODELS}
+    if meta["color_model"] not in models:
+        raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
     own = {name.removeprefix("model_"): array for name, array in arrays.items() if name.startswith("model_")}
-    degrees = tuple(meta["forward_settings"]["position_degrees"])
     return Calibration(
         sensor_name=meta["sensor_name"],
         serial=meta["serial"],
@@ -178,9 +206,9 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         background=arrays["background"],
         background_noise=arrays["background_noise"],
         change=ChangeSettings(**meta["change"]),
-        color_model=COLOR_MODELS[meta["color_model"]].from_arrays(own, meta["model_settings"]),
-        forward=ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"]),
-        slope_sigma=SlopeSigma.from_dict(meta["slope_sigma"]),
+        color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
+        forward=_forward(arrays, meta["forward_settings"], shape),
+        slope_sigma=meta["slope_sigma"] and SlopeSigma.from_dict(meta["slope_sigma"]),
         untouched_change=meta["untouched_change"],
         held_out=meta["held_out"],
         training_digests=tuple(meta["training_digests"]),
@@ -191,3 +219,18 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         if meta.get("gamut")
         else None,
     )
+
+
+def _forward_arrays(forward: ForwardResponse | None) -> dict[str, NDArray[Any]]:
+    if forward is None:
+        return {}
+    return {"forward_coefficients": forward.coefficients, "forward_noise": forward.noise}
+
+
+def _forward(
+    arrays: dict[str, NDArray[Any]], settings: dict[str, Any] | None, shape: tuple[int, int]
+) -> ForwardResponse | None:
+    if settings is None:
+        return None
+    degrees = tuple(settings["position_degrees"])
+    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"])

@@ -78,7 +78,7 @@ def errors_of(press: Press, circle_px: tuple[float, float, float], reconstruct: 
         result.gradients,
         circle_px=circle_px,
         ball_radius_mm=press.ball_diameter_mm / 2,
-        mm_per_px=reconstruct.calibration.mm_per_px,
+        mm_per_px=reconstruct.calibration.known_mm_per_px,
     )
 
 

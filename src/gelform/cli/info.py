@@ -69,12 +69,14 @@ def _result(path: Path) -> dict[str, Any]:
     from gelform.reconstruction import load_result
 
     result = load_result(path)
+    unit = "depth_mm" if result.mm_per_px is not None else "depth_px"
+    depth = getattr(result, unit)
     return {
         "kind": "result",
-        "size_px": list(result.depth_mm.shape),
+        "size_px": list(result.shape),
         "mm_per_px": result.mm_per_px,
         "mm_per_px_sigma": result.mm_per_px_sigma,
-        "depth_mm": [round(float(result.depth_mm.min()), 4), round(result.peak_mm, 4)],
+        unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)],
         "contact_px": int(result.contact.sum()),
         "known_px": int(result.known.sum()),
         "zero": result.zero,

@@ -27,6 +27,7 @@ from gelform.errors import GelformError
 
 if TYPE_CHECKING:
     from gelform.reconstruct import Reconstructor
+    from gelform.reconstruction import Reconstruction
 
 FORMATS = ("npz", "png")
 
@@ -123,12 +124,21 @@ def _reconstruct_one(
     return {
         "image": str(path),
         "outputs": [str(one) for one in results.values()],
-        "peak_mm": result.peak_mm,
+        **_peak(result),
         "contact_px": int(result.contact.sum()),
-        "contact_mm2": float(result.contact.sum()) * float(run.calibration.mm_per_px) ** 2,
         "curl_rms": result.curl_rms,
         "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in result.health],
     }
+
+
+def _peak(result: Reconstruction) -> dict[str, Any]:
+    """The deepest point and the contact's area, in mm; in pixels where the scale is unknown."""
+    if result.mm_per_px is None:
+        return {"peak_px": float(result.depth_px.max())}
+    from gelform.checks import check_mm_per_px
+
+    pitch = check_mm_per_px(result.mm_per_px)
+    return {"peak_mm": result.peak_mm, "contact_mm2": float(result.contact.sum()) * pitch[0] * pitch[1]}
 
 
 def _report(rows: Sequence[dict[str, Any]], quiet: bool) -> None:
@@ -136,8 +146,10 @@ def _report(rows: Sequence[dict[str, Any]], quiet: bool) -> None:
     for name, count in Counter(name for name, _ in found).items():
         message = next(text for other, text in found if other == name)
         say(f"warning ({count} of {len(rows)} images): {message}")
-    shown = [
-        (row["outputs"][0], figure(row["peak_mm"]), figure(row["contact_mm2"]), figure(row["curl_rms"]))
-        for row in rows
-    ]
-    show_table("Results", ("file", "peak (mm)", "contact (mm²)", "curl (rms)"), shown, quiet=quiet)
+    scaled = "peak_mm" in rows[0]
+    keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
+    shown = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
+    columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
+    show_table("Results", ("file", *columns, "curl (rms)"), shown, quiet=quiet)
+    if not scaled:
+        say("The scale of this calibration is unknown: results hold depth_px, not depth_mm.", quiet)

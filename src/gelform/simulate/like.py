@@ -48,7 +48,7 @@ class Twin:
         relaxation_mm: float = 0.35,
         steepest: float = STEEPEST,
     ) -> None:
-        pitch_x, pitch_y = np.broadcast_to(np.asarray(calibration.mm_per_px, dtype=np.float64), 2)
+        pitch_x, pitch_y = np.broadcast_to(np.asarray(calibration.known_mm_per_px, dtype=np.float64), 2)
         if abs(pitch_x / pitch_y - 1) > 1e-6:
             raise ValueError(
                 f"Expected a calibration of square pixels, got mm_per_px={calibration.mm_per_px}."

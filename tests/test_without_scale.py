@@ -1,0 +1,138 @@
+"""Calibrations without a scale, a forward response or a deviation, as importers make them; and old files."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.simulate.like import Twin
+
+VERSION_1 = Path(__file__).parent / "data" / "calibration-version-1.npz"
+
+
+@pytest.fixture
+def bare(calibration):
+    """The calibration with everything taken away that an importer may not know."""
+    return replace(
+        calibration, mm_per_px=None, mm_per_px_sigma=None, forward=None, slope_sigma=None, gamut=None
+    )
+
+
+@pytest.fixture
+def image(simulated):
+    return simulated.presses[1].image
+
+
+def test_depth_in_pixels_and_none_in_mm(bare, calibration, image):
+    result = gelform.Reconstructor(bare)(image)
+    with pytest.raises(gelform.GelformError, match=r"scale .* unknown.*depth_px.*--mm-per-px"):
+        result.depth_mm  # noqa: B018
+    with pytest.raises(gelform.GelformError, match="scale"):
+        result.peak_mm  # noqa: B018
+    assert result.mm_per_px is None
+    scaled = gelform.Reconstructor(replace(bare, mm_per_px=0.1153))(image)
+    np.testing.assert_array_equal(result.gradients, scaled.gradients)
+    np.testing.assert_array_equal(scaled.depth_px, scaled.depth_mm / np.float32(0.1153))
+    assert np.abs(result.depth_px - scaled.depth_px).max() < 0.02 * scaled.depth_px.max()
+    assert scaled.depth_px.max() > 3
+
+
+def test_depth_in_pixels_is_the_least_squares_surface_of_the_slopes(bare, image):
+    result = gelform.Reconstructor(bare, solver="dct")(image)
+    wanted = gelform.depth_from_gradients(result.gradients, mm_per_px=1.0, solver="dct")
+    found = result.depth_px - result.depth_px.mean()
+    np.testing.assert_allclose(found, wanted - wanted.mean(), atol=2e-4 * np.ptp(wanted))
+
+
+def test_contact_is_where_it_is_with_a_scale(bare, image):
+    found = gelform.Reconstructor(bare)(image).contact
+    scaled = gelform.Reconstructor(replace(bare, mm_per_px=0.1153))(image).contact
+    assert scaled.any()
+    assert np.count_nonzero(found ^ scaled) < 0.05 * np.count_nonzero(scaled)
+
+
+def test_no_claim_of_confidence_but_for_clipped_pixels(bare, image):
+    clipped = image.copy()
+    clipped[10:14, 20:25, 1] = 255
+    clipped[30, 40, 2] = 0
+    result = gelform.Reconstructor(bare)(clipped)
+    assert result.gradients_sigma is None
+    wanted = ((clipped > 0) & (clipped < 255)).all(axis=-1).astype(np.float32)
+    assert 0 < np.count_nonzero(wanted == 0) < 1000
+    np.testing.assert_array_equal(result.confidence, wanted)
+
+
+def test_the_file_of_a_bare_calibration(bare, image, tmp_path):
+    bare.save(tmp_path / "bare.npz")
+    again = gelform.load_calibration(tmp_path / "bare.npz")
+    assert again.digest == bare.digest
+    assert (again.mm_per_px, again.forward, again.slope_sigma) == (None, None, None)
+    a, b = (gelform.Reconstructor(one)(image).depth_px for one in (bare, again))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_the_file_of_a_result_in_pixels(bare, image, tmp_path):
+    result = gelform.Reconstructor(bare)(image)
+    path = tmp_path / "result.npz"
+    gelform.save_result(result, path)
+    with np.load(path) as file:
+        assert "depth_mm" not in file.files
+        assert "mm_per_px" not in file.files
+        np.testing.assert_array_equal(file["depth_px"], result.depth_px)
+        assert json.loads(str(file["meta"]))["format_version"] == 2
+    again = gelform.load_result(path)
+    np.testing.assert_array_equal(again.depth_px, result.depth_px)
+    assert again.mm_per_px is None
+    with pytest.raises(gelform.GelformError, match="scale"):
+        again.depth_mm  # noqa: B018
+
+
+def test_a_result_in_mm_is_as_before(calibration, image, tmp_path):
+    result = gelform.Reconstructor(calibration)(image)
+    gelform.save_result(result, tmp_path / "result.npz")
+    with np.load(tmp_path / "result.npz") as file:
+        assert json.loads(str(file["meta"]))["format_version"] == 1
+        np.testing.assert_array_equal(file["depth_mm"], result.depth_mm)
+        assert "depth_px" not in file.files
+    uneven = replace(result, mm_per_px=(0.1, 0.2))
+    with pytest.raises(gelform.GelformError, match="square pixels"):
+        uneven.depth_px  # noqa: B018
+
+
+def test_shown_in_pixels(bare, image):
+    result = gelform.Reconstructor(bare)(image)
+    assert "scale unknown" in repr(result)
+    assert " mm" not in repr(result)
+    assert "scale unknown" in result._repr_html_()
+    pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
+    assert gelform.picture(result, image).shape[2] == 3
+
+
+def test_depth_must_fit_the_scale(calibration, bare, image):
+    with pytest.raises(ValueError, match="Expected unscaled_px and no depth_mm"):
+        replace(gelform.Reconstructor(calibration)(image), mm_per_px=None)
+    with pytest.raises(ValueError, match="Expected depth_mm and no unscaled_px"):
+        replace(gelform.Reconstructor(bare)(image), mm_per_px=0.1, depth_mm=None)
+
+
+def test_what_needs_more_says_so(bare, presses):
+    with pytest.raises(gelform.CalibrationError, match="without a forward response"):
+        bare.color_from_gradients(np.zeros((*bare.image_shape, 2)))
+    with pytest.raises(gelform.CalibrationError, match=r"scale .* unknown"):
+        Twin(bare)
+    with pytest.raises(gelform.GelformError, match=r"scale .* unknown"):
+        gelform.evaluate(bare, presses)
+
+
+def test_a_file_of_version_1_still_answers_the_same():
+    calibration = gelform.load_calibration(VERSION_1)
+    assert calibration.describe()["held_out"] == {"normal_deg": 2.5}
+    y, x = np.mgrid[:24, :32]
+    bump = 30 * np.exp(-((x - 15) ** 2 + (y - 11) ** 2) / 20)
+    image = np.clip(calibration.background + bump[..., None] * np.array([1, -0.6, 0.2]), 0, 255)
+    result = gelform.Reconstructor(calibration, solver="dct")(image)
+    figures = [result.depth_mm.min(), result.depth_mm.max(), result.depth_mm.std(), result.gradients.std()]
+    np.testing.assert_allclose(figures, [-0.17006753, 0.19913061, 0.12496101, 0.029881578], rtol=1e-4)
