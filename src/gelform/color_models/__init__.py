@@ -15,6 +15,7 @@ from gelform.color_models.mlp import MlpModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
+from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
@@ -25,6 +26,7 @@ COLOR_MODELS: dict[str, Any] = {
 # Made by other packages, never fitted here: only importers make them.
 IMPORTED_MODELS: dict[str, Any] = {
     "network": NetworkModel,
+    "slope_table": SlopeTableModel,
 }
 
 __all__ = [
@@ -37,4 +39,5 @@ __all__ = [
     "PolynomialModel",
     "PreparedColorModel",
     "Samples",
+    "SlopeTableModel",
 ]
