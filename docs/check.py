@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
-COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "info")
+COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "import", "compare", "info")
 
 
 def broken_links(page: Path) -> list[str]:

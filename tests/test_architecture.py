@@ -26,7 +26,7 @@ LEVELS = [
     },
     {"reconstruct", "simulate"},
     {"sensors", "export", "plots", "importers", "torch_backend"},
-    {"calibration", "stream"},
+    {"calibration", "stream", "comparison"},
     {"batch", "live"},
     {"cli"},
 ]

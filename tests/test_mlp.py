@@ -69,9 +69,9 @@ def test_rest_is_zero_everywhere_and_the_place_counts():
 def test_training_learns_lights_that_turn_and_repeats_itself():
     pytest.importorskip("torch", reason="torch, the extra `torch`, is not installed")
     samples, unseen = ball_samples(shading_change), ball_samples(shading_change, seed=4)
-    models = [MlpModel.fit(samples, steps=500, seed=seed) for seed in (0, 0, 1)]
+    models = [MlpModel.fit(samples, steps=250, seed=seed) for seed in (0, 0, 1)]
     found = [m.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px) for m in models]
-    assert np.sqrt(np.mean((found[0] - unseen.gradients) ** 2)) < 0.02
+    assert np.sqrt(np.mean((found[0] - unseen.gradients) ** 2)) < 0.03
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(found[0] - found[2]).max() > 1e-4
 

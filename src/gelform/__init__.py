@@ -36,6 +36,7 @@ _HOME = {
     "read_presses": "gelform.calibration.folder",
     "calibrate": "gelform.calibration.fit",
     "evaluate": "gelform.calibration.evaluate",
+    "import_calibration": "gelform.importers.calibrations",
     "Calibration": "gelform.record",
     "load_calibration": "gelform.record",
     "Reconstructor": "gelform.reconstruct",
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
+    from gelform.importers.calibrations import import_calibration
     from gelform.metrics import press_errors
     from gelform.normals import (
         image_from_normals,

@@ -48,14 +48,14 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
     shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)
     row, column = _deepest(depth)
     heights = _heights(shape[0] / shape[1], 3 if shown is None else 4, len(result.health))
-    figure = _figure(WIDTH, sum(heights))
+    figure = canvas(WIDTH, sum(heights))
     top, bottom = figure.subfigures(2, 1, height_ratios=heights)
     top.suptitle(_headline(result, row, column), x=0.012, ha="left", fontsize=11, color=INK)
     _draw_maps(top, result, shown)
     depth_axes, profile_axes = bottom.subplots(1, 2, width_ratios=[1, 1.05])
     _draw_depth(bottom, depth_axes, result, row, column)
     _draw_profiles(profile_axes, result, row, column)
-    return _pixels(figure)
+    return pixels_of(figure)
 
 
 def contact_sheet(
@@ -83,13 +83,13 @@ def contact_sheet(
     columns = min(MAX_COLUMNS, int(np.ceil(np.sqrt(1.4 * len(tiles)))))
     height, width = tiles[0].shape[0] + CAPTION_PX, tiles[0].shape[1] + 8
     rows = -(-len(tiles) // columns)
-    figure = _figure((columns * width + 8) / DPI, (rows * height + 8) / DPI, layout=None)
+    figure = canvas((columns * width + 8) / DPI, (rows * height + 8) / DPI, layout=None)
     axes = figure.add_axes((0, 0, 1, 1), xlim=(0, columns * width + 8), ylim=(rows * height + 8, 0))
     axes.set_axis_off()
     for k, tile in enumerate(tiles):
         corner = (8 + k % columns * width, 8 + k // columns * height)
         _draw_press(axes, tile, corner, circles_px[k], scale, captions[k], reasons[k])
-    return _pixels(figure)
+    return pixels_of(figure)
 
 
 def error_charts(
@@ -109,12 +109,12 @@ def error_charts(
     """
     if not errors or len(errors) != len(balls_mm):
         raise ValueError(f"Expected a ball for each of the errors, got {len(balls_mm)} and {len(errors)}.")
-    figure = _figure(WIDTH, 4.2)
+    figure = canvas(WIDTH, 4.2)
     for axes, (name, label, middle) in zip(figure.subplots(1, len(_CHARTS)), _CHARTS):
         values = np.abs(np.array([one[name] for one in errors], dtype=np.float64))
         _draw_strip(axes, np.asarray(balls_mm, dtype=np.float64), values, label, middle)
     figure.suptitle(f"{title} ({len(errors)} presses)", x=0.012, ha="left", fontsize=11, color=INK)
-    return _pixels(figure)
+    return pixels_of(figure)
 
 
 def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bool = False) -> None:
@@ -149,7 +149,8 @@ _CHARTS = (
 )
 
 
-def _figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
+def canvas(width: float, height: float, *, layout: Any = "constrained") -> Any:
+    """An off-screen matplotlib figure of a size in inches."""
     check_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -159,7 +160,8 @@ def _figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
     return figure
 
 
-def _pixels(figure: Any) -> NDArray[np.uint8]:
+def pixels_of(figure: Any) -> NDArray[np.uint8]:
+    """The drawn figure as an RGB picture."""
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
 

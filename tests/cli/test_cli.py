@@ -8,7 +8,7 @@ import pytest
 
 from gelform.cli import app, main
 
-COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "info")
+COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "import", "compare", "info")
 HEAVY = ("numpy", "scipy", "cv2", "numba", "matplotlib")
 
 
@@ -42,7 +42,7 @@ def test_help_has_worked_examples_that_name_real_options(run, name):
 
 def test_every_command_is_listed(run):
     listed = run("--help")[1]
-    assert {command.callback.__name__ for command in app.registered_commands} == set(COMMANDS)
+    assert {command.callback.__name__.rstrip("_") for command in app.registered_commands} == set(COMMANDS)
     assert all(re.search(rf"^  {name} ", listed, re.M) for name in COMMANDS)
 
 

@@ -110,8 +110,10 @@ def test_networks_of_another_kind_are_refused(tmp_path):
     with pytest.raises(gelform.DataError, match="Expected the layers fc1 to fc4"):
         read_gs_sdk(torch_file(tmp_path / "a.pth", network_arrays((5, 32, 2))), BACKGROUND)
     with pytest.raises(gelform.DataError, match="5 inputs and 2 outputs"):
-        read_gs_sdk(torch_file(tmp_path / "b.pth", network_arrays((3, 8, 8, 8, 2))), BACKGROUND)
-    spoilt = network_arrays((5, 8, 8, 8, 2))
+        read_gs_sdk(torch_file(tmp_path / "b.pth", network_arrays((3, 32, 8, 8, 2))), BACKGROUND)
+    with pytest.raises(gelform.DataError, match=r"32 units .* is it gsrobotics's\?"):
+        read_gs_sdk(torch_file(tmp_path / "d.pth", network_arrays((5, 64, 64, 64, 2))), BACKGROUND)
+    spoilt = network_arrays((5, 32, 8, 8, 2))
     spoilt["fc2.weight"][0, 0] = np.nan
     with pytest.raises(gelform.DataError, match="finite"):
         read_gs_sdk(torch_file(tmp_path / "c.pth", spoilt), BACKGROUND)

@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from gelform.cli import calibrate, demo, design, evaluate, info, reconstruct, simulate
+from gelform.cli import calibrate, compare, demo, design, evaluate, import_, info, reconstruct, simulate
 from gelform.errors import GelformError
 
 app = typer.Typer(
@@ -24,6 +24,8 @@ app.command()(reconstruct.reconstruct)
 app.command()(evaluate.evaluate)
 app.command()(simulate.simulate)
 app.command()(design.design)
+app.command("import")(import_.import_)
+app.command()(compare.compare)
 app.command()(info.info)
 
 

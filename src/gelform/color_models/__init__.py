@@ -11,6 +11,7 @@ No colour change means no slope, in every model.
 from typing import Any
 
 from gelform.color_models.lambertian import LambertianModel
+from gelform.color_models.lookup import LookupModel
 from gelform.color_models.mlp import MlpModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
@@ -21,6 +22,7 @@ COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
     "polynomial": PolynomialModel,
     "mlp": MlpModel,
+    "lookup": LookupModel,
 }
 
 # Made by other packages, never fitted here: only importers make them.
@@ -34,6 +36,7 @@ __all__ = [
     "IMPORTED_MODELS",
     "ColorModel",
     "LambertianModel",
+    "LookupModel",
     "MlpModel",
     "NetworkModel",
     "PolynomialModel",

@@ -48,7 +48,7 @@ class MlpModel:
         *,
         hidden: tuple[int, ...] = (32, 32),
         steps: int = 3000,
-        weight_decay: float = 1e-3,
+        weight_decay: float = 0.1,
         seed: int = 0,
     ) -> MlpModel:
         """Train on the samples, in seconds; the same samples, settings and torch give the same network.

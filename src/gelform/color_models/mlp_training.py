@@ -14,7 +14,7 @@ from gelform.color_models.layers import Layers
 from gelform.color_models.least_squares import HUBER_SLOPE
 from gelform.errors import GelformError
 
-BATCH = 1024
+BATCH = 512
 LEARNING_RATE = 1e-2
 
 

@@ -18,11 +18,12 @@ from gelform.importers.torch_files import read_tensors
 
 WEB_SIZES = (5, 64, 64, 64, 2)
 LAYERS = 4
+UNITS = {"gs_sdk": 32, "gsrobotics": 64}
 
 
 def read_gs_sdk(path: str | PathLike[str], background: NDArray[np.float32]) -> NetworkModel:
     """gs_sdk's `nnmodel.pth`: slope angles of a surface that goes down where pressed, from B, G, R, x/W, y/H."""
-    return NetworkModel(_layers(read_tensors(path), path), background, "xy", "angles")
+    return NetworkModel(_layers(read_tensors(path), path, UNITS["gs_sdk"]), background, "xy", "angles")
 
 
 def read_gsrobotics(
@@ -35,7 +36,9 @@ def read_gsrobotics(
     position : "zeros" as the shipped program feeds it (it truncates the positions), or "true"
     """
     tensors = {name.removeprefix("state_dict."): a for name, a in read_tensors(path).items()}
-    return NetworkModel(_layers(tensors, path), background, _position(position), "normals")
+    return NetworkModel(
+        _layers(tensors, path, UNITS["gsrobotics"]), background, _position(position), "normals"
+    )
 
 
 def read_gsrobotics_web(
@@ -68,8 +71,8 @@ def _position(position: str) -> Any:
     return "zeros" if position == "zeros" else "yx"
 
 
-def _layers(tensors: Mapping[str, NDArray[Any]], path: str | PathLike[str]) -> Layers:
-    """fc1 ... fc4 of a state dict."""
+def _layers(tensors: Mapping[str, NDArray[Any]], path: str | PathLike[str], units: int) -> Layers:
+    """fc1 ... fc4 of a state dict; their width tells the two packages' networks apart."""
     if any(name.split(".")[-2:-1] == ["conv1"] for name in tensors):
         raise DataError(
             f"{path} holds a convolutional network (py3DCal's TouchNet has such layers: 298 GMAC a frame), which "
@@ -82,6 +85,10 @@ def _layers(tensors: Mapping[str, NDArray[Any]], path: str | PathLike[str]) -> L
             f"Expected the layers fc1 to fc{LAYERS} in {path}, got {', '.join(list(tensors)[:6]) or 'none'}. "
             "Is it of another package?"
         )
+    width = tensors["fc1.weight"].shape[:1]
+    if width != (units,):
+        other = next((f": is it {name}'s?" for name, size in UNITS.items() if width == (size,)), ".")
+        raise DataError(f"Expected hidden layers of {units} units in {path}, got {width}{other}")
     arrays = [np.asarray(tensors[name], dtype=np.float32) for name in wanted]
     return _of_file(path, tuple(arrays[::2]), tuple(arrays[1::2]))
 

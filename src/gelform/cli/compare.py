@@ -1,0 +1,126 @@
+"""gelform compare: what two calibrations say of the same images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.console import (
+    Background,
+    Json,
+    Overwrite,
+    Quiet,
+    figure,
+    print_json,
+    progress_shown,
+    say,
+    show_table,
+)
+from gelform.cli.names import check_results, make_folder, result_paths
+from gelform.errors import GelformError
+
+if TYPE_CHECKING:
+    from gelform.reconstruct import Reconstructor
+
+KEYS = ("peak_a", "peak_b", "difference_rms", "angle_deg", "curl_rms_a", "curl_rms_b")
+
+
+def compare(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")],
+    calibrations: Annotated[
+        list[Path], typer.Option("--calibration", "-c", metavar="CAL.npz", help="Give it twice: A and B.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
+    ] = None,
+    background: Background = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Compare two calibrations on the same images: depth, normals and curl, with a picture of both.
+
+    Depths are compared in mm, or in pixels where one calibration has no scale. The angle is the mean between
+    the normals where either sees contact. With -o, DIR/<image>.png shows both depths on one scale, their
+    difference, and the profile through the deepest point.
+
+    \b
+    Examples:
+      gelform compare frame.png -c mine.npz -c imported.npz -o side-by-side
+      gelform compare session/*.png -c before.npz -c after.npz --json
+    """
+    if len(calibrations) != 2:
+        raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
+    paths: list[dict[str, Path]] = [{} for _ in images]
+    if output is not None:
+        from gelform.plots import check_matplotlib
+
+        check_matplotlib()
+        paths = result_paths(images, output, ["png"])
+        protected = [*images, *calibrations, *([background] if background else [])]
+        check_results(paths, overwrite=overwrite, protected=protected)
+    with progress_shown(quiet) as progress:
+        progress(0, len(images), "starting (the first run ever compiles for some seconds)")
+        pair = _pair(calibrations, background)
+        names = (calibrations[0].stem, calibrations[1].stem)
+        rows = []
+        for done, (image, results) in enumerate(zip(images, paths)):
+            rows.append(_compare_one(pair, image, results.get("png"), names, overwrite))
+            progress(done + 1, len(images), "comparing")
+    _report(rows, output, quiet or as_json)
+    if as_json:
+        print_json({"a": str(calibrations[0]), "b": str(calibrations[1]), "images": rows})
+
+
+def _pair(calibrations: list[Path], background: Path | None) -> tuple[Reconstructor, Reconstructor]:
+    from gelform.reconstruct import Reconstructor
+    from gelform.record import load_calibration
+    from gelform.sensors.files import read_image
+
+    rest = None if background is None else read_image(background)
+    a, b = (Reconstructor(load_calibration(path), background=rest) for path in calibrations)
+    return a, b
+
+
+def _compare_one(
+    pair: tuple[Reconstructor, Reconstructor],
+    path: Path,
+    picture: Path | None,
+    names: tuple[str, str],
+    overwrite: bool,
+) -> dict[str, Any]:
+    from gelform.comparison import compare_results, comparison_picture
+    from gelform.sensors.files import read_image
+    from gelform.view import image_from_frame
+
+    frame = read_image(path)
+    try:
+        a, b = (run(frame) for run in pair)
+        compared = compare_results(a, b)
+    except (GelformError, ValueError) as problem:
+        raise GelformError(f"{path}: {problem}") from problem
+    if picture is not None:
+        from gelform.plots import save_picture
+
+        make_folder(picture.parent)
+        shown = image_from_frame(frame, pair[0].calibration.view)
+        save_picture(picture, comparison_picture(a, b, shown, names=names), overwrite=overwrite)
+    return {"image": str(path), "picture": picture and str(picture), **compared.figures()}
+
+
+def _report(rows: list[dict[str, Any]], output: Path | None, quiet: bool) -> None:
+    unit = rows[0]["unit"]
+    table = [(row["image"], *(figure(row[key]) for key in KEYS)) for row in rows]
+    columns = (
+        f"peak A ({unit})",
+        f"peak B ({unit})",
+        f"B - A rms ({unit})",
+        "angle (deg)",
+        "curl A",
+        "curl B",
+    )
+    show_table("Comparison", ("image", *columns), table, quiet=quiet)
+    if output is not None:
+        say(f"Wrote {len(rows)} pictures to {output}.", quiet)

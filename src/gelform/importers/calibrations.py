@@ -1,0 +1,120 @@
+"""A Calibration from what another package calibrated: one door for all formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timezone
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform import __version__
+from gelform.background import ChangeSettings
+from gelform.checks import check_image, check_positive
+from gelform.color_models import ColorModel
+from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
+from gelform.importers.tables import read_lut
+from gelform.importers.taxim import read_taxim
+from gelform.record import Calibration
+from gelform.view import View
+
+# Untouched pixels of a Mini differ from its background by up to this, noise and drift together, grey levels / 255.
+UNTOUCHED_CHANGE = 8 / 255
+LUT_BLUR_PX = 0.5**0.5  # as wide as their 3x3 blur, weights 1/4, 1/2, 1/4
+
+PACKAGES: dict[str, Callable[..., ColorModel]] = {
+    "gs_sdk": read_gs_sdk,
+    "gsrobotics": read_gsrobotics,
+    "gsrobotics-web": read_gsrobotics_web,
+    "taxim": read_taxim,
+    "lut": read_lut,
+}
+POSITIONED = ("gsrobotics", "gsrobotics-web")
+
+
+def import_calibration(
+    path: str | PathLike[str],
+    package: str,
+    *,
+    background: ArrayLike,
+    mm_per_px: float | None = None,
+    position: str | None = None,
+    flip_depth: bool = False,
+    sensor_name: str | None = None,
+) -> Calibration:
+    """A calibration from another package's file, with gelform's signs, held beside today's untouched image.
+
+    What the file does not say stays unknown: without `mm_per_px` it gives gradients and depth in pixels; no
+    deviation of the slopes is claimed, confidence is 1 but for clipped pixels.
+
+    Parameters
+    ----------
+    path : the package's file
+    package : a name in `PACKAGES`: gs_sdk, gsrobotics, gsrobotics-web, taxim or lut
+    background : (H, W, 3) RGB, 0-255, the untouched image, cropped and sized as that package's images are
+    mm_per_px : width of a pixel on the gel, mm, where it is known
+    position : for gsrobotics and gsrobotics-web only, and needed there: "zeros" is what its program feeds, "true"
+        what its network was trained on
+    flip_depth : for lut only: the table's surface falls where pressed
+    sensor_name : of the calibration; the file's name by default
+
+    Raises
+    ------
+    DataError
+        The file is not of that package, damaged, or would have to be unpickled.
+    ValueError
+        An unknown package, or an option that it does not take, or lacks.
+    """
+    options = _options(package, position, flip_depth)
+    image = check_image(background, name="background").astype(np.float32)
+    model = PACKAGES[package](path, image, **options)
+    change = ChangeSettings("subtract", 0.0, LUT_BLUR_PX if package == "lut" else 0.0)
+    return Calibration(
+        sensor_name=sensor_name or Path(path).stem,
+        serial=None,
+        gel_id=None,
+        view=View(),
+        image_shape=(image.shape[0], image.shape[1]),
+        mm_per_px=None if mm_per_px is None else check_positive(mm_per_px, "mm_per_px"),
+        mm_per_px_sigma=None,
+        background=image,
+        background_noise=_pixel_noise(image),
+        change=change,
+        color_model=model,
+        forward=None,
+        slope_sigma=None,
+        untouched_change=UNTOUCHED_CHANGE,
+        held_out={},
+        training_digests=(),
+        settings={"imported_from": package, **options},
+        library_version=__version__,
+        created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+
+
+def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, Any]:
+    """What the package's reader takes beside the file and the background."""
+    if package not in PACKAGES:
+        raise ValueError(f"Expected a package among {', '.join(PACKAGES)}, got {package!r}.")
+    if position not in (("zeros", "true") if package in POSITIONED else (None,)):
+        raise ValueError(
+            f"Expected position ('zeros' as its program feeds it, or 'true') for {' and '.join(POSITIONED)} and no "
+            f"other, got {position!r} for {package}."
+        )
+    if flip_depth and package != "lut":
+        raise ValueError(
+            f"Expected flip_depth for lut only, whose tables differ in sign, got it for {package}."
+        )
+    if package == "lut":
+        return {"depth_sign": -1 if flip_depth else 1}
+    return {} if position is None else {"position": position}
+
+
+def _pixel_noise(background: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Standard deviation of a pixel per channel, grey levels, from second differences (robust)."""
+    second = background[:, 2:] - 2 * background[:, 1:-1] + background[:, :-2]
+    noise: NDArray[np.float64] = 1.4826 * np.median(np.abs(second), axis=(0, 1)).astype(np.float64)
+    return noise / np.sqrt(6)
