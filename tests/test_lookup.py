@@ -64,7 +64,7 @@ def test_empty_corners_follow_their_neighbours_and_are_marked():
     wanted = samples.gradients[~kept & (red > 0.1) & (red < 0.15)]
     places = (c[~kept & (red > 0.1) & (red < 0.15)] for c in (samples.x_px, samples.y_px))
     error = model.gradients_at(gap, *places) - wanted
-    assert np.sqrt(np.mean(error**2)) < 0.15 * np.sqrt(np.mean(wanted**2))
+    assert np.sqrt(np.mean(error**2)) < 0.25 * np.sqrt(np.mean(wanted**2))
     prepared = model.prepare(FLAT, SHAPE)
     inside, outside = (np.full((*SHAPE, 3), (r, 0.05, 0.05), dtype=np.float32) for r in (0.125, -0.1))
     assert prepared.gradients_from_color(inside)[1].min() > 0.5 * OFF_GAMUT_SIGMA
