@@ -7,6 +7,7 @@ import pytest
 
 import gelform
 from gelform.comparison import compare_results, comparison_picture
+from gelform.plots import _unit as unit_of
 
 SHAPE = (40, 60)
 
@@ -21,10 +22,6 @@ def result(scale=1.0, mm_per_px=0.1):
         confidence=every.astype(np.float32), contact=depth > 0.3 * scale, known=every, mm_per_px=mm_per_px,
         curl_rms=0.01 * scale,
     )  # fmt: skip
-
-
-def unscaled(one):
-    return replace(one, depth_mm=None, unscaled_px=one.depth_px, mm_per_px=None)
 
 
 def bare(one):
@@ -91,3 +88,4 @@ def test_the_picture_shows_both_and_their_units():
     in_px = comparison_picture(bare(one), bare(one), image)
     assert not np.array_equal(in_px, comparison_picture(one, one, image))
     assert not np.array_equal(gelform.picture(bare(one)), gelform.picture(one))
+    assert (unit_of(bare(one)), unit_of(one)) == ("px", "mm")

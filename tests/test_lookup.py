@@ -47,6 +47,9 @@ def test_zero_is_exact_and_smooth():
     model = LookupModel.fit(ball_samples(shading_change), positions=(2, 2))
     place = np.array([10.0]), np.array([30.0])
     assert np.abs(model.gradients_at(np.zeros((1, 3)), *place)).max() == 0
+    red, green, blue = np.rint(-model.low / model.step).astype(int)
+    np.testing.assert_allclose(model.low + model.step * (red, green, blue), 0, atol=1e-12)
+    assert np.abs(model.table[:, :, red, green, blue, :2]).max() == 0
     for direction in np.eye(3):
         up, down = (model.gradients_at(s * 1e-3 * direction[None], *place) for s in (1, -1))
         assert np.linalg.norm(up) > 1e-4
@@ -83,11 +86,11 @@ def test_off_gamut_colours_have_a_large_deviation():
 
 def test_deviation_is_that_of_the_noise():
     quiet, loud = (
-        LookupModel.fit(linear_samples(noise=noise), nodes=6, positions=(2, 2)).table[..., 2]
+        LookupModel.fit(linear_samples(1500, noise=noise), nodes=6, positions=(2, 2)).table[..., 2]
         for noise in (0.02, 0.1)
     )
-    assert np.median(quiet[quiet < OFF_GAMUT_SIGMA]) == pytest.approx(0.02, rel=0.3)
-    assert np.median(loud[loud < OFF_GAMUT_SIGMA]) == pytest.approx(0.1, rel=0.3)
+    for found, noise in ((quiet, 0.02), (loud, 0.1)):  # of samples that were not fitted: more than the noise
+        assert noise < np.median(found[found < OFF_GAMUT_SIGMA]) < 1.6 * noise
 
 
 def test_the_reconstructor_lowers_confidence_off_gamut(calibration, simulated):

@@ -43,6 +43,7 @@ def test_what_was_imported_reconstructs_in_pixels(run, run_json, imported, press
     code, out, err = run("reconstruct", image, "-c", imported, "-o", tmp_path / "again")
     assert code == 0
     assert "peak (px)" in out
+    assert str(rows[0]["contact_px"]) in out.split()
     assert "depth_px, not depth_mm" in err
 
 
