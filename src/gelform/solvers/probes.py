@@ -1,0 +1,206 @@
+"""Probes: random slope errors that are integrated, many at once, to see how far they move depth.
+
+Independent draws would leave a relative error of 1/sqrt(2 n) in a standard deviation from n probes. Here the
+draws of neighbouring places are orthogonal over the probes instead, as in probing for the diagonal of an
+inverse (J. Tang and Y. Saad, A probing method for computing the diagonal of a matrix inverse, Numer. Linear
+Algebra Appl. 19, 2012): places of one colour share a row of an orthogonal matrix, up to sign, and lie far
+apart. Depth depends on near slopes far more than on distant ones, so that what is left is half as large.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from gelform.solvers.conjugate import solve
+from gelform.solvers.cycle import DEPTH, EAST, INNER, KERNEL, RIGHT_SIDE, SEARCH, SOUTH
+from gelform.solvers.multigrid import Hierarchy
+from gelform.solvers.pool import Pool
+from gelform.solvers.system import Problem
+
+# Steps of conjugate gradients after the first V-cycle: depth to 2 %, finer than probes tell it.
+STEPS = 1
+
+
+def white_draws(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Fields (count, H, W, 2) of variance 1, independent from place to place."""
+    return np.ascontiguousarray(_placed(count, shape, rng), dtype=np.float32)
+
+
+def correlated_draws(
+    count: int, shape: tuple[int, int], length: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Fields (count, H, W, 2) of variance 1 and correlation exp(-d^2/(2 length^2)).
+
+    The first is taken half a place to the right, the second half a place down: on the edges. Gaussians on a
+    lattice of spacing `length` are added up, which has that correlation to 1.4 %.
+    """
+    parts = []
+    for down, right in ((0.0, 0.5), (0.5, 0.0)):
+        rows, columns = _gaussians(shape[0], length, down), _gaussians(shape[1], length, right)
+        parts.append((rows, columns))
+    heights = _placed(count, (parts[0][0].shape[1], parts[0][1].shape[1]), rng)
+    fields = [
+        np.einsum("ay,kyx,bx->kab", rows, heights[..., c], columns, optimize=True)
+        for c, (rows, columns) in enumerate(parts)
+    ]
+    return np.ascontiguousarray(np.stack(fields, axis=-1), dtype=np.float32)
+
+
+def _gaussians(count: int, length: float, offset: float) -> NDArray[Any]:
+    """Gaussians (places, lattice points) whose squares add up to 1 at every place."""
+    half = int(np.ceil((count / 2) / length)) + 3
+    centres = np.arange(-half, half + 1) * length
+    places = np.arange(count) - (count - 1) / 2 + offset
+    bells = np.exp(-((places[:, None] - centres) ** 2) / length**2)
+    return np.asarray(bells / np.sqrt(np.sum(bells**2, axis=1, keepdims=True)))
+
+
+def _placed(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[Any]:
+    """Values (count, H, W, 2) of variance 1 over the probes, orthogonal where colours differ."""
+    rows = dct(np.eye(count), norm="ortho") * np.sqrt(count)
+    colour = _colours(max(count // 2, 1), shape)
+    columns = rng.permutation(count)[np.stack([2 * colour % count, (2 * colour + 1) % count], axis=-1)]
+    return np.asarray(rows[:, columns] * rng.choice([-1.0, 1.0], size=(*shape, 2)))
+
+
+def _colours(count: int, shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Colour (H, W) of each place: `column + turn row` modulo the count, with same colours far apart."""
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    return np.asarray((cols + _turn(count) * rows) % count)
+
+
+@lru_cache(maxsize=32)
+def _turn(count: int) -> int:
+    reach = np.arange(-count, count + 1)
+    y, x = np.meshgrid(reach, reach, indexing="ij")
+    away = (x**2 + y**2).astype(float)
+    away[(x == 0) & (y == 0)] = np.inf
+    nearest = [away[(x + turn * y) % count == 0].min() for turn in range(count)]
+    return int(np.argmax(nearest))
+
+
+class ProbeSolver:
+    """Depths of the draws of slope errors, for one set of couplings at a time; prepared once.
+
+    Parameters
+    ----------
+    white, common : (N, H, W, 2), as `white_draws` and `correlated_draws` make them
+    mm_per_px : (x, y), mm
+    """
+
+    def __init__(
+        self, white: NDArray[np.float32], common: NDArray[np.float32], mm_per_px: tuple[float, float]
+    ) -> None:
+        self._white = white
+        self._common = common
+        self.mm_per_px = mm_per_px
+        self._pool = Pool(lambda: Hierarchy(white.shape[1:3]))
+
+    def __call__(
+        self,
+        white: NDArray[np.float32],
+        common: NDArray[np.float32],
+        problem: Problem,
+        median: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Depths (N, H, W) to 2 %, each up to a constant without an anchor.
+
+        Parameters
+        ----------
+        white, common : (H, W, 2), mm/mm
+            Standard deviation of the slopes: of errors that are white, and of correlated ones.
+        problem : couplings and anchor; its slopes count for nothing
+        median : (H, W, 2), optional
+            How much each slope counts in the median that is subtracted from all.
+        """
+        count, height, width = self._white.shape[:3]
+        bias = np.zeros((count, 2), dtype=np.float32)
+        if median is not None:
+            bias += np.einsum("kijc,ijc->kc", self._white, white * median)
+            bias += np.einsum("kijc,ijc->kc", self._common, common * median)
+        depths = np.empty((count, height, width), dtype=np.float32)
+        with self._pool.one() as hierarchy:
+            hierarchy.load(problem, self.mm_per_px)
+            work = hierarchy.data, hierarchy.levels, hierarchy.dense, *hierarchy.scratch
+            draws = self._white, self._common, white, common, bias
+            _solve_all(*work, *draws, 0.5 * self.mm_per_px[0], 0.5 * self.mm_per_px[1], STEPS, depths)
+        return depths
+
+
+@njit(**KERNEL)  # type: ignore[misc]
+def _solve_all(
+    data: Any,
+    levels: Any,
+    dense: Any,
+    line: Any,
+    past: Any,
+    white_draws: Any,
+    common_draws: Any,
+    white: Any,
+    common: Any,
+    bias: Any,
+    scale_x: float,
+    scale_y: float,
+    steps: int,
+    depths: Any,
+) -> None:
+    height, width = levels[0, 1], levels[0, 2]
+    for probe in range(depths.shape[0]):
+        _draw(data, white_draws[probe], common_draws[probe], white, common, bias[probe], scale_x, scale_y)
+        for plane in range(DEPTH, SEARCH + 1):
+            for i in range(height + 2):
+                for j in range(width + 2):
+                    data[plane, i, j] = 0
+        solve(data, levels, dense, line, past, 0.0, 0.0, steps)
+        for i in range(height):
+            for j in range(width):
+                depths[probe, i, j] = data[DEPTH, i + 1, j + 1]
+
+
+@njit(**INNER)  # type: ignore[misc]
+def _draw(
+    data: Any, w: Any, c: Any, white: Any, common: Any, bias: Any, scale_x: float, scale_y: float
+) -> None:
+    """Right side of one draw: white errors at pixels, whose mean an edge takes, and common ones on edges."""
+    height, width = w.shape[0], w.shape[1]
+    sx, sy = np.float32(scale_x), np.float32(scale_y)
+    two = np.float32(2)
+    bx, by = two * bias[0], two * bias[1]
+    across = np.zeros(width + 1, dtype=np.float32)
+    above = np.zeros(width, dtype=np.float32)
+    below = np.zeros(width, dtype=np.float32)
+    for i in range(height):
+        for j in range(width - 1):
+            across[j + 1] = (
+                sx
+                * data[EAST, i + 1, j + 1]
+                * (
+                    white[i, j, 0] * w[i, j, 0]
+                    + white[i, j + 1, 0] * w[i, j + 1, 0]
+                    + (common[i, j, 0] + common[i, j + 1, 0]) * c[i, j, 0]
+                    - bx
+                )
+            )
+        for j in range(width):
+            above[j] = below[j]
+            below[j] = 0
+        if i < height - 1:
+            for j in range(width):
+                below[j] = (
+                    sy
+                    * data[SOUTH, i + 1, j + 1]
+                    * (
+                        white[i, j, 1] * w[i, j, 1]
+                        + white[i + 1, j, 1] * w[i + 1, j, 1]
+                        + (common[i, j, 1] + common[i + 1, j, 1]) * c[i, j, 1]
+                        - by
+                    )
+                )
+        for j in range(width):
+            data[RIGHT_SIDE, i + 1, j + 1] = across[j] - across[j + 1] + above[j] - below[j]
