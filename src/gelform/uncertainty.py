@@ -338,13 +338,16 @@ def _sum_cells(
 
 
 def _variance(depths: NDArray[np.float32], cells: _Cells, level: Level | None) -> NDArray[np.float32]:
-    """Mean square over the probes of depth (probes, h, w) against its zero."""
+    """Mean square over the probes of depth (h, w, probes) against its zero."""
     if not cells.anchored:
         zero = cells.region if cells.region.any() else cells.mask.astype(np.float32)
-        depths -= np.einsum("kij,ij->k", depths, zero / zero.sum())[:, None, None]
+        flat = depths.reshape(-1, depths.shape[2])
+        depths -= (zero / zero.sum()).reshape(-1) @ flat
     if level in ("plane", "quadratic"):
-        depths = depths - fitted_surface(depths, cells.region > 0, 1 if level == "plane" else 2)
-    return np.asarray(np.einsum("kij,kij->ij", depths, depths) / np.float32(len(depths)))
+        fields = np.moveaxis(depths, -1, 0)
+        surface = fitted_surface(fields, cells.region > 0, 1 if level == "plane" else 2)
+        depths = depths - np.moveaxis(surface, 0, -1)
+    return np.asarray(np.einsum("ijk,ijk->ij", depths, depths) / np.float32(depths.shape[2]))
 
 
 def _smoothed(variance: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -17,14 +17,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from gelform.solvers.conjugate import solve
-from gelform.solvers.cycle import DEPTH, EAST, INNER, KERNEL, RIGHT_SIDE, SEARCH, SOUTH
+from gelform.solvers.cycle import EAST, KERNEL, SOUTH
+from gelform.solvers.lanes import solve_lanes
 from gelform.solvers.multigrid import Hierarchy
 from gelform.solvers.pool import Pool
 from gelform.solvers.system import Problem
-
-# Steps of conjugate gradients after the first V-cycle: depth to 2 %, finer than probes tell it.
-STEPS = 1
 
 
 def white_draws(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
@@ -86,7 +83,7 @@ def _turn(count: int) -> int:
 
 
 class ProbeSolver:
-    """Depths of the draws of slope errors, for one set of couplings at a time; prepared once.
+    """Depths of draws of slope errors, all with the same couplings; prepared once.
 
     Parameters
     ----------
@@ -97,10 +94,11 @@ class ProbeSolver:
     def __init__(
         self, white: NDArray[np.float32], common: NDArray[np.float32], mm_per_px: tuple[float, float]
     ) -> None:
-        self._white = white
-        self._common = common
+        self._white, self._common = (
+            np.ascontiguousarray(np.moveaxis(draws, 0, -1)) for draws in (white, common)
+        )
         self.mm_per_px = mm_per_px
-        self._pool = Pool(lambda: Hierarchy(white.shape[1:3]))
+        self._pool = Pool(lambda: _Work(white.shape[1:3], len(white)))
 
     def __call__(
         self,
@@ -109,7 +107,7 @@ class ProbeSolver:
         problem: Problem,
         median: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Depths (N, H, W) to 2 %, each up to a constant without an anchor.
+        """Depths (H, W, N) to 2 %, each up to a constant without an anchor.
 
         Parameters
         ----------
@@ -119,88 +117,54 @@ class ProbeSolver:
         median : (H, W, 2), optional
             How much each slope counts in the median that is subtracted from all.
         """
-        count, height, width = self._white.shape[:3]
-        bias = np.zeros((count, 2), dtype=np.float32)
+        bias = np.zeros((2, self._white.shape[-1]), dtype=np.float32)
         if median is not None:
-            bias += np.einsum("kijc,ijc->kc", self._white, white * median)
-            bias += np.einsum("kijc,ijc->kc", self._common, common * median)
-        depths = np.empty((count, height, width), dtype=np.float32)
-        with self._pool.one() as hierarchy:
+            bias += np.einsum("ijck,ijc->ck", self._white, white * median)
+            bias += np.einsum("ijck,ijc->ck", self._common, common * median)
+        depths = np.empty((*white.shape[:2], self._white.shape[-1]), dtype=np.float32)
+        scales = np.float32(0.5 * self.mm_per_px[0]), np.float32(0.5 * self.mm_per_px[1])
+        with self._pool.one() as work:
+            hierarchy, r, g, a = work.hierarchy, *work.lanes
             hierarchy.load(problem, self.mm_per_px)
-            work = hierarchy.data, hierarchy.levels, hierarchy.dense, *hierarchy.scratch
-            draws = self._white, self._common, white, common, bias
-            _solve_all(*work, *draws, 0.5 * self.mm_per_px[0], 0.5 * self.mm_per_px[1], STEPS, depths)
+            _draw(hierarchy.data, self._white, self._common, white, common, bias, *scales, r)
+            solve_lanes(hierarchy.data, hierarchy.levels, hierarchy.dense, r, g, a, depths)
         return depths
 
 
+class _Work:
+    """Work arrays of all levels for one frame at a time."""
+
+    def __init__(self, shape: tuple[int, int], count: int) -> None:
+        self.hierarchy = Hierarchy(shape)
+        self.lanes = [np.zeros((*self.hierarchy.data.shape[1:], count), dtype=np.float32) for _ in range(3)]
+
+
 @njit(**KERNEL)  # type: ignore[misc]
-def _solve_all(
-    data: Any,
-    levels: Any,
-    dense: Any,
-    line: Any,
-    past: Any,
-    white_draws: Any,
-    common_draws: Any,
-    white: Any,
-    common: Any,
-    bias: Any,
-    scale_x: float,
-    scale_y: float,
-    steps: int,
-    depths: Any,
-) -> None:
-    height, width = levels[0, 1], levels[0, 2]
-    for probe in range(depths.shape[0]):
-        _draw(data, white_draws[probe], common_draws[probe], white, common, bias[probe], scale_x, scale_y)
-        for plane in range(DEPTH, SEARCH + 1):
-            for i in range(height + 2):
-                for j in range(width + 2):
-                    data[plane, i, j] = 0
-        solve(data, levels, dense, line, past, 0.0, 0.0, steps)
-        for i in range(height):
-            for j in range(width):
-                depths[probe, i, j] = data[DEPTH, i + 1, j + 1]
-
-
-@njit(**INNER)  # type: ignore[misc]
 def _draw(
-    data: Any, w: Any, c: Any, white: Any, common: Any, bias: Any, scale_x: float, scale_y: float
+    data: Any, w: Any, c: Any, white: Any, common: Any, bias: Any, scale_x: Any, scale_y: Any, r: Any
 ) -> None:
-    """Right side of one draw: white errors at pixels, whose mean an edge takes, and common ones on edges."""
-    height, width = w.shape[0], w.shape[1]
-    sx, sy = np.float32(scale_x), np.float32(scale_y)
+    """Right sides of the draws: white errors at pixels, whose mean an edge takes, and common ones on edges."""
+    height, width, _, lanes = w.shape
     two = np.float32(2)
-    bx, by = two * bias[0], two * bias[1]
-    across = np.zeros(width + 1, dtype=np.float32)
-    above = np.zeros(width, dtype=np.float32)
-    below = np.zeros(width, dtype=np.float32)
+    flux = np.zeros(lanes, dtype=np.float32)
+    for i in range(1, height + 1):
+        for j in range(1, width + 1):
+            for m in range(lanes):
+                r[i, j, m] = 0
     for i in range(height):
-        for j in range(width - 1):
-            across[j + 1] = (
-                sx
-                * data[EAST, i + 1, j + 1]
-                * (
-                    white[i, j, 0] * w[i, j, 0]
-                    + white[i, j + 1, 0] * w[i, j + 1, 0]
-                    + (common[i, j, 0] + common[i, j + 1, 0]) * c[i, j, 0]
-                    - bx
-                )
-            )
         for j in range(width):
-            above[j] = below[j]
-            below[j] = 0
-        if i < height - 1:
-            for j in range(width):
-                below[j] = (
-                    sy
-                    * data[SOUTH, i + 1, j + 1]
-                    * (
-                        white[i, j, 1] * w[i, j, 1]
-                        + white[i + 1, j, 1] * w[i + 1, j, 1]
-                        + (common[i, j, 1] + common[i + 1, j, 1]) * c[i, j, 1]
-                        - by
-                    )
-                )
-        for j in range(width):
-            data[RIGHT_SIDE, i + 1, j + 1] = across[j] - across[j + 1] + above[j] - below[j]
+            for axis in range(2):
+                right, down = min(j + 1 - axis, width - 1), min(i + axis, height - 1)
+                tie = scale_y * data[SOUTH, i + 1, j + 1] if axis else scale_x * data[EAST, i + 1, j + 1]
+                if tie == 0:
+                    continue
+                a, b = white[i, j, axis], white[down, right, axis]
+                both = common[i, j, axis] + common[down, right, axis]
+                for m in range(lanes):
+                    flux[m] = a * w[i, j, axis, m] + b * w[down, right, axis, m]
+                for m in range(lanes):
+                    flux[m] = tie * (flux[m] + both * c[i, j, axis, m] - two * bias[axis, m])
+                for m in range(lanes):
+                    r[i + 1, j + 1, m] -= flux[m]
+                for m in range(lanes):
+                    r[down + 1, right + 1, m] += flux[m]
