@@ -38,7 +38,7 @@ from gelform.solvers.cycle import (
 
 @njit(**KERNEL)  # type: ignore[misc]
 def solve_lanes(data: Any, levels: Any, dense: Any, r: Any, g: Any, a: Any, depths: Any) -> None:
-    """Depths (H, W, lanes) of the right sides in `r`, to about 2 %: two V-cycles.
+    """Depths (H, W, lanes) of the right sides in `r`, to some percent: two V-cycles.
 
     The first is scaled as one step of conjugate gradients would be. `g` and `a` are scratch of the shape of
     `r`: (rows of all levels, W + 3, lanes).
@@ -107,7 +107,12 @@ def descend(data: Any, levels: Any, level: int, r: Any, g: Any, a: Any) -> None:
         i, k = coarse_top + row, top + 2 * row - 1
         for j in range(1, coarse_width + 1):
             c = 2 * j - 1
-            right, left, low, high = data[LEFT, i, j], data[RIGHT, i, j - 1], data[UP, i, j], data[DOWN, i - 1, j]
+            right, left, low, high = (
+                data[LEFT, i, j],
+                data[RIGHT, i, j - 1],
+                data[UP, i, j],
+                data[DOWN, i - 1, j],
+            )
             se, sw = data[FROM_NW, i, j], data[FROM_NE, i, j - 1]
             ne, nw = data[FROM_SW, i - 1, j], data[FROM_SE, i - 1, j - 1]
             for m in range(lanes):
@@ -153,7 +158,12 @@ def ascend(data: Any, levels: Any, level: int, r: Any, g: Any, a: Any) -> None:
 @njit(**LEAF)  # type: ignore[misc]
 def tied(data: Any, level: int, i: int, j: int, share: Any, r: Any, g: Any, a: Any) -> None:
     """Into `a`: a share of the right side, and coupling times guess of all neighbours."""
-    east, west, south, north = data[EAST, i, j], data[EAST, i, j - 1], data[SOUTH, i, j], data[SOUTH, i - 1, j]
+    east, west, south, north = (
+        data[EAST, i, j],
+        data[EAST, i, j - 1],
+        data[SOUTH, i, j],
+        data[SOUTH, i - 1, j],
+    )
     for m in range(r.shape[2]):
         a[i, j, m] = (
             share * r[i, j, m]

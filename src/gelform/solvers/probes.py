@@ -107,7 +107,7 @@ class ProbeSolver:
         problem: Problem,
         median: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Depths (H, W, N) to 2 %, each up to a constant without an anchor.
+        """Depths (H, W, N) to some percent, each up to a constant without an anchor.
 
         Parameters
         ----------
