@@ -213,31 +213,28 @@ def growth(table: Table) -> Table:
 def uncertainty(count: int, probes: tuple[int, ...] = (16, 32, 64)) -> Table:
     """Standard deviation map, weighted, white and correlated, against full Monte Carlo; its time once prepared."""
     table: Table = {}
-    for title, (sigma, anchor) in sigma_frames().items():
-        weights = np.minimum(1, (NOISE / sigma) ** 2).astype(np.float32)
-        arguments = {"weights": weights, "anchor": anchor}
-        for length in (0, 5, 10, 20):
-            expected = monte_carlo_sigma(sigma, length, count, mm_per_px=MM_PER_PX, **arguments)
-            for n in probes:
-                prepared = gelform.DepthSigma(SHAPE, mm_per_px=MM_PER_PX, correlation_px=length, probes=n)
-                off = np.abs(prepared(sigma, **arguments) / expected - 1)
+    for length in (0, 10, 20):
+        expected = monte_carlo_sigma(length, count)
+        for n in probes:
+            prepared = gelform.DepthSigma(SHAPE, mm_per_px=MM_PER_PX, correlation_px=length, probes=n)
+            for title, (sigma, arguments) in sigma_frames().items():
+                off = np.abs(prepared(sigma, **arguments) / expected[title] - 1)
                 row = table.setdefault(f"{title}, {n} probes", {})
                 row[f"{length} px: median"] = float(np.median(off))
                 row[f"{length} px: 95 %"] = float(np.quantile(off, 0.95))
     picture = np.zeros(SHAPE, dtype=np.float32)
-    sigma, anchor = sigma_frames()["contact 80 px, specks"]
-    weights = np.minimum(1, (NOISE / sigma) ** 2).astype(np.float32)
+    sigma, arguments = sigma_frames()["contact 80 px, specks"]
     for n in probes:
         prepared = gelform.DepthSigma(SHAPE, mm_per_px=MM_PER_PX, correlation_px=20, probes=n)
-        work = partial(prepared, sigma, weights=weights, anchor=anchor)
+        work = partial(prepared, sigma, **arguments)
         table[f"contact 80 px, specks, {n} probes"]["time / D"] = ratio(
             work, lambda: idctn(dctn(picture)), 100
         )[0]
     return table
 
 
-def sigma_frames() -> dict[str, tuple[Any, Any]]:
-    """Slope sigma and anchor of frames: anchored around a contact, with specks or patches, or nowhere."""
+def sigma_frames() -> dict[str, tuple[Any, dict[str, Any]]]:
+    """Slope sigma, weights and anchor: anchored around a contact, with specks or patches, or nowhere."""
     rng = np.random.default_rng(5)
     rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
 
@@ -256,24 +253,31 @@ def sigma_frames() -> dict[str, tuple[Any, Any]]:
         patches[where] = 10 ** rng.uniform(np.log10(0.1), np.log10(0.7))
     uneven = (even * np.exp(0.3 * rng.standard_normal(SHAPE))).astype(np.float32)
     uneven[:, :120] *= 1.8
-    return {
+    frames = {
         "contact 40 px": (even, anchored(100, 130, 40)),
         "contact 80 px, specks": (specks, anchored(120, 170, 80)),
         "contact 60 px, patches": (patches, anchored(110, 150, 60)),
         "no anchor, uneven": (uneven, None),
     }
+    return {
+        title: (sigma, {"weights": np.minimum(1, (NOISE / sigma) ** 2).astype(np.float32), "anchor": anchor})
+        for title, (sigma, anchor) in frames.items()
+    }
 
 
-def monte_carlo_sigma(sigma: Any, length: float, count: int, **arguments: Any) -> Any:
-    """Standard deviation of full solutions, half of the variance correlated where there is a length."""
+def monte_carlo_sigma(length: float, count: int) -> dict[str, Any]:
+    """Standard deviation of full solutions; half of the variance is correlated where there is a length."""
     rng = np.random.default_rng(1)
-    total = np.zeros(sigma.shape)
+    frames = sigma_frames()
+    total = {title: np.zeros(SHAPE) for title in frames}
     for _ in range(count):
-        errors = rng.standard_normal((*sigma.shape, 2))
+        errors = rng.standard_normal((*SHAPE, 2))
         if length:
-            errors = np.sqrt(0.5) * (errors + correlated_errors(sigma.shape, length, rng))
-        total += gelform.depth_from_gradients(sigma[..., None] * errors, **arguments).astype(np.float64) ** 2
-    return np.sqrt(total / count)
+            errors = np.sqrt(0.5) * (errors + correlated_errors(SHAPE, length, rng))
+        for title, (sigma, arguments) in frames.items():
+            depth = depth_of("multigrid", sigma[..., None] * errors, **arguments)
+            total[title] += depth.astype(np.float64) ** 2
+    return {title: np.sqrt(square / count) for title, square in total.items()}
 
 
 def correlated_errors(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Any:
