@@ -1,6 +1,6 @@
 """The solvers' tables and picture: accuracy, lies, noise, sigma, speed, memory, first start.
 
-    python benchmarks/solvers.py [--quick] [-o benchmarks/results]
+    python benchmarks/solvers.py [--quick] [--only WORD] [-o benchmarks/results]
 
 Times are CPU times of one thread, 10 % quantile, as ratios to D: a bare float32 scipy.fft dctn + idctn pair
 of the same size, taken in turn with what is measured, so that a busy machine hits both.
@@ -374,6 +374,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="fewer repeats, up to 480x640")
+    parser.add_argument("--only", help="measure the tables whose title contains this; keep the others")
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     options = parser.parse_args()
     few = 2 if options.quick else 5
@@ -387,6 +388,10 @@ def main() -> None:
         "Time / D (ms: absolute)": lambda: speed(SIZES[: 2 if options.quick else 4]),
         "Start and memory": lambda: start_and_memory(not options.quick),
     }
+    path = options.output / "solvers.json"
+    if options.only:
+        tables = {title: make for title, make in tables.items() if options.only in title}
+        results = json.loads(path.read_text())["tables"]
     for title, make in tables.items():
         results[title] = make()
         shown(title, results[title])
@@ -394,10 +399,9 @@ def main() -> None:
     shown("Growth: power of the pixels", results["Growth: power of the pixels"])
     options.output.mkdir(parents=True, exist_ok=True)
     about = {"machine": platform.machine(), "python": platform.python_version(), "numpy": np.__version__}
-    (options.output / "solvers.json").write_text(
-        json.dumps({"about": about, "tables": results}, indent=1) + "\n"
-    )
-    draw(results, options.output / "solvers.png")
+    path.write_text(json.dumps({"about": about, "tables": results}, indent=1) + "\n")
+    if not options.only:
+        draw(results, options.output / "solvers.png")
     print(f"\npeak memory of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
