@@ -43,8 +43,8 @@ class DepthSigma:
     correlated_share : float, 0-1
         Share of the variance that is correlated, if `correlation_px` > 0.
     probes : int, >= 2
-        Fields of random slope errors that are integrated; the relative error of the result is about
-        0.4/sqrt(probes), and the cost in proportion.
+        Fields of random slope errors that are integrated; 32 leave an error of 3 to 9 % in the
+        median over the frame.
     rng : numpy Generator
         Draws the probes; a fixed seed if None, so that the same arguments give the same map.
 
