@@ -1,6 +1,6 @@
 """The solvers' tables and picture: accuracy, lies, noise, sigma, speed, memory, first start.
 
-    python benchmarks/solvers.py [--quick] [-o benchmarks/results]
+    python benchmarks/solvers.py [--quick] [--only WORD] [-o benchmarks/results]
 
 Times are CPU times of one thread, 10 % quantile, as ratios to D: a bare float32 scipy.fft dctn + idctn pair
 of the same size, taken in turn with what is measured, so that a busy machine hits both.
@@ -210,49 +210,74 @@ def growth(table: Table) -> Table:
     return powers
 
 
-def uncertainty(count: int, probes: tuple[int, ...] = (32, 128)) -> Table:
-    """Standard deviation map, weighted and anchored, white and correlated, against Monte Carlo."""
-    rng = np.random.default_rng(1)
-    sample = scene(BALL, (120, 160), 2 * MM_PER_PX)
-    sigma = np.full((120, 160), NOISE)
-    sigma[:, :50] = 0.08
-    lying = ~with_liars(sample.gradients, 0.1, rng).valid
-    sigma[lying] = np.where(rng.uniform(size=np.count_nonzero(lying)) < 0.5, 0.25, 3.0)
-    weights = np.minimum(1, (NOISE / sigma) ** 2)
-    sigma = np.repeat(sigma[..., None], 2, axis=-1)
-    anchor = np.where(sample.depth_mm == 0, 1e-2, 0)
+def uncertainty(count: int, probes: tuple[int, ...] = (16, 32, 64)) -> Table:
+    """Standard deviation map, weighted, white and correlated, against full Monte Carlo; its time once prepared."""
     table: Table = {}
     for length in (0, 10, 20):
-        arguments = {"mm_per_px": 2 * MM_PER_PX, "weights": weights, "anchor": anchor}
-        total = np.zeros((120, 160))
-        for _ in range(count):
-            errors = sigma * rng.standard_normal((120, 160, 2))
-            if length:
-                errors = np.sqrt(0.5) * (errors + sigma * correlated_errors((120, 160), length, rng))
-            total += gelform.depth_from_gradients(errors, **arguments).astype(np.float64) ** 2
+        expected = monte_carlo_sigma(length, count)
         for n in probes:
-            found = gelform.depth_sigma(sigma, correlation_px=length, probes=n, **arguments)
-            off = np.abs(found / np.sqrt(total / count) - 1)
-            row = table.setdefault(f"correlation {length} px, {n} probes", {})
-            row["median error"] = float(np.median(off))
-            row["error at 95 % of pixels"] = float(np.quantile(off, 0.95))
-    big = np.full((*SHAPE, 2), NOISE)
+            prepared = gelform.DepthSigma(SHAPE, mm_per_px=MM_PER_PX, correlation_px=length, probes=n)
+            for title, (sigma, arguments) in sigma_frames().items():
+                off = np.abs(prepared(sigma, **arguments) / expected[title] - 1)
+                row = table.setdefault(f"{title}, {n} probes", {})
+                row[f"{length} px: median"] = float(np.median(off))
+                row[f"{length} px: 95 %"] = float(np.quantile(off, 0.95))
     picture = np.zeros(SHAPE, dtype=np.float32)
-    weights = np.random.default_rng(0).uniform(0.2, 1, SHAPE)
+    sigma, arguments = sigma_frames()["contact 80 px, specks"]
     for n in probes:
-        work = partial(
-            gelform.depth_sigma,
-            big,
-            mm_per_px=MM_PER_PX,
-            weights=weights,
-            anchor=1e-2,
-            correlation_px=20,
-            probes=n,
-        )
-        table[f"correlation 20 px, {n} probes"]["time / D, 240x320"] = ratio(
-            work, lambda: idctn(dctn(picture)), 7
+        prepared = gelform.DepthSigma(SHAPE, mm_per_px=MM_PER_PX, correlation_px=20, probes=n)
+        work = partial(prepared, sigma, **arguments)
+        table[f"contact 80 px, specks, {n} probes"]["time / D"] = ratio(
+            work, lambda: idctn(dctn(picture)), 100
         )[0]
     return table
+
+
+def sigma_frames() -> dict[str, tuple[Any, dict[str, Any]]]:
+    """Slope sigma, weights and anchor: anchored around a contact, with specks or patches, or nowhere."""
+    rng = np.random.default_rng(5)
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+
+    def disc(row: float, col: float, radius: float) -> Any:
+        return np.hypot(rows - row, cols - col) < radius
+
+    def anchored(row: float, col: float, radius: float) -> Any:
+        return np.where(disc(row, col, radius), 0, 1e-2).astype(np.float32)
+
+    even = np.full(SHAPE, NOISE, dtype=np.float32)
+    specks, patches = even.copy(), even.copy()
+    bad = rng.uniform(size=SHAPE) < 0.1
+    specks[bad] = 10 ** rng.uniform(np.log10(0.06), np.log10(0.9), np.count_nonzero(bad))
+    for _ in range(25):
+        where = disc(rng.uniform(0, SHAPE[0]), rng.uniform(0, SHAPE[1]), rng.uniform(5, 15))
+        patches[where] = 10 ** rng.uniform(np.log10(0.1), np.log10(0.7))
+    uneven = (even * np.exp(0.3 * rng.standard_normal(SHAPE))).astype(np.float32)
+    uneven[:, :120] *= 1.8
+    frames = {
+        "contact 40 px": (even, anchored(100, 130, 40)),
+        "contact 80 px, specks": (specks, anchored(120, 170, 80)),
+        "contact 60 px, patches": (patches, anchored(110, 150, 60)),
+        "no anchor, uneven": (uneven, None),
+    }
+    return {
+        title: (sigma, {"weights": np.minimum(1, (NOISE / sigma) ** 2).astype(np.float32), "anchor": anchor})
+        for title, (sigma, anchor) in frames.items()
+    }
+
+
+def monte_carlo_sigma(length: float, count: int) -> dict[str, Any]:
+    """Standard deviation of full solutions; half of the variance is correlated where there is a length."""
+    rng = np.random.default_rng(1)
+    frames = sigma_frames()
+    total = {title: np.zeros(SHAPE) for title in frames}
+    for _ in range(count):
+        errors = rng.standard_normal((*SHAPE, 2))
+        if length:
+            errors = np.sqrt(0.5) * (errors + correlated_errors(SHAPE, length, rng))
+        for title, (sigma, arguments) in frames.items():
+            depth = depth_of("multigrid", sigma[..., None] * errors, **arguments)
+            total[title] += depth.astype(np.float64) ** 2
+    return {title: np.sqrt(square / count) for title, square in total.items()}
 
 
 def correlated_errors(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Any:
@@ -349,6 +374,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="fewer repeats, up to 480x640")
+    parser.add_argument("--only", help="measure the tables whose title contains this; keep the others")
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     options = parser.parse_args()
     few = 2 if options.quick else 5
@@ -362,6 +388,10 @@ def main() -> None:
         "Time / D (ms: absolute)": lambda: speed(SIZES[: 2 if options.quick else 4]),
         "Start and memory": lambda: start_and_memory(not options.quick),
     }
+    path = options.output / "solvers.json"
+    if options.only:
+        tables = {title: make for title, make in tables.items() if options.only in title}
+        results = json.loads(path.read_text())["tables"]
     for title, make in tables.items():
         results[title] = make()
         shown(title, results[title])
@@ -369,10 +399,9 @@ def main() -> None:
     shown("Growth: power of the pixels", results["Growth: power of the pixels"])
     options.output.mkdir(parents=True, exist_ok=True)
     about = {"machine": platform.machine(), "python": platform.python_version(), "numpy": np.__version__}
-    (options.output / "solvers.json").write_text(
-        json.dumps({"about": about, "tables": results}, indent=1) + "\n"
-    )
-    draw(results, options.output / "solvers.png")
+    path.write_text(json.dumps({"about": about, "tables": results}, indent=1) + "\n")
+    if not options.only:
+        draw(results, options.output / "solvers.png")
     print(f"\npeak memory of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 

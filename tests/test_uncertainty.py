@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelform.depth import depth_from_gradients
-from gelform.uncertainty import depth_sigma
+from gelform.uncertainty import DepthSigma, depth_sigma
 from scenes import gaussian, scene, with_liars
 
 SHAPE = (72, 96)
@@ -127,6 +129,59 @@ def test_odd_sizes_and_masks():
     assert found.shape == (37, 51)
     assert np.all(np.isfinite(found))
     assert found[mask].min() > 0
+
+
+def test_prepared_once_gives_the_same_and_keeps_nothing():
+    sigma, weights, anchor = uneven()
+    prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=8)
+    first = prepared(sigma, weights=weights, anchor=anchor)
+    prepared(2 * sigma, weights=weights**2, level="plane")
+    assert np.array_equal(prepared(sigma, weights=weights, anchor=anchor), first)
+    arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 8}
+    assert np.array_equal(depth_sigma(sigma, **arguments), first)
+    assert prepared(sigma[..., 0], weights=weights, anchor=anchor) == pytest.approx(first, rel=1e-4)
+
+
+def test_threads_share_a_prepared_one():
+    sigma, weights, anchor = uneven()
+    prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=8)
+    jobs = [k % 3 + 1 for k in range(12)]
+    alone = {k: prepared(k * sigma, weights=weights**k, anchor=anchor) for k in (1, 2, 3)}
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda k: prepared(k * sigma, weights=weights**k, anchor=anchor), jobs))
+    assert all(np.array_equal(f, alone[k]) for f, k in zip(found, jobs))
+
+
+def test_default_probes_meet_monte_carlo():
+    """What the frame of a Reconstructor gets: anchored off a contact, correlated errors, 32 probes."""
+    sigma, weights, anchor = uneven()
+    expected = monte_carlo(sigma, 10, 0.5, weights=weights, anchor=anchor)
+    prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=10)
+    off = deviation(prepared(sigma, weights=weights, anchor=anchor), expected)
+    assert np.median(off) < 0.1
+    assert np.mean(off < 0.25) > 0.9
+
+
+def test_a_hole_without_any_slope_follows_its_fill():
+    """Monte Carlo through the door, which fills slopes of weight 0 from their neighbours."""
+    sigma = np.full((*SHAPE, 2), 0.05)
+    weights = np.ones(SHAPE)
+    weights[20:50, 30:70] = 0
+    expected = monte_carlo(sigma, 10, 0.5, weights=weights)
+    off = deviation(DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=10)(sigma, weights=weights), expected)
+    assert np.median(off) < 0.16
+    assert np.median(off[20:50, 30:70]) < 0.22
+
+
+def test_prepared_settings_and_arguments_are_checked():
+    with pytest.raises(ValueError, match="Expected probes >= 2, got 1"):
+        DepthSigma(SHAPE, mm_per_px=PITCH, probes=1)
+    with pytest.raises(ValueError, match=r"gradients_sigma of shape \(72, 96, 2\), got \(4, 5\)"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones((4, 5)))
+    with pytest.raises(ValueError, match=r"weights of shape \(72, 96\), got \(2, 72, 96\)"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), weights=np.ones((2, *SHAPE)))
+    with pytest.raises(ValueError, match="Expected weights with at least one value > 0"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), weights=np.zeros(SHAPE))
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ _HOME = {
     "Integration": "gelform.depth",
     "edge_residuals": "gelform.depth",
     "depth_sigma": "gelform.uncertainty",
+    "DepthSigma": "gelform.uncertainty",
     "contact_from_depth": "gelform.contact",
     "read_presses": "gelform.calibration.folder",
     "calibrate": "gelform.calibration.fit",
@@ -81,7 +82,7 @@ if TYPE_CHECKING:
     from gelform.record import Calibration, load_calibration
     from gelform.sensors.files import read_image
     from gelform.solvers.warmup import warmup
-    from gelform.uncertainty import depth_sigma
+    from gelform.uncertainty import DepthSigma, depth_sigma
     from gelform.view import View, frame_from_image, image_from_frame
 
 __all__ = ["__version__", *_HOME]

@@ -118,9 +118,7 @@ def test_cycle_is_symmetric_and_nearly_the_inverse(shape, anchored):
     for k in range(count):
         hierarchy.data[DEPTH : SEARCH + 1, : shape[0] + 3] = 0
         hierarchy.data[RIGHT_SIDE][frame] = np.eye(count)[k].reshape(shape)
-        solve(
-            hierarchy.data, hierarchy.levels, hierarchy.dense, hierarchy._line, hierarchy._past, 0.0, 1e-4, 0
-        )
+        solve(hierarchy.data, hierarchy.levels, hierarchy.dense, *hierarchy.scratch, 0.0, 1e-4, 0)
         columns.append(hierarchy.data[ANSWER][frame].ravel().astype(np.float64))
     cycle = np.array(columns)
     assert cycle == pytest.approx(cycle.T, abs=1e-4 * np.abs(cycle).max())

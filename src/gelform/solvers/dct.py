@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+import scipy  # its parts load at first use: a weighted solve needs none of them
 from numba import njit
 from numpy.typing import NDArray
-from scipy.fft import dct, idct
 
 from gelform.solvers.edges import divergence, edges_from_gradients
 from gelform.solvers.pool import Pool
@@ -63,9 +63,9 @@ class DctSolver:
             _right_side(frame, work, 0.5 * hy * hy / hx, 0.5 * hy)
         else:
             work[...] = divergence(edges_from_gradients(frame, order=4), self.mm_per_px) * np.float32(hy * hy)
-        spectrum = dct(work, axis=-1, overwrite_x=True)
+        spectrum = scipy.fft.dct(work, axis=-1, overwrite_x=True)
         _sweep(spectrum, self._pivots, self._splits, self._last)
-        depth = idct(spectrum, axis=-1, overwrite_x=True)
+        depth = scipy.fft.idct(spectrum, axis=-1, overwrite_x=True)
         if depth is not out:
             out[...] = depth
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use: a weighted solve needs none of them
 from numpy.typing import NDArray
-from scipy.fft import dstn, idstn
 
 from gelform.solvers.edges import divergence, edges_from_gradients
 
@@ -32,6 +32,6 @@ class DstSolver:
         depth = np.zeros(g.shape[:-1], dtype=np.float32)
         if min(self.shape) > 2:
             right = divergence(edges_from_gradients(g), self.mm_per_px)[..., 1:-1, 1:-1]
-            spectrum = dstn(right, type=1, axes=(-2, -1)) * self._inverse
-            depth[..., 1:-1, 1:-1] = idstn(spectrum, type=1, axes=(-2, -1))
+            spectrum = scipy.fft.dstn(right, type=1, axes=(-2, -1)) * self._inverse
+            depth[..., 1:-1, 1:-1] = scipy.fft.idstn(spectrum, type=1, axes=(-2, -1))
         return depth

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use: a weighted solve needs none of them
 from numpy.typing import NDArray
-from scipy.fft import irfft2, rfft2
 
 
 class FourierSolver:
@@ -33,5 +33,5 @@ class FourierSolver:
     def __call__(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
         """Depth (..., H, W) in mm, mean 0, of gradients (..., H, W, 2)."""
         g = np.asarray(gradients, dtype=np.float32)
-        spectrum = self._from_p * rfft2(g[..., 0]) + self._from_q * rfft2(g[..., 1])
-        return np.asarray(irfft2(spectrum, s=self.shape), dtype=np.float32)
+        spectrum = self._from_p * scipy.fft.rfft2(g[..., 0]) + self._from_q * scipy.fft.rfft2(g[..., 1])
+        return np.asarray(scipy.fft.irfft2(spectrum, s=self.shape), dtype=np.float32)

@@ -35,8 +35,8 @@ class Hierarchy:
         self.data = np.zeros((PLANES, levels[-1][0] + levels[-1][1] + 3, shape[1] + 3), dtype=np.float32)
         self.dense = np.zeros((COARSEST, COARSEST), dtype=np.float32)
         self._frame = slice(1, shape[0] + 1), slice(1, shape[1] + 1)
-        self._line = np.zeros((3, shape[1] + 3), dtype=np.float32)
-        self._past = np.zeros(4)
+        # Of a solve: lines of the frame's width, and the errors of the last four iterations.
+        self.scratch = np.zeros((3, shape[1] + 3), dtype=np.float32), np.zeros(4)
         self._lines = np.zeros(LINES * N, dtype=np.float32)
         self._elimination = np.zeros((COARSEST, 2 * COARSEST))
         self._built = False
@@ -60,7 +60,7 @@ class Hierarchy:
         if start is not None:
             self.data[DEPTH][self._frame] = start
         done, estimate = solve(
-            self.data, self.levels, self.dense, self._line, self._past, scale, tolerance, max_iterations
+            self.data, self.levels, self.dense, *self.scratch, scale, tolerance, max_iterations
         )
         if not estimate <= tolerance:
             self._built = False

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use: a weighted solve needs none of them
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import spsolve
 
 from gelform.solvers.cycle import ANCHOR, EAST, RIGHT_SIDE, SOUTH
 from gelform.solvers.system import Problem, Solution, Weights, load, problem_from_gradients
@@ -32,20 +30,20 @@ class SparseSolver:
         problem = problem_from_gradients(gradients, weights, mask, anchor)
         matrix, right = normal_equations(problem, self.mm_per_px)
         # Pixels of an island without an anchor have no absolute height: one of them is held at 0.
-        _, island = connected_components(matrix, directed=False)
+        _, island = scipy.sparse.csgraph.connected_components(matrix, directed=False)
         anchored = np.bincount(island, weights=problem.anchor.ravel()) > 0
         first = np.unique(island, return_index=True)[1]
         free = np.ones(right.size, dtype=bool)
         free[first[~anchored]] = False
         depth = np.zeros(right.size)
         if free.any():
-            depth[free] = spsolve(matrix[free][:, free].tocsc(), right[free])
+            depth[free] = scipy.sparse.linalg.spsolve(matrix[free][:, free].tocsc(), right[free])
         return Solution(depth.reshape(self.shape).astype(np.float32), problem.known, 0, 0.0)
 
 
 def normal_equations(
     problem: Problem, mm_per_px: tuple[float, float]
-) -> tuple[csr_matrix, NDArray[np.float64]]:
+) -> tuple[scipy.sparse.csr_matrix, NDArray[np.float64]]:
     """Matrix (H*W, H*W) and right side of the least-squares problem, in float64."""
     height, width = problem.mask.shape
     data = np.zeros((RIGHT_SIDE + 1, height + 3, width + 3))
@@ -55,8 +53,8 @@ def normal_equations(
     one = np.concatenate([pixel[:, :-1].ravel(), pixel[:-1].ravel()])
     other = np.concatenate([pixel[:, 1:].ravel(), pixel[1:].ravel()])
     tie = np.concatenate([planes[0][:, :-1].ravel(), planes[1][:-1].ravel()])
-    coupling = csr_matrix((tie, (one, other)), shape=(pixel.size, pixel.size))
+    coupling = scipy.sparse.csr_matrix((tie, (one, other)), shape=(pixel.size, pixel.size))
     coupling = coupling + coupling.T
     coupling.eliminate_zeros()
     diagonal: Any = np.asarray(coupling.sum(axis=1)).ravel() + planes[2].ravel()
-    return csr_matrix(diags(diagonal) - coupling), planes[3].ravel()
+    return scipy.sparse.csr_matrix(scipy.sparse.diags(diagonal) - coupling), planes[3].ravel()

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gelform.solvers.cells import Cells, sigma_of_pixels
 from gelform.solvers.conjugate import solve
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.hierarchy import build
 from gelform.solvers.multigrid import MultigridSolver
+from gelform.solvers.probes import ProbeSolver, white_draws
 
 MESSAGE = "Compiling the depth solvers for this machine: some seconds, once."
 
@@ -35,6 +38,18 @@ def warmup(progress: Callable[[str], None] | None = None) -> None:
     weights[3, 4] = 0
     DctSolver((8, 9), (1.0, 1.0))(gradients)
     MultigridSolver((8, 9), (1.0, 1.0))(gradients, weights)
+    _warm_sigma(gradients + 1, weights)
+
+
+def _warm_sigma(sigma: NDArray[np.float32], weights: NDArray[np.float32]) -> None:
+    """The kernels of `depth_sigma`, for slopes apart and alike."""
+    draws = white_draws(2, (4, 5), np.random.default_rng(0))
+    everywhere = np.ones(weights.shape, dtype=bool)
+    for slopes in (sigma, np.ascontiguousarray(sigma[..., :1])):
+        cells = Cells(slopes, weights, everywhere, weights, everywhere, np.float32(1e-3), 2)
+        variance = ProbeSolver(draws, draws, (2.0, 2.0))(cells.white, cells.common, cells.problem)[..., 0]
+        pixels, within = np.repeat(np.repeat(variance, 2, 0), 2, 1), np.ones(2, dtype=np.float32)
+        sigma_of_pixels(pixels, slopes, within, weights, np.float32(1e-3), weights, np.empty_like(weights))
 
 
 def _is_kept(kernel: object) -> bool:

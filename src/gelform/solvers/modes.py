@@ -1,0 +1,68 @@
+"""Variance of depth from white or correlated slope errors of one size, in closed form: cosine modes.
+
+`Var z = sum C_l[i]^2 C_k[j]^2 (Kx_k, Ky_l)/lambda^2` over cosine modes C, with lambda the eigenvalue of the
+normal equations and K that of the averaged slopes' divergence, sin^2(pi k/W).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# The frame of so many cells, square, in whose middle the uniform frame's errors are looked up.
+TRIAL = 32
+
+
+@lru_cache(maxsize=8)
+def variance_of_white(
+    shape: tuple[int, int], pitch: tuple[float, float]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Variance (H, W) of zero-mean depth per unit variance of white errors of p, and of q."""
+    modes, eigen, gain = zip(*(_modes(n, h) for n, h in zip(shape, pitch[::-1])))
+    square = (eigen[0][:, None] + eigen[1]) ** 2
+    square[0, 0] = np.inf
+    return modes[0].T @ (gain[1] / square) @ modes[1], modes[0].T @ (gain[0][:, None] / square) @ modes[1]
+
+
+@lru_cache(maxsize=64)
+def variance_within_cells(aspect: float, cell: int) -> tuple[float, float]:
+    """Variance of depth per unit of white slope errors (of p, of q) and pixel area that a grid of cells misses.
+
+    That of pixels minus that of cells, in the middle of a uniform frame; `aspect` is the pitch along x over
+    that along y, `cell` the pixels across a cell. (Of correlated errors cells miss next to nothing.)
+    """
+    pitch = np.sqrt(aspect), 1 / np.sqrt(aspect)
+    size = TRIAL * cell
+    fine = variance_of_white((size, size), pitch)
+    coarse = variance_of_white((TRIAL, TRIAL), (cell * pitch[0], cell * pitch[1]))
+    middle, inner = (slice(3 * n // 8, 5 * n // 8) for n in (size, TRIAL))
+    x, y = (float(f[middle, middle].mean() - c[inner, inner].mean() / cell**2) for f, c in zip(fine, coarse))
+    return x, y
+
+
+def correlation_of_cells(correlation_px: float, cell: int) -> tuple[float, float]:
+    """Length, in cells, and variance of correlated errors of length `correlation_px` and variance 1.
+
+    They are averaged over a cell, as if over a Gaussian of the same second moment: longer and weaker, with
+    the same power at low frequencies.
+    """
+    if correlation_px == 0:
+        return 0.0, 1 / cell**2
+    length = np.sqrt(correlation_px**2 / cell**2 + 1 / 6)
+    return float(length), float((_extent(correlation_px) / (cell * _extent(length))) ** 2)
+
+
+def _extent(length: float) -> float:
+    """Sum of exp(-d^2/(2 length^2)) along a row."""
+    distance = np.arange(-int(8 * length) - 1, int(8 * length) + 2)
+    return float(np.sum(np.exp(-(distance**2) / (2 * length**2))))
+
+
+def _modes(count: int, pitch: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Squares of the cosine modes (mode, place), their eigenvalues, the gain of averaged slopes."""
+    k = np.arange(count)
+    modes = np.cos(np.pi * k[:, None] * (k + 0.5) / count) ** 2 * np.where(k == 0, 1, 2)[:, None] / count
+    return modes, (2 * np.sin(np.pi * k / (2 * count)) / pitch) ** 2, (np.sin(np.pi * k / count) / pitch) ** 2
