@@ -2,6 +2,7 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -173,3 +174,32 @@ def test_wrong_slopes_that_are_known_to_be_wrong_do_no_harm(calibration, press):
     glint = {s: gelform.Reconstructor(calibration, solver=s)(image).depth_mm for s in ("auto", "dct")}
     off = {s: np.sqrt(np.mean((glint[s] - clean[s]) ** 2)) for s in clean}
     assert off["auto"] < 0.3 * off["dct"]
+
+
+def test_depth_says_how_well_it_is_known(calibration, sensor):
+    """Against exact truth, on presses of other balls than calibration had: about two thirds within one sigma."""
+    rng = np.random.default_rng(8)
+    shares, contact = [], []
+    for radius_mm, center in ((3.0, (1.0, -0.5)), (3.4, (-2.0, 1.0)), (2.8, (2.5, 1.5))):
+        made = simulate_press(sensor, Ball(radius_mm), depth_mm=0.6, center_mm=center, rng=rng)
+        result = gelform.Reconstructor(calibration)(made.image)
+        within = np.abs(result.depth_mm - made.depth_mm) < result.depth_sigma_mm
+        shares.append(within.mean())
+        contact.append(within[made.contact].mean())
+    assert result.depth_sigma_mm.shape == result.depth_mm.shape
+    assert result.depth_sigma_mm.min() > 0
+    assert 0.5 < np.mean(shares) < 0.99
+    assert 0.3 < np.mean(contact) < 0.97
+
+
+def test_depth_sigma_can_be_left_out(calibration, press):
+    result = gelform.Reconstructor(calibration, depth_sigma=False)(press.image)
+    assert result.depth_sigma_mm is None
+
+
+def test_what_all_slopes_share_moves_depth_in_proportion(calibration, press):
+    alike = replace(calibration, slope_sigma=replace(calibration.slope_sigma, gain_sigma=0.5))
+    alone = replace(calibration, slope_sigma=replace(calibration.slope_sigma, gain_sigma=0.0))
+    one, other = (gelform.Reconstructor(c)(press.image) for c in (alike, alone))
+    expected = np.hypot(other.depth_sigma_mm, 0.5 * other.depth_mm)
+    np.testing.assert_allclose(one.depth_sigma_mm, expected, rtol=1e-5)

@@ -53,6 +53,7 @@ class SlopeSigma:
     ----------
     rest : of untouched gel
     slopes, sigmas : a law in contact, linear between these |gradient| and proportional beyond the last
+    gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
     clean : the value on a good pixel in contact: confidence is 1 up to it
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
@@ -65,10 +66,13 @@ class SlopeSigma:
     clean: float
     correlation_px: float
     correlated_share: float = 1.0
+    gain_sigma: float = 0.0
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
 
     @classmethod
-    def fit(cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float) -> SlopeSigma:
+    def fit(
+        cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float, gain_sigma: float = 0.0
+    ) -> SlopeSigma:
         """The law and the factors that hold 68 % of the held-out errors within one sigma, everywhere alike."""
         slopes, error = held_out.slopes, np.abs(held_out.errors)
         edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
@@ -92,6 +96,7 @@ class SlopeSigma:
             clean=max(clean, 1e-5),
             correlation_px=float(correlation_px),
             correlated_share=float(correlated_share),
+            gain_sigma=float(gain_sigma),
             place=tuple(tuple(float(v) for v in row) for row in place),
         )
 

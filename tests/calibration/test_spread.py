@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import gelform
-from gelform.calibration.spread import LAGS, _lag_products, correlation_from_products
+from gelform.calibration.spread import LAGS, _lag_products, correlation_from_products, gain_of
 from gelform.metrics import ball_center, ball_gradients
 
 
@@ -47,3 +47,10 @@ def test_sigma_holds_on_presses_never_seen(calibration, sensor):
         rest.append(within[rho > 3.5 * press.contact_radius_px].mean())
     assert 0.45 < np.mean(inside) < 0.9
     assert 0.45 < np.nanmean(rest) < 0.9
+
+
+def test_gain_of_a_press():
+    truth = np.random.default_rng(0).normal(0, 0.3, (20, 30, 2))
+    seen = 0.93 * truth
+    truth[3, 4] = np.nan
+    assert gain_of(seen, truth) == pytest.approx(0.93)

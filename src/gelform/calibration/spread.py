@@ -32,11 +32,12 @@ def slope_sigma_from_folds(
     """
     share_seen = np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds])
     step = max(1, round(scale_of(presses[0].size.shape)))
-    parts, rest, products = [], [], []
+    parts, rest, products, gains = [], [], [], []
     for model, fold in zip(models, folds):
         for i in fold.held_out:
             seen, error, rows, cols = _residual_map(presses[i], found[i], model)
             products.append(_lag_products(error, step))
+            gains.append(gain_of(seen, seen - error))
             thin = slice(None, None, max(1, len(rows) // PER_PRESS))
             at = (rows - rows.min())[thin], (cols - cols.min())[thin]
             height, width = presses[i].size.shape
@@ -53,7 +54,14 @@ def slope_sigma_from_folds(
     slopes, errors, x, y, press = (np.concatenate([part[k] for part in parts]) for k in range(5))
     length, share = correlation_from_products(np.mean(products, axis=0), step)
     held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, np.concatenate(rest))
-    return SlopeSigma.fit(held_out, length, share)
+    gain_sigma = float(np.sqrt(share_seen * np.mean((np.array(gains) - 1) ** 2)))
+    return SlopeSigma.fit(held_out, length, share, gain_sigma)
+
+
+def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Slopes over true ones, by least squares; both (..., 2), NaN where nothing is known."""
+    known = np.isfinite(truth)
+    return float((seen[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
 
 
 def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
