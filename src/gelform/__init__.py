@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "read_image": "gelform.sensors.files",
+    "Video": "gelform.sensors.video_files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
     "image_from_frame": "gelform.view",
@@ -34,6 +35,7 @@ _HOME = {
     "depth_sigma": "gelform.uncertainty",
     "contact_from_depth": "gelform.contact",
     "read_presses": "gelform.calibration.folder",
+    "presses_from_frames": "gelform.calibration.video",
     "calibrate": "gelform.calibration.fit",
     "evaluate": "gelform.calibration.evaluate",
     "Calibration": "gelform.record",
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from gelform.calibration.evaluate import evaluate
     from gelform.calibration.fit import calibrate
     from gelform.calibration.folder import read_presses
+    from gelform.calibration.video import presses_from_frames
     from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
@@ -78,6 +81,7 @@ if TYPE_CHECKING:
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration
     from gelform.sensors.files import read_image
+    from gelform.sensors.video_files import Video
     from gelform.solvers.warmup import warmup
     from gelform.uncertainty import depth_sigma
     from gelform.view import View, frame_from_image, image_from_frame

@@ -181,7 +181,9 @@ def _draft(
         mm_per_px=presses.mm_per_px,
         mm_per_px_sigma=presses.mm_per_px_sigma,
         background=presses.background,
-        background_noise=_pixel_noise(presses.background),
+        background_noise=_pixel_noise(presses.background)
+        if presses.background_noise is None
+        else presses.background_noise,
         change=change_settings(presses.image_shape, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
@@ -283,6 +285,7 @@ def _report(
     notes += tuple(
         f"{name} was left out: it divides by the background, which has pixels of 0." for name in left_out
     )
+    notes += presses.notes
     if presses.response != 1:
         notes += (
             f"The camera's response, exponent {presses.response:g}, is absorbed in the model, not undone.",

@@ -18,9 +18,11 @@ from gelform.calibration.packages import (
 )
 from gelform.calibration.press_set import Asked, Listed, Press, Presses, Source, press_from_frame
 from gelform.calibration.tables import diameter, number, table_rows
+from gelform.calibration.video import presses_from_video
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.video_files import is_video
 from gelform.view import image_from_frame
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
@@ -42,7 +44,7 @@ def read_presses(
     Parameters
     ----------
     path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
-        py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images with `ball_diameter_mm`
+        py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images or a video with `ball_diameter_mm`
     sensor : name of a profile, which gives the view and mm_per_px
     mm_per_px : pixel pitch, mm; goes before sensor.toml and the profile
     ball_diameter_mm : for data that do not name it
@@ -53,22 +55,27 @@ def read_presses(
     Raises
     ------
     DataError
-        The data, a table, a column or an image is missing or unreadable, sizes differ, no scale is known, or
-        a ball diameter is not a number > 0. The message says what was expected and what to do.
+        The data, a table, a column or an image is missing or unreadable, sizes differ, no scale is known,
+        a ball diameter is not a number > 0, or a video shows no untouched gel or no press (see
+        `presses_from_frames`). The message says what was expected and what to do.
     """
     place = Path(path)
     asked = Asked(sensor, mm_per_px, ball_diameter_mm, Path(background) if background else None, crop)
     kind = kind_of_presses(place)
+    if kind == VIDEO:
+        return presses_from_video(place, asked, progress)
     if kind is None:
         is_what = "a file of another kind" if place.exists() else "not there"
         raise DataError(
-            f"Expected a folder of presses or a Taxim dataPack.npz, got {place}, which is {is_what}."
+            f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
         )
     return _read(place, SOURCES[kind](place, asked), asked, progress)
 
 
 def kind_of_presses(place: Path) -> str | None:
-    """What layout of presses is at a path: a name in `SOURCES`, or None."""
+    """What layout of presses is at a path: VIDEO, a name in `SOURCES`, or None."""
+    if place.is_file() and is_video(place):
+        return VIDEO
     if (place / "presses.csv").is_file():
         return PRESS_FOLDER
     if (place / "catalog.csv").is_file():
@@ -161,7 +168,7 @@ def plain_source(folder: Path, asked: Asked) -> Source:
 
 
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
-TAXIM, PLAIN = "Taxim dataPack", "folder of images"
+TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
 SOURCES: Mapping[str, Callable[[Path, Asked], Source]] = {
     PRESS_FOLDER: press_folder_source,
     GS_SDK: gs_sdk_source,
