@@ -20,6 +20,8 @@ _HOME = {
     "ChangeSettings": "gelform.background",
     "color_change_from_image": "gelform.background",
     "image_from_color_change": "gelform.background",
+    "Markers": "gelform.markers",
+    "markers_from_image": "gelform.markers",
     "normals_from_image": "gelform.normals",
     "image_from_normals": "gelform.normals",
     "normals_from_gradients": "gelform.normals",
@@ -69,6 +71,7 @@ if TYPE_CHECKING:
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
+    from gelform.markers import Markers, markers_from_image
     from gelform.metrics import press_errors
     from gelform.normals import (
         image_from_normals,

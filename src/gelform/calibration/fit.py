@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.background import ChangeSettings, check_background, color_change_from_image
+from gelform.background import ChangeSettings, check_background
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.ladder import Candidate, candidates_for
+from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
@@ -29,6 +30,7 @@ from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
+from gelform.markers import MarkerFinder
 from gelform.metrics import PressErrors, ball_center
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
@@ -87,16 +89,17 @@ def calibrate(
 def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
     """Color changes of all presses, checked against the background."""
     settings = change_settings(presses.image_shape, offset)
+    finder = MarkerFinder(presses.background)
     prepared = []
     for done, press in enumerate(presses.presses):
         try:
             check_background(press.image, presses.background)
         except CalibrationError as problem:
             raise CalibrationError(f"{press.name}: {problem}") from None
-        change = color_change_from_image(press.image, presses.background, settings)
+        change, usable = change_without_markers(press.image, presses.background, settings, finder)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
-        prepared.append(PreparedPress(press.name, change, size, radius_px))
+        prepared.append(PreparedPress(press.name, change, size, radius_px, usable))
         progress(done + 1, len(presses.presses), "preparing")
     return prepared
 
