@@ -115,6 +115,18 @@ def test_the_untouched_state_comes_back_though_a_press_was_held_longer():
     assert not rest[11:71].any()
 
 
+def test_the_untouched_state_comes_back_though_the_pressed_gel_is_smoother():
+    levels = sequence(8, [None] * 8, 4, [None] * 8, 4)
+    for start, x in ((8, 12), (20, 36)):  # a flat object takes the gel's own slope of colour away
+        box = (slice(start, start + 8), slice(4, 32), slice(x - 11, x + 11))
+        levels[box] = levels[box].mean(axis=(1, 2), keepdims=True)
+    rest = untouched(levels, distances(levels[1:], levels[:-1]))
+    assert rest[:7].all()
+    assert rest[17:19].all()
+    assert not rest[8:16].any()
+    assert not rest[20:28].any()
+
+
 def test_one_press_held_to_the_end_leaves_the_smooth_state_untouched():
     levels = sequence(8, press(12, 10, hold=40)[:-3])
     rest, _ = found_in(levels)

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from gelform import __version__
 from gelform.background import ChangeSettings, check_background
+from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
+from gelform.calibration.inputs import check_inputs, input_notes
 from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
@@ -70,6 +72,7 @@ def calibrate(
     """
     started = time.monotonic()
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
+    check_inputs(presses)
     prepared = prepare(presses, COLOR_MODELS["polynomial"].change_offset, progress=progress)
     found = [find_contact_of(press, progress, i, len(prepared)) for i, press in enumerate(prepared)]
     refined, folds = _refined_and_folded(prepared, found, progress)
@@ -83,6 +86,9 @@ def calibrate(
     errors, sigma = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
     report = _report(presses, refined, errors, selection, left_out, time.monotonic() - started)
+    used = refined.accepted
+    notes = input_notes(presses, [prepared[i] for i in used], [refined.contacts[i] for i in used])
+    report = replace(report, notes=(*report.notes, *notes))
     return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
 
 
@@ -139,7 +145,10 @@ def _check_enough(presses: Presses, refined: Refined) -> None:
     raise CalibrationError(
         f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        "Press a ball of known diameter firmly at many places, one image each, not deeper than half its radius."
+        "Press a ball of known diameter firmly at many places, one image each, not deeper than half its radius. "
+        + " ".join(
+            coverage_notes([refined.contacts[i].circle_px for i in refined.accepted], presses.image_shape)
+        )
     )
 
 
@@ -288,7 +297,6 @@ def _report(
     notes += tuple(
         f"{name} was left out: it divides by the background, which has pixels of 0." for name in left_out
     )
-    notes += presses.notes
     if presses.response != 1:
         notes += (
             f"The camera's response, exponent {presses.response:g}, is absorbed in the model, not undone.",
