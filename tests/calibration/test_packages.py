@@ -101,6 +101,17 @@ def test_taxim_pack_is_turned_to_rgb(pack, simulated, where):
         assert press.label == pytest.approx((*true.center_px, round(true.contact_radius_px)))
 
 
+def test_what_counts_as_a_taxim_pack(pack, tmp_path):
+    arrays, path = pack
+    np.savez(tmp_path / "renamed.npz", **arrays)
+    assert kind_of_presses(tmp_path / "renamed.npz") == "Taxim dataPack"
+    np.savez(tmp_path / "else.npz", depth=np.zeros(3))
+    assert kind_of_presses(tmp_path / "else.npz") is None
+    (tmp_path / "text.npz").write_text("no archive")
+    with pytest.raises(gelform.DataError, match="a file of another kind"):
+        gelform.read_presses(tmp_path / "text.npz")
+
+
 def test_taxim_pack_needs_a_ball_and_a_scale(pack):
     arrays, path = pack
     np.savez(path, **arrays)

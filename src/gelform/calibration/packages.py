@@ -98,9 +98,17 @@ def _py3dcal_facts(folder: Path) -> dict[str, float]:
 
 
 def taxim_pack_in(path: Path) -> Path | None:
-    """The `dataPack.npz` that a path is or that lies in it, or None."""
+    """The `dataPack.npz` that a path is or that lies in it, under this name or another; or None."""
     pack = path / "dataPack.npz" if path.is_dir() else path
-    return pack if pack.is_file() and pack.suffix == ".npz" else None
+    if not pack.is_file() or pack.suffix != ".npz":
+        return None
+    if pack.name == "dataPack.npz":
+        return pack
+    try:
+        with zipfile.ZipFile(pack) as archive:
+            return pack if {"f0.npy", "imgs.npy"} <= set(archive.namelist()) else None
+    except (OSError, zipfile.BadZipFile):
+        return None
 
 
 def taxim_source(path: Path, asked: Asked) -> Source:
