@@ -102,7 +102,7 @@ def test_taxim_pack_is_turned_to_rgb(pack, simulated, where):
 
 
 def test_what_counts_as_a_taxim_pack(pack, tmp_path):
-    arrays, path = pack
+    arrays, _ = pack
     np.savez(tmp_path / "renamed.npz", **arrays)
     assert kind_of_presses(tmp_path / "renamed.npz") == "Taxim dataPack"
     np.savez(tmp_path / "else.npz", depth=np.zeros(3))

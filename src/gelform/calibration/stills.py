@@ -126,7 +126,8 @@ def _changed(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float
     """Size (..., h, w) of the change of each pixel, in grey levels of its strongest channel."""
     change = a - b
     change -= np.median(change[..., ::3, ::3, :], axis=(-3, -2), keepdims=True)
-    size: NDArray[np.float32] = np.abs(change).max(axis=-1)
+    np.abs(change, out=change)
+    size: NDArray[np.float32] = np.maximum(np.maximum(change[..., 0], change[..., 1]), change[..., 2])
     return size
 
 
