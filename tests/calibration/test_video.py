@@ -210,6 +210,12 @@ def test_frames_that_change_their_size_and_no_frames(filmed, sensor):
         gelform.presses_from_frames([], ball_diameter_mm=5, mm_per_px=0.1)
 
 
+def test_an_iterator_is_not_kept_without_limit(filmed, sensor, monkeypatch):
+    monkeypatch.setattr("gelform.calibration.video.MAX_KEPT_BYTES", 20 * filmed.images[0].nbytes)
+    with pytest.raises(gelform.DataError, match=r"more after 20 frames\. Record a video"):
+        gelform.presses_from_frames(iter(frames_of(filmed.images)), ball_diameter_mm=5, mm_per_px=0.1)
+
+
 def test_light_that_drifts_is_noted(filmed, sensor):
     fading = np.linspace(1, 0.92, len(filmed.images))
     frames = [
