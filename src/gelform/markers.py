@@ -80,7 +80,7 @@ class MarkerFinder:
         for share in LEVELS:
             dots, labels, whole = _dots(darkness, share * self._peak, self._area)
             new = _peaks(darkness, labels, len(dots)) > 0.5 * self._peak
-            new &= _peaks(mask.astype(np.float32), labels, len(dots)) == 0
+            new &= np.bincount(labels[mask], minlength=len(dots) + 1)[1:] == 0
             found = np.concatenate([[False], new])[labels]
             mask |= found if share == LEVELS[0] else _grown(found)
             centers.append(_centers(darkness, labels, len(dots))[new])
@@ -90,9 +90,10 @@ class MarkerFinder:
         return Markers(np.concatenate(centers).astype(np.float32), radius, mask)
 
     def mask(self, image: NDArray[Any], grow_px: int = 0) -> NDArray[np.bool_]:
-        """Pixels (H, W) that the dots of an image darken, grown by some pixels: for each frame, without places.
+        """Pixels (H, W) that the dots darken in the image or in the background, grown by some pixels: for each frame.
 
-        No component is looked at: a narrow, deep shadow is taken for a dot too.
+        Where the background is dark it is divided by, so both are to be distrusted. Faster than calling the finder
+        (half of a bare DCT pair at 240x320), because no dot is looked at: a narrow, deep shadow is taken for one too.
         """
         if not self._peak:
             return np.zeros(image.shape[:2], dtype=bool)
@@ -102,9 +103,10 @@ class MarkerFinder:
         dark = cv2.compare(
             level, cv2.convertScaleAbs(closed, alpha=1 - share, beta=-share * LEVEL_OFFSET), cv2.CMP_LT
         )
+        dark |= self.rest.mask.view(np.uint8) * np.uint8(255)
         if grow_px:
             dark = cv2.dilate(dark, np.ones((2 * grow_px + 1,) * 2, dtype=np.uint8))
-        return dark.view(np.bool_)
+        return dark > 0
 
     def _darkness(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """How much darker (H, W) than the gel around it, as a share; 0-1."""
@@ -207,10 +209,13 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _peaks(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    peaks = np.zeros(count + 1)
+    """Largest darkness of each numbered component (1 to count; each has pixels)."""
     inside = labels > 0
-    np.maximum.at(peaks, labels[inside], darkness[inside])
-    return peaks[1:]
+    number = labels[inside]
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(1, count + 1))
+    peaks = np.maximum.reduceat(darkness[inside][order], starts) if count else np.zeros(0)
+    return np.asarray(peaks, dtype=np.float64)
 
 
 def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:

@@ -66,12 +66,14 @@ def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(
     (clean_rest, clean), (rest, press) = images
     assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
     settings = ChangeSettings("divide", 10, 0.7)
-    _, usable = change_without_markers(press.image, rest, settings, MarkerFinder(rest))
+    finder = MarkerFinder(rest)
+    _, usable = change_without_markers(press.image, rest, settings, finder)
     raw = color_change_from_image(press.image, rest, settings)
     spoilt = np.abs(raw - color_change_from_image(clean.image, clean_rest, settings)).mean(axis=-1)
     assert np.count_nonzero(spoilt > 0.2) > 50
     assert np.mean(usable[spoilt > 0.2]) < 0.05
     assert np.mean(usable) > 0.6
+    assert np.mean(finder.mask(press.image, 2)[spoilt > 0.2]) > 0.95  # the fast way sees them too
 
 
 def test_an_unmarked_gel_is_left_as_it_is(plain):
