@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "read_image": "gelform.sensors.files",
+    "Video": "gelform.sensors.video_files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
     "image_from_frame": "gelform.view",
@@ -19,6 +20,8 @@ _HOME = {
     "ChangeSettings": "gelform.background",
     "color_change_from_image": "gelform.background",
     "image_from_color_change": "gelform.background",
+    "Markers": "gelform.markers",
+    "markers_from_image": "gelform.markers",
     "normals_from_image": "gelform.normals",
     "image_from_normals": "gelform.normals",
     "normals_from_gradients": "gelform.normals",
@@ -35,6 +38,7 @@ _HOME = {
     "DepthSigma": "gelform.uncertainty",
     "contact_from_depth": "gelform.contact",
     "read_presses": "gelform.calibration.folder",
+    "presses_from_frames": "gelform.calibration.video",
     "calibrate": "gelform.calibration.fit",
     "evaluate": "gelform.calibration.evaluate",
     "import_calibration": "gelform.importers.calibrations",
@@ -62,6 +66,7 @@ if TYPE_CHECKING:
     from gelform.calibration.evaluate import evaluate
     from gelform.calibration.fit import calibrate
     from gelform.calibration.folder import read_presses
+    from gelform.calibration.video import presses_from_frames
     from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
@@ -69,6 +74,7 @@ if TYPE_CHECKING:
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
     from gelform.importers.calibrations import import_calibration
+    from gelform.markers import Markers, markers_from_image
     from gelform.metrics import press_errors
     from gelform.normals import (
         image_from_normals,
@@ -81,6 +87,7 @@ if TYPE_CHECKING:
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration
     from gelform.sensors.files import read_image
+    from gelform.sensors.video_files import Video
     from gelform.solvers.warmup import warmup
     from gelform.uncertainty import DepthSigma, depth_sigma
     from gelform.view import View, frame_from_image, image_from_frame

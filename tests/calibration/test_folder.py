@@ -137,7 +137,7 @@ def test_spoilt_table(copy, name):
 def test_no_folder_and_no_background(copy, tmp_path):
     with pytest.raises(gelform.DataError, match="not there"):
         gelform.read_presses(tmp_path / "nothing")
-    with pytest.raises(gelform.DataError, match="which is a file"):
+    with pytest.raises(gelform.DataError, match="which is a file of another kind"):
         gelform.read_presses(copy / "presses.csv")
     (copy / "background.png").unlink()
     with pytest.raises(gelform.DataError, match="No background"):
@@ -151,7 +151,24 @@ def test_empty_folder(tmp_path):
 
 def test_images_of_two_sizes(copy, presses):
     cv2.imwrite(str(copy / presses.presses[3].name), np.zeros((50, 60, 3), np.uint8))
-    with pytest.raises(gelform.DataError, match=r"one size: .* is 50x60 px"):
+    with pytest.raises(
+        gelform.DataError, match=rf"one size: {presses.presses[3].name} is 50x60 px; .* 13 presses"
+    ):
+        gelform.read_presses(copy)
+
+
+def test_background_of_another_size(copy):
+    cv2.imwrite(str(copy / "background.png"), np.zeros((50, 60, 3), np.uint8))
+    with pytest.raises(
+        gelform.DataError, match=r"the background is 50x60 px, 14 of 14 presses are 132x176 px"
+    ):
+        gelform.read_presses(copy)
+
+
+def test_many_odd_sizes_are_counted(copy, presses):
+    for press in presses.presses[:6]:
+        cv2.imwrite(str(copy / press.name), np.zeros((50, 60, 3), np.uint8))
+    with pytest.raises(gelform.DataError, match="and 1 more; the background and 8 presses"):
         gelform.read_presses(copy)
 
 

@@ -2,15 +2,19 @@
 
 import csv
 import shutil
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from gelform.calibration.folder import read_presses
 from gelform.record import load_calibration
 from gelform.sensors.files import read_image
+from gelform.simulate import LAYOUTS, Ball, Pose, simulate_sequence
 
 pytest.importorskip("matplotlib", reason="the report needs the extra 'plots'")
+SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
 
 
 @pytest.fixture
@@ -97,3 +101,19 @@ def test_images_without_a_ball(fails, folder, tmp_path):
     said = fails("calibrate", folder, "-o", tmp_path / "cal.npz")
     assert "Expected at least 3 presses of a ball that fit, got 0 of 10" in said
     assert not (tmp_path / "cal.npz").exists()
+
+
+def test_a_video(run, tmp_path):
+    rng, poses = np.random.default_rng(1), [Pose(-1)] * 12
+    for x, y in np.stack(np.meshgrid([-5, 0, 5], [-3.5, 0, 3.5]), axis=-1).reshape(-1, 2):
+        poses += [*[Pose(0.7, (x, y))] * 7, *[Pose(-1)] * 5]
+    path = tmp_path / "presses.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, SMALL.shape[::-1])
+    for press in simulate_sequence(SMALL, Ball(3), poses, rng=rng):
+        writer.write(cv2.cvtColor(press.image, cv2.COLOR_RGB2BGR))
+    writer.release()
+    given = ("--mm-per-px", SMALL.mm_per_px, "--ball-diameter-mm", 6)
+    code, _, err = run("calibrate", path, "-o", tmp_path / "cal.npz", "--model", "polynomial", *given)
+    assert code == 0, err
+    assert "9 of 9 presses used" in err
+    assert load_calibration(tmp_path / "cal.npz").image_shape == SMALL.shape

@@ -2,6 +2,7 @@
 
 import shutil
 
+import cv2
 import pytest
 
 from gelform.reconstruct import Reconstructor
@@ -51,6 +52,33 @@ def test_a_damaged_image_in_a_folder(run_json, press_folder, tmp_path):
     shutil.copytree(press_folder, tmp_path / "p")
     (tmp_path / "p" / "images" / "0004.png").write_bytes(b"x")
     assert "0004.png" in run_json("info", tmp_path / "p")["missing"][0]
+
+
+def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
+    path = tmp_path / "presses.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (160, 120))
+    for _ in range(10):
+        writer.write(cv2.imread(str(press_folder / "background.png")))
+    writer.release()
+    said = run_json("info", path)
+    assert (said["kind"], said["size_px"], said["frames"]) == ("video", [120, 160], 10)
+    assert said["duration_s"] == pytest.approx(0.4)
+    assert [text for text in said["missing"] if "--ball-diameter-mm" in text]
+    assert [text for text in said["missing"] if "--mm-per-px" in text]
+    (tmp_path / "sensor.toml").write_text('name = "s"\nmm_per_px = 0.1\n')
+    assert len(run_json("info", path)["missing"]) == 1
+
+
+def test_folders_of_other_packages(run_json, press_folder, tmp_path):
+    (tmp_path / "d" / "6mm").mkdir(parents=True)
+    shutil.copy(press_folder / "background.png", tmp_path / "d")
+    shutil.copy(press_folder / "images" / "0000.png", tmp_path / "d" / "6mm" / "gelsight.png")
+    (tmp_path / "d" / "catalog.csv").write_text("experiment_reldir,diameter(mm)\n6mm,6\n")
+    said = run_json("info", tmp_path / "d")
+    assert said["kind"] == "gs_sdk folder"
+    assert "No scale" in said["missing"][0]
+    shutil.copy(press_folder / "sensor.toml", tmp_path / "d")
+    assert run_json("info", tmp_path / "d")["presses"] == 1
 
 
 def test_mistakes_are_one_line(fails, calibration_file, tmp_path):

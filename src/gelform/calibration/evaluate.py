@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gelform.background import color_change_from_image
 from gelform.calibration.folder import Press, Presses
+from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import find_contact, why_no_contact
 from gelform.calibration.report import summary
 from gelform.errors import DataError
+from gelform.markers import MarkerFinder
 from gelform.metrics import PressErrors, press_errors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
@@ -87,5 +88,7 @@ def _circle(press: Press, reconstruct: Reconstructor) -> tuple[tuple[float, floa
         return press.label, None
     calibration = reconstruct.calibration
     image = image_from_frame(press.image, calibration.view)
-    contact = find_contact(color_change_from_image(image, reconstruct.background, calibration.change))
+    finder = MarkerFinder(reconstruct.background)
+    change, _ = change_without_markers(image, reconstruct.background, calibration.change, finder)
+    contact = find_contact(change)
     return contact.circle_px, why_no_contact(contact)

@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.background import ChangeSettings, check_background, color_change_from_image
+from gelform.background import ChangeSettings, check_background
+from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
+from gelform.calibration.inputs import check_inputs, input_notes
 from gelform.calibration.ladder import Candidate, candidates_for
+from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
@@ -29,6 +32,7 @@ from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
+from gelform.markers import MarkerFinder
 from gelform.metrics import PressErrors, ball_center
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
@@ -68,6 +72,7 @@ def calibrate(
     """
     started = time.monotonic()
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
+    check_inputs(presses)
     prepared = prepare(presses, COLOR_MODELS["polynomial"].change_offset, progress=progress)
     found = [find_contact_of(press, progress, i, len(prepared)) for i, press in enumerate(prepared)]
     refined, folds = _refined_and_folded(prepared, found, progress)
@@ -81,22 +86,26 @@ def calibrate(
     errors, sigma = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
     report = _report(presses, refined, errors, selection, left_out, time.monotonic() - started)
+    used = refined.accepted
+    notes = input_notes(presses, [prepared[i] for i in used], [refined.contacts[i] for i in used])
+    report = replace(report, notes=(*report.notes, *notes))
     return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
 
 
 def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
     """Color changes of all presses, checked against the background."""
     settings = change_settings(presses.image_shape, offset)
+    finder = MarkerFinder(presses.background)
     prepared = []
     for done, press in enumerate(presses.presses):
         try:
             check_background(press.image, presses.background)
         except CalibrationError as problem:
             raise CalibrationError(f"{press.name}: {problem}") from None
-        change = color_change_from_image(press.image, presses.background, settings)
+        change, usable = change_without_markers(press.image, presses.background, settings, finder)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
-        prepared.append(PreparedPress(press.name, change, size, radius_px))
+        prepared.append(PreparedPress(press.name, change, size, radius_px, usable))
         progress(done + 1, len(presses.presses), "preparing")
     return prepared
 
@@ -136,7 +145,10 @@ def _check_enough(presses: Presses, refined: Refined) -> None:
     raise CalibrationError(
         f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        "Press a ball of known diameter firmly at many places, one image each, not deeper than half its radius."
+        "Press a ball of known diameter firmly at many places, one image each, not deeper than half its radius. "
+        + " ".join(
+            coverage_notes([refined.contacts[i].circle_px for i in refined.accepted], presses.image_shape)
+        )
     )
 
 
@@ -181,7 +193,9 @@ def _draft(
         mm_per_px=presses.mm_per_px,
         mm_per_px_sigma=presses.mm_per_px_sigma,
         background=presses.background,
-        background_noise=_pixel_noise(presses.background),
+        background_noise=_pixel_noise(presses.background)
+        if presses.background_noise is None
+        else presses.background_noise,
         change=change_settings(presses.image_shape, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),

@@ -1,89 +1,32 @@
-"""Read presses of a ball: a press folder, gs_sdk's folder, or a plain folder of images."""
+"""Read presses of a ball from anything: a press folder, other packages' folders, plain images, a video."""
 
 from __future__ import annotations
 
-import csv
-import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelform.checks import check_positive
+from gelform.calibration.packages import (
+    background_in,
+    gs_sdk_source,
+    py3dcal_source,
+    taxim_pack_in,
+    taxim_source,
+)
+from gelform.calibration.press_set import Asked, Listed, Press, Presses, Source, press_from_frame
+from gelform.calibration.tables import diameter, number, table_rows
+from gelform.calibration.video import presses_from_video
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
-from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image, read_sensor_toml
-from gelform.sensors.profiles import profile_named
-from gelform.view import View, image_from_frame
+from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.video_files import is_video
+from gelform.view import image_from_frame
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
-
-
-@dataclass(frozen=True)
-class Press:
-    """One press of a ball.
-
-    Attributes
-    ----------
-    name : path of the image below the folder
-    image : (H, W, 3) uint8, RGB, after the view
-    ball_diameter_mm : float
-    label : (centre x, centre y, contact radius) in px of the image, where somebody labelled it
-    digest : SHA-256 of the image's pixels
-    """
-
-    name: str
-    image: NDArray[Any]
-    ball_diameter_mm: float
-    label: tuple[float, float, float] | None
-    digest: str
-
-
-@dataclass(frozen=True)
-class Presses:
-    """A folder of presses of one sensor with one gel.
-
-    Attributes
-    ----------
-    folder : where they came from
-    presses : in the order of the table, or of their names
-    background : (H, W, 3) float32, the untouched image, after the view
-    mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation where known
-    sensor_name, serial, gel_id : from sensor.toml or the profile
-    view : how frames become images
-    response : exponent of the camera's response, from sensor.toml; recorded, not undone
-    """
-
-    folder: str
-    presses: tuple[Press, ...]
-    background: NDArray[np.float32]
-    mm_per_px: float
-    mm_per_px_sigma: float | None
-    sensor_name: str
-    serial: str | None
-    gel_id: str | None
-    view: View
-    response: float = 1.0
-
-    @property
-    def image_shape(self) -> tuple[int, int]:
-        """(H, W) of the images."""
-        return self.background.shape[0], self.background.shape[1]
-
-    def subset(self, indices: Sequence[int]) -> Presses:
-        """The same sensor with some of the presses."""
-        return replace(self, presses=tuple(self.presses[i] for i in indices))
-
-
-@dataclass(frozen=True)
-class _Row:
-    name: str
-    ball_diameter_mm: float
-    label: tuple[float, float, float] | None
+NAMED_ODD = 5
 
 
 def read_presses(
@@ -96,15 +39,15 @@ def read_presses(
     crop: tuple[float, float, float, float] | None = None,
     progress: Progress = no_progress,
 ) -> Presses:
-    """Read a folder of ball presses.
+    """Read ball presses.
 
     Parameters
     ----------
-    path : folder with `presses.csv` (columns image, ball_diameter_mm), or gs_sdk's with `catalog.csv`, or of
-        plain images together with `ball_diameter_mm`
+    path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
+        py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images or a video with `ball_diameter_mm`
     sensor : name of a profile, which gives the view and mm_per_px
     mm_per_px : pixel pitch, mm; goes before sensor.toml and the profile
-    ball_diameter_mm : for a folder without a table
+    ball_diameter_mm : for data that do not name it
     background : the untouched image; `background.png` (or .jpg ...) of the folder by default
     crop : (left, top, width, height) in pixels of the frame
     progress : called with (done, total, what)
@@ -112,27 +55,57 @@ def read_presses(
     Raises
     ------
     DataError
-        The folder, a table, a column or an image is missing or unreadable, sizes differ, no scale is known, or
-        a ball diameter is not a number > 0. The message says what was expected and what to do.
+        The data, a table, a column or an image is missing or unreadable, sizes differ, no scale is known,
+        a ball diameter is not a number > 0, or a video shows no untouched gel or no press (see
+        `presses_from_frames`). The message says what was expected and what to do.
     """
-    folder = Path(path)
-    if not folder.is_dir():
-        kind = "a file" if folder.exists() else "not there"
-        raise DataError(f"Expected a folder of presses, got {folder}, which is {kind}.")
-    settings = _settings(folder, sensor, mm_per_px)
-    rest_path = Path(background) if background is not None else _background_of(folder)
-    rows = _rows(folder, ball_diameter_mm, rest_path)
-    rest = read_image(rest_path)
-    frame_shape = (rest.shape[0], rest.shape[1])
-    view = _view(settings, sensor, crop, frame_shape)
-    presses = []
-    for done, row in enumerate(rows):
-        presses.append(_press(folder, row, view, frame_shape))
-        progress(done + 1, len(rows), "reading presses")
+    place = Path(path)
+    asked = Asked(sensor, mm_per_px, ball_diameter_mm, Path(background) if background else None, crop)
+    kind = kind_of_presses(place)
+    if kind == VIDEO:
+        return presses_from_video(place, asked, progress)
+    if kind is None:
+        is_what = "a file of another kind" if place.exists() else "not there"
+        raise DataError(
+            f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
+        )
+    return _read(place, SOURCES[kind](place, asked), asked, progress)
+
+
+def kind_of_presses(place: Path) -> str | None:
+    """What layout of presses is at a path: VIDEO, a name in `SOURCES`, or None."""
+    if place.is_file() and is_video(place):
+        return VIDEO
+    if (place / "presses.csv").is_file():
+        return PRESS_FOLDER
+    if (place / "catalog.csv").is_file():
+        return GS_SDK
+    if (place / "annotations").is_dir() and (place / "probe_images").is_dir():
+        return PY3DCAL
+    if taxim_pack_in(place) is not None:
+        return TAXIM
+    return PLAIN if place.is_dir() else None
+
+
+def _read(place: Path, source: Source, asked: Asked, progress: Progress) -> Presses:
+    """Every image of a source, through one view."""
+    settings = asked.settings(place, source.known)
+    if not source.listed:
+        raise DataError(f"No press in {place}: expected images and a presses.csv with a row for each.")
+    frame_shape = (source.background.shape[0], source.background.shape[1])
+    view = asked.view(settings, frame_shape)
+    presses, sizes = [], {}
+    for done, listed in enumerate(source.listed):
+        frame = source.frame(done)
+        sizes[listed.name] = (frame.shape[0], frame.shape[1])
+        if sizes[listed.name] == frame_shape:
+            presses.append(press_from_frame(listed, frame, view))
+        progress(done + 1, len(source.listed), "reading presses")
+    _check_one_size(sizes, frame_shape)
     return Presses(
-        folder=str(folder),
+        folder=str(place),
         presses=tuple(presses),
-        background=image_from_frame(rest, view).astype(np.float32),
+        background=image_from_frame(source.background, view).astype(np.float32),
         mm_per_px=settings.mm_per_px,
         mm_per_px_sigma=settings.mm_per_px_sigma,
         sensor_name=settings.name,
@@ -143,147 +116,65 @@ def read_presses(
     )
 
 
-def _settings(folder: Path, sensor: str | None, mm_per_px: float | None) -> SensorSettings:
-    """sensor.toml, else the profile; a scale that is given goes before both."""
-    settings: SensorSettings | None = None
-    if (folder / "sensor.toml").is_file():
-        settings = read_sensor_toml(folder / "sensor.toml")
-    elif sensor is not None:
-        profile = profile_named(sensor)
-        settings = SensorSettings(profile.name, profile.mm_per_px, profile.mm_per_px_sigma)
-    if mm_per_px is not None:
-        pitch = check_positive(mm_per_px, "mm_per_px")
-        if settings is None:
-            return SensorSettings(folder.resolve().name, pitch)
-        return replace(settings, mm_per_px=pitch, mm_per_px_sigma=None)
-    if settings is None:
+def _check_one_size(sizes: Mapping[str, tuple[int, int]], background: tuple[int, int]) -> None:
+    """Refuse images that are not of the background's size, and name those that are odd."""
+    odd = {name: size for name, size in sizes.items() if size != background}
+    if not odd:
+        return
+    (usual, count), *_ = Counter(sizes.values()).most_common(1)
+    if usual != background and count > len(sizes) / 2:
         raise DataError(
-            f"No scale for {folder}: presses of a ball alone do not tell it. Write name and mm_per_px into "
-            f"{folder / 'sensor.toml'}, or give mm_per_px= (--mm-per-px) or sensor= (--sensor)."
+            f"Expected all images of one size: the background is {_px(background)}, {count} of {len(sizes)} presses "
+            f"are {_px(usual)}. Take the background anew with the camera settings of the presses."
         )
-    return settings
-
-
-def _view(
-    settings: SensorSettings,
-    sensor: str | None,
-    crop: tuple[float, float, float, float] | None,
-    frame_shape: tuple[int, int],
-) -> View:
-    """What is asked for, else sensor.toml's view, else the profile's where the images are frames of it."""
-    if crop is not None:
-        return View(frame_shape=frame_shape, crop=crop)
-    if not settings.view.is_identity or sensor is None:
-        return settings.view
-    return profile_named(sensor).view(frame_shape)
-
-
-def _background_of(folder: Path) -> Path:
-    found = sorted(
-        p for p in folder.iterdir() if p.stem == "background" and p.suffix.lower() in IMAGE_SUFFIXES
+    named = ", ".join(f"{name} is {_px(size)}" for name, size in list(odd.items())[:NAMED_ODD])
+    more = f", and {len(odd) - NAMED_ODD} more" if len(odd) > NAMED_ODD else ""
+    raise DataError(
+        f"Expected all images of one size: {named}{more}; the background and {len(sizes) - len(odd)} presses are "
+        f"{_px(background)}. Leave the odd ones out, or take all with the same camera settings."
     )
-    if not found:
-        raise DataError(
-            f"No background in {folder}: expected background.png, an image of the untouched gel. "
-            "Take one, or name it with background= (--background)."
-        )
-    return found[0]
 
 
-def _rows(folder: Path, ball_diameter_mm: float | None, background: Path) -> list[_Row]:
-    if (folder / "presses.csv").is_file():
-        rows = list(_press_table(folder))
-    elif (folder / "catalog.csv").is_file():
-        rows = list(_gs_sdk_table(folder))
-    else:
-        rows = list(_plain_images(folder, ball_diameter_mm, background))
-    if not rows:
-        raise DataError(f"No press in {folder}: expected images and a presses.csv with a row for each.")
-    return rows
+def _px(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]} px"
 
 
-def _press_table(folder: Path) -> Iterator[_Row]:
-    for line, row in _table(folder / "presses.csv", ("image", "ball_diameter_mm")):
+def press_folder_source(folder: Path, asked: Asked) -> Source:
+    """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels), `background.png`, images."""
+    rest = read_image(asked.background or background_in(folder))
+    listed = list(_press_table(folder))
+    return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
+
+
+def _press_table(folder: Path) -> Iterator[Listed]:
+    for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
         if row.get("indenter", "ball") not in ("", "ball"):
             continue  # other indenters are for evaluation by other means
-        label = tuple(_number(row[c], c, line) for c in LABEL_COLUMNS) if _labelled(row) else None
-        yield _Row(row["image"], _diameter(row["ball_diameter_mm"], line), label)  # type: ignore[arg-type]
+        label = None
+        if all(row.get(column) for column in LABEL_COLUMNS):
+            x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
+            label = (x, y, radius)
+        yield Listed(row["image"], diameter(row["ball_diameter_mm"], where), label)
 
 
-def _gs_sdk_table(folder: Path) -> Iterator[_Row]:
-    for line, row in _table(folder / "catalog.csv", ("experiment_reldir", "diameter(mm)")):
-        directory = folder / row["experiment_reldir"]
-        label = _gs_sdk_label(directory / "label.npz") if (directory / "label.npz").is_file() else None
-        yield _Row(f"{row['experiment_reldir']}/gelsight.png", _diameter(row["diameter(mm)"], line), label)
-
-
-def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
-    try:
-        with np.load(path, allow_pickle=False) as label:
-            x, y = (float(v) for v in np.ravel(label["center"]))
-            return x, y, float(label["radius"])
-    except (KeyError, ValueError, OSError) as problem:
-        raise DataError(f"Expected center and radius in {path}, got: {problem}.") from problem
-
-
-def _plain_images(folder: Path, ball_diameter_mm: float | None, background: Path) -> Iterator[_Row]:
+def plain_source(folder: Path, asked: Asked) -> Source:
+    """A folder of images of one ball, one press each, and `background.png`."""
+    rest_path = asked.background or background_in(folder)
     images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
-    images = [p for p in images if p.stem != "background" and p.resolve() != background.resolve()]
-    if images and ball_diameter_mm is None:
-        raise DataError(
-            f"{folder} has images but no presses.csv: which ball pressed? Give ball_diameter_mm= "
-            "(--ball-diameter-mm), or write presses.csv with the columns image,ball_diameter_mm."
-        )
-    for path in images:
-        yield _Row(path.name, check_positive(ball_diameter_mm or 0, "ball_diameter_mm"), None)
+    images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
+    ball = asked.ball(f"{folder} has images but no presses.csv") if images else 0.0
+    listed = [Listed(path.name, ball) for path in images]
+    return Source(read_image(rest_path), listed, lambda k: read_image(images[k]))
 
 
-def _table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV with where they stand, after its columns were checked."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.DictReader(file)
-        missing = [c for c in columns if c not in (reader.fieldnames or [])]
-        if missing:
-            raise DataError(
-                f"Expected the columns {', '.join(columns)} in {path}, got {', '.join(reader.fieldnames or []) or 'none'}: "
-                f"{', '.join(missing)} missing."
-            )
-        for row in reader:
-            if any((value or "").strip() for value in row.values() if isinstance(value, str)):
-                yield (
-                    f"{path}, line {reader.line_num}",
-                    {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)},
-                )
+PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
+TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
+SOURCES: Mapping[str, Callable[[Path, Asked], Source]] = {
+    PRESS_FOLDER: press_folder_source,
+    GS_SDK: gs_sdk_source,
+    PY3DCAL: py3dcal_source,
+    TAXIM: taxim_source,
+    PLAIN: plain_source,
+}
 
-
-def _labelled(row: dict[str, str]) -> bool:
-    return all(row.get(column) for column in LABEL_COLUMNS)
-
-
-def _diameter(text: str, where: str) -> float:
-    value = _number(text, "ball diameter", where)
-    if not 0 < value < 1000:
-        raise DataError(f"Expected a ball diameter in mm > 0 (and under 1000), got {text} ({where}).")
-    return value
-
-
-def _number(text: str, name: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise DataError(f"Expected {name} as a number, got {text!r} ({where}).") from None
-    if not np.isfinite(value):
-        raise DataError(f"Expected {name} as a finite number, got {text!r} ({where}).")
-    return value
-
-
-def _press(folder: Path, row: _Row, view: View, frame_shape: tuple[int, int]) -> Press:
-    frame = read_image(folder / row.name)
-    if frame.shape[:2] != frame_shape:
-        raise DataError(
-            f"Expected all images of one size: {row.name} is {frame.shape[0]}x{frame.shape[1]} px, the background "
-            f"{frame_shape[0]}x{frame_shape[1]}. Take both with the same camera settings."
-        )
-    image = np.ascontiguousarray(image_from_frame(frame, view))
-    digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()
-    return Press(row.name, image, row.ball_diameter_mm, row.label, digest)
+__all__ = ["Press", "Presses", "kind_of_presses", "read_presses"]

@@ -31,12 +31,14 @@ class PreparedPress:
     color_change : (H, W, 3) float32, blurred
     size : (H, W) float32, |color change - its median|
     ball_radius_px : float
+    usable : (H, W) bool, False on marker dots; None where all pixels are
     """
 
     name: str
     color_change: NDArray[np.float32]
     size: NDArray[np.float32]
     ball_radius_px: float
+    usable: NDArray[np.bool_] | None = None
 
     def pixels(
         self, contact: Contact, zone: float, count: int | None = None
@@ -49,6 +51,8 @@ class PreparedPress:
         rows, cols = np.ogrid[top : bottom + 1, left : right + 1]
         inside = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 < radius**2
         inside &= (rows < height) & (cols < width)
+        if self.usable is not None:
+            inside &= self.usable[np.minimum(rows, height - 1), np.minimum(cols, width - 1)]
         stride = 1 if count is None else int(max(1, round(np.count_nonzero(inside) / max(count, 1))))
         if stride > 1:
             inside &= (cols + 3 * rows) % stride == 0
@@ -92,6 +96,8 @@ def with_rest_samples(
         )
         distance = np.hypot(cols - contact.x_px, rows - contact.y_px)
         far = distance > REST_DISTANCE * contact.radius_px
+        if press.usable is not None:
+            far &= press.usable[rows, cols]
         parts.append((press.color_change[rows[far], cols[far]], cols[far], rows[far]))
     change, x, y = (np.concatenate([part[i] for part in parts]) for i in range(3))
     return replace(

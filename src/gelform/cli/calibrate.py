@@ -37,7 +37,7 @@ REPORT_FILES = ("report.json", "circles.csv", "contact_sheet.png", "errors.png")
 
 
 def calibrate(
-    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Folder of ball presses.")],
+    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Ball presses: a folder or a video.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
     ],
@@ -58,13 +58,15 @@ def calibrate(
 
     PRESSES holds background.png (the untouched gel), images, presses.csv (columns image,ball_diameter_mm) and
     sensor.toml (name, mm_per_px). A plain folder of images does too, with --ball-diameter-mm and --mm-per-px
-    or --sensor. Twenty presses all over the gel are enough, forty of two balls are good.
+    or --sensor; so do a video that begins with the untouched gel, gs_sdk's and py3DCal's folders and Taxim's
+    dataPack.npz. Twenty presses all over the gel are enough, forty of two balls are good.
 
     \b
     Examples:
       gelform calibrate presses/ -o cal.npz
       gelform calibrate presses/ -o cal.npz --report report/
       gelform calibrate frames/ -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
+      gelform calibrate presses.avi -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
     """
     _check_model(model)

@@ -25,7 +25,7 @@ Sensor = Annotated[
 MmPerPx = Annotated[float | None, typer.Option(metavar="F", help="Width of an image pixel on the gel, mm.")]
 BallDiameter = Annotated[
     float | None,
-    typer.Option(metavar="F", help="Diameter of the ball, mm, for a folder without presses.csv."),
+    typer.Option(metavar="F", help="Diameter of the ball, mm, for a video or a folder without presses.csv."),
 ]
 Background = Annotated[
     Path | None, typer.Option(metavar="IMG", help="Image of the untouched gel, instead of the usual one.")

@@ -14,17 +14,18 @@ from gelform.errors import DataError, GelformError
 
 def info(
     path: Annotated[
-        Path, typer.Argument(metavar="FILE|FOLDER", help="Calibration, result, image or press folder.")
+        Path, typer.Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder.")
     ],
     as_json: Json = False,
 ) -> None:
-    """Say what a calibration, a result, an image or a folder of presses is, and what is missing.
+    """Say what a calibration, a result, an image, a video or a folder of presses is, and what is missing.
 
     \b
     Examples:
       gelform info cal.npz
       gelform info out/frame.npz --json
       gelform info presses/
+      gelform info presses.avi
     """
     if not path.exists():
         raise DataError(f"No file or folder {path}. Check the path.")
@@ -48,6 +49,13 @@ def _file(path: Path) -> dict[str, Any]:
         return _calibration(path)
     if kind == RESULT:
         return _result(path)
+    from gelform.calibration.folder import TAXIM, VIDEO, kind_of_presses
+
+    layout = kind_of_presses(path)
+    if layout == VIDEO:
+        return _video(path)
+    if layout == TAXIM:
+        return _presses(path, layout)
     if path.suffix == ".npz":
         raise DataError(f"{path} is neither a calibration nor a result of gelform's, or it is damaged.")
     from gelform.sensors.files import read_image
@@ -87,28 +95,58 @@ def _result(path: Path) -> dict[str, Any]:
     }
 
 
-def _folder(path: Path) -> dict[str, Any]:
-    """A press folder is read as calibration reads it; what stops it is what is missing."""
-    from gelform.calibration.folder import read_presses
-    from gelform.sensors.files import IMAGE_SUFFIXES
+def _video(path: Path) -> dict[str, Any]:
+    """What the file says of itself; its presses are found when it is calibrated."""
+    from gelform.sensors.video_files import Video
 
+    video = Video(path)
+    facts = video.facts
+    seconds = facts.count / facts.frame_rate_hz if facts.frame_rate_hz else None
+    scale = (path.parent / "sensor.toml").is_file()
+    return {
+        "kind": "video",
+        "size_px": list(facts.shape),
+        "frames": facts.count,
+        "frame_rate_hz": facts.frame_rate_hz,
+        "duration_s": seconds,
+        "missing": [
+            "the ball's diameter (--ball-diameter-mm)",
+            *([] if scale else ["the scale (--mm-per-px or --sensor)"]),
+        ],
+    }
+
+
+def _folder(path: Path) -> dict[str, Any]:
+    """A folder of presses; of a folder that is none yet, what would make it one."""
+    from gelform.calibration.folder import PLAIN, PRESS_FOLDER, kind_of_presses
+
+    layout = kind_of_presses(path)
+    if layout not in (PRESS_FOLDER, PLAIN):
+        return _presses(path, layout)
     here = {entry.name for entry in path.iterdir()}
-    images = sum(1 for name in here if Path(name).suffix.lower() in IMAGE_SUFFIXES)
-    table = next((name for name in ("presses.csv", "catalog.csv") if name in here), None)
     missing = []
     if not any(Path(name).stem == "background" for name in here):
         missing.append("background.png, an image of the untouched gel (or --background)")
-    if table is None:
+    if layout == PLAIN:
         missing.append("presses.csv with the columns image,ball_diameter_mm (or --ball-diameter-mm)")
     if "sensor.toml" not in here:
         missing.append("sensor.toml with name and mm_per_px (or --sensor, --mm-per-px)")
-    facts: dict[str, Any] = {
-        "kind": "folder of presses" if table else "folder",
-        "table": table,
-        "images_here": images,
-    }
     if missing:
-        return {**facts, "missing": missing}
+        return {"kind": layout, "images_here": _images(here), "missing": missing}
+    return _presses(path, layout)
+
+
+def _images(names: set[str]) -> int:
+    from gelform.sensors.files import IMAGE_SUFFIXES
+
+    return sum(1 for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES)
+
+
+def _presses(path: Path, layout: str | None) -> dict[str, Any]:
+    """Presses are read as calibration reads them; what stops it is what is missing."""
+    from gelform.calibration.folder import read_presses
+
+    facts: dict[str, Any] = {"kind": layout}
     try:
         presses = read_presses(path)
     except (GelformError, ValueError) as problem:

@@ -1,0 +1,165 @@
+"""What is wrong with a whole set of presses, which no single image shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background import color_change_from_image
+from gelform.calibration.coverage import coverage_notes
+from gelform.calibration.press_set import Presses
+from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of, why_no_contact
+from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.errors import CalibrationError
+
+REVERSED_SHARE = 0.6
+MIN_DIFFERENCE = 3.0
+CHECKED_STEP = 4
+MIN_FOR_MEDIAN = 5
+MOST_FOR_MEDIAN = 25
+MIN_CHANGE = 0.08
+MIN_ROUGHER = 1.3
+LIGHT_ZONE = 0.8
+MIN_SINE = 0.3
+# In which order red, green and blue light come round the gel, seen as the image shows it (measured on one unit
+# of each kind). Turning the camera keeps it; reversed channels and mirrored images turn it round.
+LIGHT_ORDER = {"GelSight Mini": "clockwise", "DIGIT": "counter-clockwise"}
+
+
+def check_inputs(presses: Presses) -> None:
+    """Refuse presses whose channels are reversed against the background, and a background with a contact in it.
+
+    Raises
+    ------
+    CalibrationError
+        The message says which images, or where the contact is, and what to do.
+    """
+    _check_channels(presses)
+    _check_untouched(presses)
+
+
+def _check_channels(presses: Presses) -> None:
+    wrong = [press.name for press in presses.presses if is_reversed(press.image, presses.background)]
+    if not wrong:
+        return
+    if len(wrong) == len(presses.presses):
+        raise CalibrationError(
+            f"All {len(wrong)} presses of {presses.folder} fit the background better with red and blue exchanged: either "
+            "they or the background were saved as BGR. Save all as RGB files, in one way."
+        )
+    named = ", ".join(wrong[:5]) + (f" and {len(wrong) - 5} more" if len(wrong) > 5 else "")
+    raise CalibrationError(
+        f"{len(wrong)} of {len(presses.presses)} presses of {presses.folder} look like BGR, their channels fit the "
+        f"background better reversed: {named}. Save all as RGB files, in one way."
+    )
+
+
+def is_reversed(image: NDArray[np.uint8], background: NDArray[np.float32]) -> bool:
+    """Whether an image fits the background clearly better with red and blue exchanged.
+
+    Compares the median difference over the pixels, most of which a press leaves alone.
+    """
+    seen = image[::CHECKED_STEP, ::CHECKED_STEP].astype(np.float32)
+    rest = background[::CHECKED_STEP, ::CHECKED_STEP]
+    straight, turned = (float(np.median(np.abs(one - rest))) for one in (seen, seen[..., ::-1]))
+    return straight > MIN_DIFFERENCE and turned < REVERSED_SHARE * straight
+
+
+def _check_untouched(presses: Presses) -> None:
+    found = contact_in_background(presses)
+    if found is not None:
+        raise CalibrationError(
+            f"The background of {presses.folder} has a contact in it, about ({found.x_px:.0f}, {found.y_px:.0f}) px, "
+            f"radius {found.radius_px:.0f} px: there it differs from what most presses show. Take the background "
+            "again, with nothing touching the gel, or name another with background= (--background)."
+        )
+
+
+def contact_in_background(presses: Presses) -> Contact | None:
+    """The contact that the background shows, or None; five presses or more are needed to tell.
+
+    Each place is untouched in most presses, so their median is the untouched gel. Where the background differs
+    from it as a contact does, and is the rougher of the two (a median of presses at one place is touched itself),
+    the background is touched.
+    """
+    count = len(presses.presses)
+    if count < MIN_FOR_MEDIAN:
+        return None
+    chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_FOR_MEDIAN)).round().astype(int))
+    images = np.stack([presses.presses[k].image for k in chosen])
+    untouched = np.median(images, axis=0).astype(np.float32)
+    change = color_change_from_image(presses.background, untouched)
+    change = cv2.GaussianBlur(change, (0, 0), 1.25 * scale_of(presses.image_shape))
+    found = find_contact(change)
+    if why_no_contact(found) is not None:
+        return None
+    inside = _disc(presses.image_shape, found, 1.2)
+    size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
+    rougher = _roughness(presses.background, inside) / max(_roughness(untouched, inside), 1e-9)
+    return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
+
+
+def input_notes(
+    presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[Contact]
+) -> tuple[str, ...]:
+    """What a user should know of the presses: how they were read, where some are missing, reversed channels.
+
+    Parameters
+    ----------
+    presses : as read
+    prepared, contacts : those that fit, and their circles
+    """
+    covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
+    order = light_order_note(presses, prepared, contacts)
+    return (*presses.notes, *covered, *(() if order is None else (order,)))
+
+
+def light_order_note(
+    presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[Contact]
+) -> str | None:
+    """A note where the lights come round the gel the other way than in this kind of sensor, else None.
+
+    Presses and background that were both saved as BGR agree with each other; only the lights tell. Which way each
+    channel is lit is the slope direction that brightens it most.
+    """
+    expected = next((o for name, o in LIGHT_ORDER.items() if presses.sensor_name.startswith(name)), None)
+    if expected is None or not contacts:
+        return None
+    turn = light_turn(prepared, contacts)
+    if abs(turn) < MIN_SINE:
+        return None
+    seen = "clockwise" if turn > 0 else "counter-clockwise"
+    if seen == expected:
+        return None
+    return (
+        f"Red, green and blue light come round the gel {seen}; in a {presses.sensor_name} that is {expected}. Either all "
+        "images, the background too, were saved as BGR, or they are mirrored. A calibration fits images of its own kind "
+        "only: read new ones in the same way."
+    )
+
+
+def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[Contact]) -> float:
+    """Which way red, green and blue light come round the gel: > 0 clockwise in the image, < 0 the other way.
+
+    The sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
+    """
+    samples = contact_samples(prepared, contacts, LIGHT_ZONE, total=8000)
+    response = np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0]
+    towards = np.arctan2(response[1], response[0])  # y is down: a growing angle turns clockwise
+    return float(np.sin(np.roll(towards, -1) - towards).sum())
+
+
+def _disc(shape: tuple[int, int], contact: Contact, share: float) -> NDArray[np.bool_]:
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    inside = np.hypot(cols - contact.x_px, rows - contact.y_px) < share * contact.radius_px
+    return np.asarray(inside)
+
+
+def _roughness(image: NDArray[np.float32], inside: NDArray[np.bool_]) -> float:
+    """Root mean square of the relative steps between neighbouring pixels, a little blurred."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
+    rows, cols = np.gradient(np.log(smooth + 10), axis=(0, 1))
+    return float(np.sqrt(np.mean((rows**2 + cols**2)[inside])))

@@ -1,0 +1,53 @@
+"""Color changes on a gel with markers: the dots' pixels are left out, and bridged for what needs a whole map.
+
+A dot that moved is dark where it is now and, where it was, the background is dark that is divided by. So the
+pixels of both are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background import ChangeSettings, color_change_from_image
+from gelform.gradients import fill
+from gelform.markers import MarkerFinder
+
+BLUR_REACH = 2.0
+
+
+def change_without_markers(
+    image: NDArray[Any], background: NDArray[np.float32], settings: ChangeSettings, finder: MarkerFinder
+) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    """The color change of an image, and which of its pixels may be used.
+
+    Parameters
+    ----------
+    image, background : (H, W, 3), 0-255
+    settings : how the change is taken
+    finder : of this background
+
+    Returns
+    -------
+    color_change : (H, W, 3) float32; smooth across the dots
+    usable : (H, W) bool, False on the dots of either image; None on a gel without markers
+    """
+    if not len(finder.rest):
+        return color_change_from_image(image, background, settings), None
+    usable = ~_grown(finder.rest.mask | finder(image).mask, BLUR_REACH * max(settings.blur_px, 0.5))
+    change = color_change_from_image(image, background, replace(settings, blur_px=0.0))
+    change = fill(change, usable)
+    if settings.blur_px > 0:
+        cv2.GaussianBlur(change, (0, 0), settings.blur_px, dst=change, borderType=cv2.BORDER_REFLECT_101)
+    return change, usable
+
+
+def _grown(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.bool_]:
+    size = 2 * int(np.ceil(reach_px)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    grown: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), kernel).view(np.bool_)
+    return grown

@@ -1,0 +1,303 @@
+"""Where in a sequence the gel is untouched, and where a contact stands still.
+
+Works on thumbnails, because what a contact changes is large and noise averages out in them. All distances are
+in grey levels: the mean over the pixels that changed most, after the change that all pixels share (flicker,
+exposure) was taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+THUMB_ROWS = 36
+MAX_THUMBS = 6000
+TOP_SHARE = 0.007
+MIN_TOUCH = 3.0
+TOUCH_OVER_NOISE = 4.0
+TOUCH_OVER_STRONGEST = 0.12
+MIN_STILL = 5
+MIN_STILL_S = 0.2
+MOVED_OVER_TOUCH = 0.08
+SAME_PLACE_PX = 2.0
+MOVED_PX = 0.6
+LIGHT_SHARE = 0.35
+MAX_STATES = 80
+MAX_NOISE = 2.0
+CHUNK = 64
+_SCALE = 64
+
+
+class Thumbnails:
+    """Small copies of a sequence's frames; where there are too many, every second one is dropped.
+
+    Attributes
+    ----------
+    index, time_s : of the frames that are kept
+    factor : image pixels per thumbnail pixel
+    """
+
+    def __init__(self, most: int = MAX_THUMBS) -> None:
+        self.index: list[int] = []
+        self.time_s: list[float] = []
+        self.factor = 1.0
+        self._small: list[NDArray[np.uint16]] = []
+        self._stride, self._most, self._seen = 1, most, 0
+
+    def add(self, image: NDArray[np.uint8], index: int, time_s: float) -> None:
+        """The next frame of the sequence."""
+        self._seen += 1
+        if (self._seen - 1) % self._stride:
+            return
+        self._small.append((thumbnail(image) * _SCALE).astype(np.uint16))
+        self.index.append(index)
+        self.time_s.append(time_s)
+        self.factor = min(image.shape[:2]) / min(self._small[-1].shape[:2])
+        if len(self._small) > self._most:
+            self._stride *= 2
+            for kept in (self._small, self.index, self.time_s):
+                del kept[1::2]  # type: ignore[attr-defined]
+
+    def levels(self) -> NDArray[np.float32]:
+        """(n, h, w, 3) grey levels."""
+        levels: NDArray[np.float32] = np.asarray(self._small, dtype=np.float32) / np.float32(_SCALE)
+        return levels
+
+
+@dataclass(frozen=True)
+class Still:
+    """A stretch in which a contact stands still.
+
+    Attributes
+    ----------
+    start, stop : thumbnails from start to before stop
+    best : the thumbnail that is most like all of them
+    touch : grey levels by which they differ from the untouched gel
+    center_px : (x, y) of the change, in thumbnail pixels
+    """
+
+    start: int
+    stop: int
+    best: int
+    touch: float
+    center_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch in which the gel is touched: its stills, and why it has none (or what else was left out)."""
+
+    start: int
+    stop: int
+    stills: tuple[Still, ...]
+    reason: str | None
+
+
+def thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The image averaged down to 36 rows (or columns, whichever are fewer), float32."""
+    height, width = image.shape[:2]
+    scale = min(1.0, THUMB_ROWS / min(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA))
+
+
+def distances(levels: NDArray[np.float32], reference: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Of each thumbnail (n, h, w, 3) to one (h, w, 3), or to one each."""
+    references = np.broadcast_to(reference, levels.shape)
+    parts = [
+        _distances(levels[at : at + CHUNK], references[at : at + CHUNK])
+        for at in range(0, len(levels), CHUNK)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float64]:
+    size = _changed(a, b).reshape(len(a), -1)
+    top = max(3, int(TOP_SHARE * size.shape[1]))
+    strongest = np.partition(size, size.shape[1] - top, axis=1)[:, -top:]
+    return np.asarray(strongest.mean(axis=1), dtype=np.float64)
+
+
+def _changed(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Size (..., h, w) of the change of each pixel, in grey levels of its strongest channel."""
+    change = a - b
+    change -= np.median(change[..., ::3, ::3, :], axis=(-3, -2), keepdims=True)
+    np.abs(change, out=change)
+    size: NDArray[np.float32] = np.maximum(np.maximum(change[..., 0], change[..., 1]), change[..., 2])
+    return size
+
+
+def noise_of(motion: NDArray[np.float64]) -> float:
+    """Distance of two frames between which nothing happened: the tenth part of the steps is that quiet.
+
+    Where all is in motion that is no noise: averaged over a thumbnail's pixel, noise is never above `MAX_NOISE`.
+    """
+    return min(float(np.percentile(motion, 10)), MAX_NOISE) if len(motion) else 0.0
+
+
+def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which thumbnails (n,) show the untouched gel.
+
+    The untouched state is the one that comes back: each press looks different, the gel between them does not.
+    Where no state comes back, the smoothest one is the untouched.
+    """
+    noise = noise_of(motion)
+    tolerance = max(3 * noise, 2.0)
+    quiet = np.concatenate([[True], motion <= tolerance]) & np.concatenate([motion <= tolerance, [True]])
+    states: list[NDArray[np.bool_]] = []
+    unassigned = quiet.copy()
+    while unassigned.any() and len(states) < MAX_STATES:
+        first = int(np.argmax(unassigned))
+        near = quiet.copy()
+        near[quiet] = distances(levels[quiet], levels[first]) <= tolerance
+        states.append(near)
+        unassigned &= ~near
+        unassigned[first] = False
+    states = [state for state in states if np.count_nonzero(state) >= MIN_STILL]
+    if not states:
+        return np.zeros(len(levels), dtype=bool)
+    visits = np.array([_visits(state) for state in states])
+    often = [state for state, count in zip(states, visits) if count == visits.max()]
+    return often[0] if len(often) == 1 else min(often, key=lambda state: _roughness(levels[state]))
+
+
+def _visits(state: NDArray[np.bool_]) -> int:
+    """How many times a state is entered; a single odd frame is no leave."""
+    times = np.flatnonzero(state)
+    return int(1 + np.count_nonzero(np.diff(times) > 3))
+
+
+def _roughness(levels: NDArray[np.float32]) -> float:
+    mean = levels.mean(axis=0)
+    return float(np.abs(np.diff(mean, axis=0)).mean() + np.abs(np.diff(mean, axis=1)).mean())
+
+
+def touch_threshold(touch: NDArray[np.float64], noise: float) -> float:
+    """Grey levels from which the gel counts as touched."""
+    strongest = float(np.percentile(touch, 98)) if len(touch) else 0.0
+    return max(MIN_TOUCH, TOUCH_OVER_NOISE * noise, TOUCH_OVER_STRONGEST * strongest)
+
+
+def stretches(
+    levels: NDArray[np.float32], rest: NDArray[np.float32], noise: float, *, rate_hz: float, factor: float
+) -> list[Stretch]:
+    """Stretches in which the gel is touched, with the stills in them.
+
+    Parameters
+    ----------
+    levels : (n, h, w, 3) thumbnails in the order of time
+    rest : (h, w, 3) the untouched one
+    noise : see `noise_of`
+    rate_hz : thumbnails per second
+    factor : image pixels per thumbnail pixel, for the figures in the reasons
+    """
+    touch = distances(levels, rest)
+    touched = touch > touch_threshold(touch, noise)
+    shortest = max(MIN_STILL, round(MIN_STILL_S * rate_hz))
+    found = []
+    for start, stop in runs(touched):
+        runs_of = _still_runs(levels[start:stop], touch[start:stop], noise, shortest)
+        stills = [_still(levels, rest, touch, start + a, start + b) for a, b in runs_of]
+        found.append(_stretch(levels, rest, touch, start, stop, _deepest_per_place(stills), factor))
+    return _without_light(found)
+
+
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(start, stop) of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
+
+
+def _still_runs(
+    levels: NDArray[np.float32], touch: NDArray[np.float64], noise: float, shortest: int
+) -> list[tuple[int, int]]:
+    """Runs in which no frame differs from the first by more than a small part of the contact's change."""
+    found, start = [], 0
+    while start + shortest <= len(levels):
+        tolerance = max(3 * noise, MOVED_OVER_TOUCH * float(touch[start]))
+        stop = start + _length_within(levels[start:], tolerance)
+        if stop - start >= shortest:
+            found.append((start, stop))
+            start = stop
+        else:
+            start += 1
+    return found
+
+
+def _length_within(levels: NDArray[np.float32], tolerance: float) -> int:
+    """How many thumbnails from the first on are within a distance of it."""
+    for at in range(0, len(levels), CHUNK):
+        far = distances(levels[at : at + CHUNK], levels[0]) > tolerance
+        if far.any():
+            return at + int(np.argmax(far))
+    return len(levels)
+
+
+def _still(
+    levels: NDArray[np.float32],
+    rest: NDArray[np.float32],
+    touch: NDArray[np.float64],
+    start: int,
+    stop: int,
+) -> Still:
+    mean = levels[start:stop].mean(axis=0)
+    best = start + int(np.argmin(distances(levels[start:stop], mean)))
+    return Still(start, stop, best, float(np.median(touch[start:stop])), center_of(levels[best], rest))
+
+
+def center_of(level: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[float, float]:
+    """(x, y) of the middle of what changed, in thumbnail pixels, to a fraction of one."""
+    size = _changed(level, rest)
+    weight = np.maximum(size - 0.3 * size.max(), 0)
+    rows, cols = np.indices(size.shape)
+    total = max(float(weight.sum()), 1e-9)
+    return float((weight * cols).sum() / total), float((weight * rows).sum() / total)
+
+
+def _deepest_per_place(stills: Sequence[Still]) -> tuple[Still, ...]:
+    """Of stills at one place the deepest: a hand that hesitates on its way down made no second press."""
+    kept: list[Still] = []
+    for still in sorted(stills, key=lambda one: -one.touch):
+        if all(np.hypot(*np.subtract(still.center_px, one.center_px)) > SAME_PLACE_PX for one in kept):
+            kept.append(still)
+    return tuple(sorted(kept, key=lambda one: one.start))
+
+
+def _stretch(
+    levels: NDArray[np.float32],
+    rest: NDArray[np.float32],
+    touch: NDArray[np.float64],
+    start: int,
+    stop: int,
+    stills: tuple[Still, ...],
+    factor: float,
+) -> Stretch:
+    if stills:
+        return Stretch(start, stop, stills, None)
+    firm = np.flatnonzero(touch[start:stop] > 0.5 * touch[start:stop].max()) + start
+    path = np.array([center_of(levels[k], rest) for k in firm])
+    moved = float(np.hypot(*(path.max(axis=0) - path.min(axis=0))))
+    if len(firm) >= 3 and moved > MOVED_PX:
+        reason = f"the contact moved by {moved * factor:.0f} px without resting: it slid or rolled"
+    elif stop - start <= MIN_STILL:
+        reason = f"the contact lasted {stop - start} frames: too short"
+    else:
+        reason = "the contact never rested: its depth kept changing"
+    return Stretch(start, stop, (), reason)
+
+
+def _without_light(found: Sequence[Stretch]) -> list[Stretch]:
+    """Stretches without stills that are much lighter than the others."""
+    touches = [still.touch for stretch in found for still in stretch.stills]
+    limit = LIGHT_SHARE * float(np.median(touches)) if touches else 0.0
+    kept = []
+    for stretch in found:
+        firm = tuple(still for still in stretch.stills if still.touch >= limit)
+        light = len(firm) < len(stretch.stills) and not firm
+        reason = "the contact is much lighter than the others" if light else stretch.reason
+        kept.append(Stretch(stretch.start, stretch.stop, firm, reason))
+    return kept

@@ -1,0 +1,55 @@
+"""Rows of tables that list presses: columns that have to be there, numbers that have to be numbers."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gelform.errors import DataError
+
+
+def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
+    """Rows of a CSV with where they stand, after its columns were checked.
+
+    Raises
+    ------
+    DataError
+        A column is missing, or the file is no text.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            missing = [c for c in columns if c not in (reader.fieldnames or [])]
+            if missing:
+                there = ", ".join(reader.fieldnames or []) or "none"
+                raise DataError(
+                    f"Expected the columns {', '.join(columns)} in {path}, got {there}: {', '.join(missing)} missing."
+                )
+            for row in reader:
+                if any((value or "").strip() for value in row.values() if isinstance(value, str)):
+                    where = f"{path}, line {reader.line_num}"
+                    yield where, {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)}
+    except (UnicodeDecodeError, csv.Error) as problem:
+        raise DataError(f"{path} is no table of comma-separated text: {problem}.") from problem
+
+
+def diameter(text: str, where: str) -> float:
+    """A ball's diameter in mm."""
+    value = number(text, "ball diameter", where)
+    if not 0 < value < 1000:
+        raise DataError(f"Expected a ball diameter in mm > 0 (and under 1000), got {text} ({where}).")
+    return value
+
+
+def number(text: str, name: str, where: str) -> float:
+    """A finite number of a table."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise DataError(f"Expected {name} as a number, got {text!r} ({where}).") from None
+    if not np.isfinite(value):
+        raise DataError(f"Expected {name} as a finite number, got {text!r} ({where}).")
+    return value

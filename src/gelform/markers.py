@@ -1,0 +1,228 @@
+"""Marker dots on the gel: found, so that their pixels can be left out. Tracking them is another step.
+
+A dot is dark in all channels against the gel around it; a contact is bright on one side and dark on the other. So
+the mean of the channels is held against its closing (the largest value nearby, then the smallest of those: what
+the gel would be without anything small and dark on it). Dots are markers only where they form a regular grid:
+dust does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from gelform.checks import check_image
+
+CLOSING_SHARE = 0.13  # of the shorter side: wider than any dot
+LEVEL_OFFSET = 5.0
+FAINT = 0.12
+MIN_PEAK = 0.2
+MIN_DOTS = 9
+MIN_AREA_PX = 5
+SIZE_RANGE = (0.4, 2.5)
+MIN_ORDER = 0.5
+NEIGHBOURS = (0.7, 1.3)
+MIN_WITH_NEIGHBOURS = 0.7
+LEVELS = (0.3, 0.5, 0.7)  # of a dot's peak; the first is its edge, the others part it from a shadow beside it
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Dots of one image.
+
+    Attributes
+    ----------
+    centers_px : (N, 2) float32, x and y; N is 0 where the gel has no markers
+    radius_px : of a dot, from their median area; 0 where there are none
+    mask : (H, W) bool, the pixels that they darken
+    """
+
+    centers_px: NDArray[np.float32]
+    radius_px: float
+    mask: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.centers_px)
+
+
+class MarkerFinder:
+    """Finds a gel's dots in its images, if its background has any: prepared once, used for every frame.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, the untouched gel
+
+    Attributes
+    ----------
+    rest : the dots of the untouched gel; none where they form no regular grid
+    """
+
+    def __init__(self, background: ArrayLike) -> None:
+        image = check_image(background, name="background")
+        size = max(3, int(CLOSING_SHARE * min(image.shape[:2])) | 1)
+        self._kernel = np.ones((size, size), dtype=np.uint8)
+        darkness = self._darkness(image)
+        self._peak, self._area = _dots_of_grid(darkness)
+        self.rest = self(image)
+
+    def __call__(self, image: NDArray[Any]) -> Markers:
+        """The dots of an image (H, W, 3) of this gel, 0-255; they move with its surface."""
+        if not self._peak:
+            return Markers(np.zeros((0, 2), np.float32), 0.0, np.zeros(image.shape[:2], dtype=bool))
+        darkness = self._darkness(image)
+        mask = np.zeros(darkness.shape, dtype=bool)
+        centers, areas = [np.zeros((0, 2))], [np.zeros(0)]
+        for share in LEVELS:
+            dots, labels, whole = _dots(darkness, share * self._peak, self._area)
+            new = _peaks(darkness, labels, len(dots)) > 0.5 * self._peak
+            new &= np.bincount(labels[mask], minlength=len(dots) + 1)[1:] == 0
+            found = np.concatenate([[False], new])[labels]
+            mask |= found if share == LEVELS[0] else _grown(found)
+            centers.append(_centers(darkness, labels, len(dots))[new])
+            areas.append(dots[new & whole])
+        sizes = areas[1] if len(areas[1]) else np.concatenate(areas)
+        radius = float(np.sqrt(np.median(sizes) / np.pi)) if len(sizes) else 0.0
+        return Markers(np.concatenate(centers).astype(np.float32), radius, mask)
+
+    def mask(self, image: NDArray[Any], grow_px: int = 0) -> NDArray[np.bool_]:
+        """Pixels (H, W) that the dots darken in the image or in the background, grown by some pixels: for each frame.
+
+        Where the background is dark it is divided by, so both are to be distrusted. Faster than calling the finder
+        (half of a bare DCT pair at 240x320), because no dot is looked at: a narrow, deep shadow is taken for one too.
+        """
+        if not self._peak:
+            return np.zeros(image.shape[:2], dtype=bool)
+        level = _level(image)
+        closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel)
+        share = LEVELS[0] * self._peak
+        dark = cv2.compare(
+            level, cv2.convertScaleAbs(closed, alpha=1 - share, beta=-share * LEVEL_OFFSET), cv2.CMP_LT
+        )
+        dark |= self.rest.mask.view(np.uint8) * np.uint8(255)
+        if grow_px:
+            dark = cv2.dilate(dark, np.ones((2 * grow_px + 1,) * 2, dtype=np.uint8))
+        return dark > 0
+
+    def _darkness(self, image: NDArray[Any]) -> NDArray[np.float32]:
+        """How much darker (H, W) than the gel around it, as a share; 0-1."""
+        level = _level(image)
+        closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel).astype(np.float32)
+        darkness: NDArray[np.float32] = (closed - level) / (closed + np.float32(LEVEL_OFFSET))
+        return darkness
+
+
+def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) -> Markers:
+    """Find the marker dots on a gel.
+
+    Parameters
+    ----------
+    image : (H, W, 3), RGB, 0-255
+    background : (H, W, 3), the untouched image, optional
+        Says whether this gel has markers at all and how large they are; without it the image itself does, and
+        dots that a contact moved out of their grid may be missed.
+
+    Returns
+    -------
+    Markers
+        None on a gel without markers. Dots that form no regular grid (dust, random patterns) are no markers.
+    """
+    pixels = check_image(image)
+    if background is None:
+        return MarkerFinder(pixels).rest
+    rest = check_image(background, shape=pixels.shape[:2], name="background")
+    return MarkerFinder(rest)(pixels)
+
+
+def _level(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Mean of the channels (H, W)."""
+    pixels = image if image.dtype == np.uint8 else np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    third = np.full((1, 3), 1 / 3, dtype=np.float32)
+    return np.asarray(cv2.transform(pixels, third))
+
+
+def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
+    """Typical peak and area of the dots of a regular grid; 0, 0 where there is none."""
+    areas, labels, whole = _dots(darkness, FAINT, None)
+    if np.count_nonzero(whole) < MIN_DOTS:
+        return 0.0, 0.0
+    peaks = _peaks(darkness, labels, len(areas))
+    strong = whole & (peaks > max(MIN_PEAK, 0.5 * float(np.percentile(peaks[whole], 80))))
+    if np.count_nonzero(strong) < MIN_DOTS:
+        return 0.0, 0.0
+    typical = float(np.median(areas[strong]))
+    alike = strong & (areas > SIZE_RANGE[0] * typical) & (areas < SIZE_RANGE[1] * typical)
+    if np.count_nonzero(alike) < MIN_DOTS or not is_grid(_centers(darkness, labels, len(areas))[alike]):
+        return 0.0, 0.0
+    peak = float(np.median(peaks[alike]))
+    areas, _, whole = _dots(darkness, LEVELS[0] * peak, None)
+    return peak, float(np.median(areas[whole & (areas > SIZE_RANGE[0] * typical)]))
+
+
+def is_grid(centers_px: NDArray[Any]) -> bool:
+    """Whether points (N, 2) form a regular grid, square or hexagonal, bent or with gaps.
+
+    In a grid most points have two neighbours or more about as far away as the nearest usually is, and these lie in
+    directions that repeat every 90 or 60 degrees.
+    """
+    if len(centers_px) < MIN_DOTS:
+        return False
+    found = cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
+    distance, neighbour = np.asarray(found[0]), np.asarray(found[1])
+    pitch = float(np.median(distance[:, 1]))
+    near = (distance[:, 1:] > NEIGHBOURS[0] * pitch) & (distance[:, 1:] < NEIGHBOURS[1] * pitch)
+    if np.mean(near.sum(axis=1) >= 2) < MIN_WITH_NEIGHBOURS:
+        return False
+    step = centers_px[neighbour[:, 1:]] - centers_px[:, None]
+    angle = np.arctan2(step[..., 1], step[..., 0])[near]
+    order = max(abs(np.mean(np.exp(1j * fold * angle))) for fold in (4, 6))
+    return bool(order >= MIN_ORDER)
+
+
+def _dots(
+    darkness: NDArray[np.float32], threshold: float, area: float | None
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:
+    """Areas of compact dark components, a map of their numbers from 1 (0: none), and which are not cut off."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((darkness > threshold).astype(np.uint8))
+    height, width = darkness.shape
+    left, top, wide, high, areas = (stats[1:, k].astype(np.float64) for k in range(5))
+    whole = (left > 0) & (top > 0) & (left + wide < width) & (top + high < height)
+    longer, shorter = np.maximum(wide, high), np.minimum(wide, high)
+    compact = (areas > 0.45 * wide * high) & (longer <= 2.5 * shorter) & (areas >= MIN_AREA_PX)
+    compact |= ~whole & (areas >= MIN_AREA_PX)
+    compact &= areas < (0.15 * min(height, width)) ** 2 if area is None else areas < SIZE_RANGE[1] * area
+    if area is not None:
+        compact &= ~whole | (areas > 0.2 * area)
+    number = np.zeros(count, dtype=np.int32)
+    number[1:][compact] = np.arange(1, np.count_nonzero(compact) + 1)
+    return areas[compact], number[labels], whole[compact]
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Two pixels more on each side: about from a dot's core to its edge."""
+    grown: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), np.ones((5, 5), dtype=np.uint8)).view(np.bool_)
+    return grown
+
+
+def _peaks(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Largest darkness of each numbered component (1 to count; each has pixels)."""
+    inside = labels > 0
+    number = labels[inside]
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(1, count + 1))
+    peaks = np.maximum.reduceat(darkness[inside][order], starts) if count else np.zeros(0)
+    return np.asarray(peaks, dtype=np.float64)
+
+
+def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Centres (N, 2), x and y, weighted by the darkness."""
+    rows, cols = np.nonzero(labels)
+    number, weight = labels[rows, cols], darkness[rows, cols].astype(np.float64)
+    total, x, y = (
+        np.bincount(number, w, minlength=count + 1)[1:] for w in (weight, weight * cols, weight * rows)
+    )
+    return np.stack([x, y], axis=-1) / np.maximum(total, 1e-9)[:, None]

@@ -1,0 +1,108 @@
+"""Frames from a video file, in RGB, one after the other: memory holds one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelform.errors import DataError
+from gelform.frames import Frame
+
+VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+COMPLETE_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class VideoFacts:
+    """What a video file says of itself: shape (H, W), frame rate in Hz, and number of frames; 0 where unknown."""
+
+    shape: tuple[int, int]
+    frame_rate_hz: float
+    count: int
+
+
+class Video:
+    """The frames of a video file; each loop over it reads them anew from the start.
+
+    `for frame in Video("presses.avi")` gives `Frame`s: image (H, W, 3) uint8 RGB, `time_s` from the file's time
+    stamps, `index` from 0, `wall_time_ns` 0, because a file does not say when it was filmed.
+
+    Parameters
+    ----------
+    path : a file that this build of OpenCV can decode (AVI, MP4, MOV, MKV, WebM ...)
+
+    Raises
+    ------
+    DataError
+        The file is missing, empty or cannot be decoded; in a loop also: its frames end well before the number
+        that it declares, or change their size.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        capture = self._opened()
+        width, height, rate, count = (
+            capture.get(which)
+            for which in (
+                cv2.CAP_PROP_FRAME_WIDTH,
+                cv2.CAP_PROP_FRAME_HEIGHT,
+                cv2.CAP_PROP_FPS,
+                cv2.CAP_PROP_FRAME_COUNT,
+            )
+        )
+        capture.release()
+        rate = float(rate) if np.isfinite(rate) and 0 < rate < 1000 else 0.0
+        self.facts = VideoFacts((int(height), int(width)), rate, max(0, int(count)))
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self.frames()
+
+    def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
+        """The frames, or those of them whose index is in `only`: the others are not turned into pictures."""
+        capture = self._opened()
+        index = 0
+        try:
+            while capture.grab():
+                if only is None or index in only:
+                    yield self._frame(capture, index)
+                index += 1
+        finally:
+            capture.release()
+        if index == 0:
+            raise DataError(f"{self.path} has no frame that can be decoded. Record it again, as AVI or MP4.")
+        if index < COMPLETE_SHARE * self.facts.count:
+            raise DataError(
+                f"{self.path} ends after {index} of {self.facts.count} frames: truncated or damaged. "
+                "Copy or record it again."
+            )
+
+    def _frame(self, capture: cv2.VideoCapture, index: int) -> Frame:
+        time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        if index and not time_s > 0:  # no time stamps: by the frame rate
+            time_s = index / (self.facts.frame_rate_hz or 25.0)
+        decoded, pixels = capture.retrieve()
+        if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
+            raise DataError(f"Frame {index} of {self.path} is damaged or no colour. Record the video again.")
+        return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), float(time_s), 0, index)
+
+    def _opened(self) -> cv2.VideoCapture:
+        if not self.path.is_file():
+            raise DataError(f"No video file {self.path}. Check the path.")
+        if self.path.stat().st_size == 0:
+            raise DataError(f"{self.path} is empty. Copy or record it again.")
+        capture = cv2.VideoCapture(str(self.path))
+        if not capture.isOpened():
+            raise DataError(
+                f"{self.path} cannot be decoded as a video: damaged, or a codec that OpenCV lacks here. "
+                "Record it as AVI (MJPG) or MP4."
+            )
+        return capture
+
+
+def is_video(path: str | Path) -> bool:
+    """Whether a path is named as a video file."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES

@@ -1,0 +1,124 @@
+"""Where presses are missing is said: cells, slope directions, named places."""
+
+import numpy as np
+import pytest
+
+from gelform.calibration.coverage import (
+    SECTORS,
+    coverage_from_circles,
+    coverage_notes,
+    name_of_place,
+    one_part,
+    press_next,
+)
+
+SHAPE = (240, 320)
+
+
+def lattice(rows, cols, radius=25, shape=SHAPE):
+    """Presses on a regular lattice over the image."""
+    return [
+        ((j + 0.5) * shape[1] / cols, (i + 0.5) * shape[0] / rows, radius)
+        for i in range(rows)
+        for j in range(cols)
+    ]
+
+
+def test_one_press_shows_every_direction_of_its_cell_and_nothing_else():
+    coverage = coverage_from_circles([(40.0, 40.0, 25.0)], SHAPE)
+    assert (coverage.directions[0, 0] == 1).all()
+    assert coverage.directions.sum() == SECTORS
+    assert coverage.share == pytest.approx(1 / 12)
+    assert coverage.presses[0, 0] == 1
+
+
+def test_a_press_cut_by_the_border_shows_only_what_is_seen_of_it():
+    # centre on the left border: only its right half is seen, where the ball falls to the right (dz/dx < 0)
+    coverage = coverage_from_circles([(0.0, 40.0, 30.0)], SHAPE)
+    assert coverage.directions[0, 0, 4] == 1  # dz/dx < 0
+    assert coverage.directions[0, 0, 0] == 0  # dz/dx > 0 lies beside the image
+    # at the top border the lower half is seen, where it falls downwards: dz/dy < 0, sector 6
+    top = coverage_from_circles([(40.0, 0.0, 30.0)], SHAPE)
+    assert top.directions[0, 0, 6] == 1
+    assert top.directions[0, 0, 2] == 0
+
+
+def test_presses_add_up():
+    one, other = lattice(3, 4), lattice(2, 3)
+    together = coverage_from_circles([*one, *other], SHAPE).directions
+    apart = [coverage_from_circles(c, SHAPE).directions for c in (one, other)]
+    np.testing.assert_array_equal(together, apart[0] + apart[1])
+    assert coverage_from_circles(one, SHAPE).share == 1
+
+
+def test_the_place_without_a_press_is_named_first():
+    for row, col, name in ((0, 0, "top left"), (2, 3, "bottom right"), (0, 3, "top right")):
+        circles = [c for k, c in enumerate(lattice(3, 4)) if k != row * 4 + col]
+        coverage = coverage_from_circles(circles, SHAPE)
+        place, *_ = press_next(coverage, 3)
+        assert place.name == name
+        added = coverage_from_circles([*circles, (place.x_px, place.y_px, 25.0)], SHAPE)
+        assert added.share > coverage.share
+        assert (added.directions[row, col] > 0).sum() >= 6
+
+
+def test_pressing_where_it_is_said_covers_the_frame():
+    circles = [(30.0, 30.0, 25.0)]
+    for _ in range(40):
+        places = press_next(coverage_from_circles(circles, SHAPE), 1)
+        if not places:
+            break
+        circles.append((places[0].x_px, places[0].y_px, 25.0))
+    assert coverage_from_circles(circles, SHAPE).share == 1
+    assert len(circles) <= 20
+
+
+def test_places_are_named_as_the_image_shows_them():
+    assert name_of_place(10, 10, SHAPE) == "top left"
+    assert name_of_place(310, 10, SHAPE) == "top right"
+    assert name_of_place(160, 230, SHAPE) == "bottom"
+    assert name_of_place(10, 120, SHAPE) == "left"
+    assert name_of_place(160, 120, SHAPE) == "middle"
+    assert name_of_place(-5, 400, SHAPE) == "bottom left"
+
+
+def test_all_in_one_corner():
+    circles = [(x / 3 + 200, y / 3 + 150, 25.0) for x, y, _ in lattice(5, 5)]
+    assert one_part(circles, SHAPE) == "bottom right"
+    (note,) = coverage_notes(circles, SHAPE)
+    assert "All 25 presses lie in the bottom right" in note
+    assert "top left (" in note
+    assert one_part([(x, y / 3, r) for x, y, r in lattice(4, 5)], SHAPE) == "top"
+    assert one_part([(x / 3, y, r) for x, y, r in lattice(4, 5)], SHAPE) == "left"
+    assert one_part([(x, y / 4 + 90, r) for x, y, r in lattice(4, 5)], SHAPE) == "middle row"
+    assert one_part(lattice(4, 5), SHAPE) is None
+
+
+def test_too_few_presses_are_counted_and_placed():
+    circles = lattice(3, 4)
+    del circles[4]
+    (note,) = coverage_notes(circles, SHAPE)
+    assert "9 more presses are advised (11 of 20 fit), first at left (" in note
+
+
+def test_enough_presses_everywhere_need_no_note():
+    assert coverage_notes(lattice(4, 5), SHAPE) == ()
+
+
+def test_many_small_presses_that_leave_most_uncovered():
+    circles = [(x, y, 12.0) for x, y, _ in [*lattice(2, 2), *lattice(2, 2), *lattice(3, 4)[::3]] * 2]
+    (note,) = coverage_notes(circles, SHAPE)
+    assert "% of the places and slope directions" in note
+
+
+def test_no_press_at_all():
+    coverage = coverage_from_circles([], SHAPE)
+    assert coverage.share == 0
+    assert len(press_next(coverage)) == 5
+    assert "20 more presses" in coverage_notes([], SHAPE)[0]
+
+
+def test_as_json():
+    described = coverage_from_circles(lattice(1, 1), SHAPE).to_dict()
+    assert np.shape(described["directions"]) == (3, 4, SECTORS)
+    assert {"name", "x_px", "y_px"} == described["press_here_next"][0].keys()

@@ -1,0 +1,152 @@
+"""Sets of presses that are wrong as a whole: reversed channels, a touched background, presses in one corner."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration.design import _as_read
+from gelform.calibration.fit import prepare
+from gelform.calibration.inputs import (
+    check_inputs,
+    contact_in_background,
+    input_notes,
+    is_reversed,
+    light_order_note,
+    light_turn,
+)
+from gelform.calibration.presses import find_contact
+from gelform.simulate import Led, exposed, simulate_ball_presses
+
+
+def reversed_channels(presses, indices, background=False):
+    """The presses with red and blue exchanged in some images."""
+    images = [
+        replace(press, image=np.ascontiguousarray(press.image[..., ::-1])) if k in indices else press
+        for k, press in enumerate(presses.presses)
+    ]
+    rest = presses.background[..., ::-1] if background else presses.background
+    return replace(presses, presses=tuple(images), background=np.ascontiguousarray(rest))
+
+
+def test_good_presses_pass(presses):
+    check_inputs(presses)
+    assert not any(is_reversed(press.image, presses.background) for press in presses.presses)
+
+
+def test_all_presses_reversed(presses):
+    wrong = reversed_channels(presses, range(len(presses.presses)))
+    with pytest.raises(gelform.CalibrationError, match=r"All 14 presses .* red and blue exchanged"):
+        gelform.calibrate(wrong)
+
+
+def test_background_reversed(presses):
+    with pytest.raises(gelform.CalibrationError, match="they or the background were saved as BGR"):
+        gelform.calibrate(reversed_channels(presses, (), background=True))
+
+
+def test_some_presses_reversed_are_named(presses):
+    wrong = reversed_channels(presses, (2, 5))
+    names = ", ".join(presses.presses[k].name for k in (2, 5))
+    with pytest.raises(gelform.CalibrationError, match=rf"2 of 14 presses .* reversed: {names}\."):
+        gelform.calibrate(wrong)
+
+
+@pytest.mark.parametrize("k", range(0, 14, 3))
+def test_a_background_with_a_contact_in_it(presses, simulated, k):
+    """The press that somebody saved as the background."""
+    touched = replace(presses, background=presses.presses[k].image.astype(np.float32))
+    others = touched.subset([i for i in range(14) if i != k])
+    found = contact_in_background(others)
+    true = simulated.presses[k]
+    assert found is not None
+    assert (found.x_px, found.y_px) == pytest.approx(true.center_px, abs=5)
+    with pytest.raises(gelform.CalibrationError, match=r"has a contact in it, about \("):
+        gelform.calibrate(others)
+
+
+def test_untouched_backgrounds_pass(presses):
+    assert contact_in_background(presses) is None
+    brighter = replace(presses, background=presses.background * np.float32(1.05))
+    assert contact_in_background(brighter) is None
+
+
+def test_presses_at_one_place_are_no_contact_in_the_background(presses):
+    same = presses.subset([3] * 8)
+    assert contact_in_background(same) is None
+
+
+def test_few_presses_cannot_tell(presses):
+    touched = replace(presses, background=presses.presses[0].image.astype(np.float32))
+    assert contact_in_background(touched.subset([1, 2, 3, 4])) is None
+
+
+def turn_of(presses):
+    prepared = prepare(presses, 10.0)
+    contacts = [find_contact(press.color_change) for press in prepared]
+    return prepared, contacts, light_turn(prepared, contacts)
+
+
+def test_lights_that_come_round_clockwise(sensor):
+    """Red from the right, green from below, blue from the left: clockwise as the image shows it (y is down)."""
+    places = ((16, 0), (0, 14), (-16, 0.0))
+    leds = tuple(Led((x, y, 8.0), tuple(float(c == k) for c in range(3))) for k, (x, y) in enumerate(places))
+    round_ = exposed(replace(sensor, leds=leds), 100)
+    made = simulate_ball_presses(
+        round_, ball_diameters_mm=[6.0], count=6, rng=np.random.default_rng(0), oversample=1
+    )
+    presses = _as_read(made.presses, made.background, round_)
+    assert turn_of(presses)[2] > 1
+    assert turn_of(reversed_channels(presses, range(6), background=True))[2] < -1
+
+
+def test_folders_that_are_reversed_throughout_are_noted_where_the_sensor_is_known(presses):
+    prepared, contacts, turn = turn_of(presses)
+    kind = "DIGIT" if turn > 0 else "GelSight Mini"  # the kind whose lights come round the other way
+    note = light_order_note(replace(presses, sensor_name=f"{kind}, unit A"), prepared, contacts)
+    assert "saved as BGR, or they are mirrored" in note
+    other = "GelSight Mini" if turn > 0 else "DIGIT"
+    assert light_order_note(replace(presses, sensor_name=other), prepared, contacts) is None
+    assert light_order_note(presses, prepared, contacts) is None  # of an unknown kind nothing is known
+
+
+def test_presses_in_one_corner_are_noted(presses, simulated):
+    height, width = presses.image_shape
+    near = [
+        k
+        for k, p in enumerate(simulated.presses)
+        if p.center_px[0] < 0.55 * width and p.center_px[1] < 0.6 * height
+    ]
+    assert len(near) >= 3
+    prepared, contacts, _ = turn_of(presses.subset(near))
+    notes = input_notes(presses, prepared, contacts)
+    assert any(f"All {len(near)} presses lie in the" in note and "bottom right (" in note for note in notes)
+
+
+def test_the_report_says_how_many_presses_are_missing(calibration):
+    used = sum(row.accepted for row in calibration.report.presses)
+    assert any(f"({used} of 20 fit), first at" in note for note in calibration.report.notes)
+
+
+def test_too_few_presses_say_where(presses):
+    with pytest.raises(
+        gelform.CalibrationError, match=r"at least 3 presses .* more presses are advised .* first at"
+    ):
+        gelform.calibrate(presses.subset([0, 1]))
+
+
+def test_real_sets_pass_and_are_caught_when_spoilt(data):
+    for name, kind in (("mini-ball", "GelSight Mini"), ("digit-ball", "DIGIT"), ("gelsight-ball-deep", "")):
+        presses = gelform.read_presses(data / name)
+        few = presses.subset(range(0, len(presses.presses), 4))
+        check_inputs(few)
+        touched = replace(few, background=presses.presses[2].image.astype(np.float32))
+        if kind:
+            with pytest.raises(gelform.CalibrationError, match="has a contact in it"):
+                check_inputs(touched)
+            prepared, contacts, turn = turn_of(few)
+            assert light_order_note(few, prepared, contacts) is None
+            swapped = reversed_channels(few, range(len(few.presses)), background=True)
+            assert "saved as BGR" in light_order_note(swapped, *turn_of(swapped)[:2])
+            assert abs(turn) > 1
