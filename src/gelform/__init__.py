@@ -17,6 +17,9 @@ _HOME = {
     "image_from_frame": "gelform.view",
     "frame_from_image": "gelform.view",
     "ChangeSettings": "gelform.background",
+    "background_from_frames": "gelform.average",
+    "read_background": "gelform.sensors.backgrounds",
+    "exposure_from_image": "gelform.exposure",
     "color_change_from_image": "gelform.background",
     "image_from_color_change": "gelform.background",
     "normals_from_image": "gelform.normals",
@@ -56,6 +59,7 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
+    from gelform.average import background_from_frames
     from gelform.background import ChangeSettings, color_change_from_image, image_from_color_change
     from gelform.calibration.evaluate import evaluate
     from gelform.calibration.fit import calibrate
@@ -64,6 +68,7 @@ if TYPE_CHECKING:
     from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
+    from gelform.exposure import exposure_from_image
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
     from gelform.metrics import press_errors
@@ -77,6 +82,7 @@ if TYPE_CHECKING:
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration
+    from gelform.sensors.backgrounds import read_background
     from gelform.sensors.files import read_image
     from gelform.solvers.warmup import warmup
     from gelform.uncertainty import depth_sigma

@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.anchor import RestAnchor
 from gelform.background import (
-    Finding,
-    change_with_gain,
-    check_background,
-    gain_from_background,
+    PreparedBackground,
     untouched_from_color_change,
 )
+from gelform.background_check import Finding, background_digest, check_own_background
 from gelform.checks import check_image
 from gelform.color_models.lambertian import PreparedLambertian
 from gelform.contact import contact_from_depth
@@ -50,6 +48,11 @@ class Reconstructor:
         "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dst`, `fourier`, `path`) get neither
         weights nor anchor.
 
+    Attributes
+    ----------
+    own_background : whether the background in use is the calibration's own, pixel for pixel
+    findings : what should be known of a background that is not
+
     Raises
     ------
     CalibrationError
@@ -65,9 +68,10 @@ class Reconstructor:
         self.background = calibration.background
         if background is not None:
             today = self._image(background, "background")
-            self.findings = check_background(today, calibration.background)
+            self.findings = check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
-        self._gain = gain_from_background(self.background, calibration.change)
+        self.own_background = background_digest(self.background) == calibration.background_digest
+        self._rest = PreparedBackground(self.background, calibration.change)
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
         self._sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
         self._anchor = RestAnchor(
@@ -94,9 +98,9 @@ class Reconstructor:
             The background is clearly not of this frame, or the frame is BGR.
         """
         image = self._image(frame, "frame")
-        health = (*self.findings, *check_background(image, self.background))
+        exposure, health = self._rest.compare(image)
         with self._pool.one() as change:
-            change_with_gain(image, self.background, self._gain, self.calibration.change.blur_px, out=change)
+            self._rest.change(image, exposure, out=change)
             gradients, sigma = self._model.gradients_from_color(change)
             untouched, scarce = self._untouched(change)
             albedo = self._albedo_source(change)
@@ -117,7 +121,7 @@ class Reconstructor:
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*health, *scarce),
+            health=(*self.findings, *health, *scarce),
             index=getattr(frame, "index", None),
             time_s=getattr(frame, "time_s", None),
             wall_time_ns=getattr(frame, "wall_time_ns", None),

@@ -26,11 +26,15 @@ class Evaluation:
     rows : one per press: its name, whether the calibration has seen it, its circle and errors, or why it has none
     summary : over the presses that have errors
     seen : how many of them the calibration was made from; their errors say little
+    own_background : whether the presses' background is the calibration's own, pixel for pixel
+    findings : what should be known of a background that is not
     """
 
     rows: tuple[dict[str, Any], ...]
     summary: dict[str, float]
     seen: int
+    own_background: bool = True
+    findings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The evaluation as JSON can hold it."""
@@ -67,7 +71,8 @@ def evaluate(calibration: Calibration, presses: Presses, *, progress: Progress =
     if not errors:
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {rows[0]['reason']}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
-    return Evaluation(tuple(rows), summary(errors), seen)
+    said = tuple(finding.message for finding in reconstruct.findings)
+    return Evaluation(tuple(rows), summary(errors), seen, reconstruct.own_background, said)
 
 
 def errors_of(press: Press, circle_px: tuple[float, float, float], reconstruct: Reconstructor) -> PressErrors:

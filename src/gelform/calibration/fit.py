@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.background import ChangeSettings, check_background, color_change_from_image
+from gelform.background import ChangeSettings, PreparedBackground
+from gelform.background_check import check_background_of_frames
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
@@ -86,14 +87,15 @@ def calibrate(
 
 def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
     """Color changes of all presses, checked against the background."""
-    settings = change_settings(presses.image_shape, offset)
+    rest = PreparedBackground(presses.background, change_settings(presses.image_shape, offset))
+    check_background_of_frames([press.image for press in presses.presses], presses.background)
     prepared = []
     for done, press in enumerate(presses.presses):
         try:
-            check_background(press.image, presses.background)
+            exposure, _ = rest.compare(press.image)
         except CalibrationError as problem:
             raise CalibrationError(f"{press.name}: {problem}") from None
-        change = color_change_from_image(press.image, presses.background, settings)
+        change = rest.change(press.image, exposure)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         prepared.append(PreparedPress(press.name, change, size, radius_px))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gelform.checks import check_positive
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
+from gelform.sensors.backgrounds import read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image, read_sensor_toml
 from gelform.sensors.profiles import profile_named
 from gelform.view import View, image_from_frame
@@ -105,7 +106,7 @@ def read_presses(
     sensor : name of a profile, which gives the view and mm_per_px
     mm_per_px : pixel pitch, mm; goes before sensor.toml and the profile
     ball_diameter_mm : for a folder without a table
-    background : the untouched image; `background.png` (or .jpg ...) of the folder by default
+    background : the untouched image, or a folder of several; the folder's `background.png` or `background/` by default
     crop : (left, top, width, height) in pixels of the frame
     progress : called with (done, total, what)
 
@@ -122,7 +123,7 @@ def read_presses(
     settings = _settings(folder, sensor, mm_per_px)
     rest_path = Path(background) if background is not None else _background_of(folder)
     rows = _rows(folder, ball_diameter_mm, rest_path)
-    rest = read_image(rest_path)
+    rest = read_background(rest_path)
     frame_shape = (rest.shape[0], rest.shape[1])
     view = _view(settings, sensor, crop, frame_shape)
     presses = []
@@ -180,7 +181,9 @@ def _view(
 
 def _background_of(folder: Path) -> Path:
     found = sorted(
-        p for p in folder.iterdir() if p.stem == "background" and p.suffix.lower() in IMAGE_SUFFIXES
+        p
+        for p in folder.iterdir()
+        if p.stem == "background" and (p.suffix.lower() in IMAGE_SUFFIXES or p.is_dir())
     )
     if not found:
         raise DataError(
