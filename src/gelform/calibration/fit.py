@@ -87,7 +87,7 @@ def calibrate(
 
 def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
     """Color changes of all presses, checked against the background."""
-    rest = PreparedBackground(presses.background, change_settings(presses.image_shape, offset))
+    rest = PreparedBackground(presses.background, change_settings(presses, offset))
     check_background_of_frames([press.image for press in presses.presses], presses.background)
     prepared = []
     for done, press in enumerate(presses.presses):
@@ -103,9 +103,10 @@ def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress
     return prepared
 
 
-def change_settings(shape: tuple[int, int], offset: float) -> ChangeSettings:
-    """Division by the background, blurred by 1.25 px at 240 rows."""
-    return ChangeSettings("divide", offset, BLUR_PX * scale_of(shape))
+def change_settings(presses: Presses, offset: float) -> ChangeSettings:
+    """Division by the background, blurred by 1.25 px at 240 rows; known response and crosstalk undone."""
+    blur_px = BLUR_PX * scale_of(presses.image_shape)
+    return ChangeSettings("divide", offset, blur_px, presses.geometry.matrix, presses.response)
 
 
 def find_contact_of(press: PreparedPress, progress: Progress, index: int, count: int) -> Contact:
@@ -184,7 +185,7 @@ def _draft(
         mm_per_px_sigma=presses.mm_per_px_sigma,
         background=presses.background,
         background_noise=_pixel_noise(presses.background),
-        change=change_settings(presses.image_shape, chosen.change_offset),
+        change=change_settings(presses, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
         slope_sigma=FIRST_GUESS,
@@ -196,6 +197,7 @@ def _draft(
             **dict(chosen.settings),
             "presses": len(used),
             "response": presses.response,
+            **presses.geometry.settings(),
         },
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
@@ -280,15 +282,11 @@ def _report(
     notes: tuple[str, ...] = (
         f"Held-out errors: {len(errors)} presses in {len(selection.by_fold)} folds; circles, model, its kind and its zone "
         f"were found without a fold's presses. {_agreeing(selection)} folds chose what all presses together chose.",
-        "Crosstalk is absorbed in the color model. The errors do not include the uncertainty of mm_per_px.",
+        *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
     )
     notes += tuple(
         f"{name} was left out: it divides by the background, which has pixels of 0." for name in left_out
     )
-    if presses.response != 1:
-        notes += (
-            f"The camera's response, exponent {presses.response:g}, is absorbed in the model, not undone.",
-        )
     return CalibrationReport(tuple(rows), tuple(candidates), summary(list(errors.values())), seconds, notes)
 
 

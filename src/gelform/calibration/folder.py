@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.calibration.geometry import Geometry
 from gelform.checks import check_positive
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
@@ -56,7 +57,8 @@ class Presses:
     mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation where known
     sensor_name, serial, gel_id : from sensor.toml or the profile
     view : how frames become images
-    response : exponent of the camera's response, from sensor.toml; recorded, not undone
+    response : exponent of the camera's response, from sensor.toml; undone where it is not 1
+    geometry : what was measured beside the presses: scale, crosstalk, lens
     """
 
     folder: str
@@ -69,6 +71,7 @@ class Presses:
     gel_id: str | None
     view: View
     response: float = 1.0
+    geometry: Geometry = field(default_factory=Geometry)
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -160,7 +163,9 @@ def _settings(folder: Path, sensor: str | None, mm_per_px: float | None) -> Sens
     if settings is None:
         raise DataError(
             f"No scale for {folder}: presses of a ball alone do not tell it. Write name and mm_per_px into "
-            f"{folder / 'sensor.toml'}, or give mm_per_px= (--mm-per-px) or sensor= (--sensor)."
+            f"{folder / 'sensor.toml'}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it: two marked "
+            "points (--scale-points), a flat punch (--punch), a thread (--thread), a stage's step (--stage) or a grid "
+            "(--lens-images)."
         )
     return settings
 
