@@ -14,6 +14,7 @@ _HOME = {
     "read_image": "gelform.sensors.files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
+    "Lens": "gelform.lens",
     "image_from_frame": "gelform.view",
     "frame_from_image": "gelform.view",
     "ChangeSettings": "gelform.background",
@@ -37,6 +38,18 @@ _HOME = {
     "depth_sigma": "gelform.uncertainty",
     "contact_from_depth": "gelform.contact",
     "read_presses": "gelform.calibration.folder",
+    "Scale": "gelform.calibration.scale",
+    "combined_scale": "gelform.calibration.scale",
+    "scale_from_profile": "gelform.calibration.scale",
+    "scale_from_points": "gelform.calibration.scale",
+    "scale_from_punch": "gelform.calibration.scale_images",
+    "scale_from_thread": "gelform.calibration.scale_images",
+    "scale_from_stage": "gelform.calibration.scale_stage",
+    "crosstalk_from_frames": "gelform.calibration.crosstalk",
+    "view_from_grid": "gelform.calibration.lens",
+    "with_scale": "gelform.calibration.adjust",
+    "with_crosstalk": "gelform.calibration.adjust",
+    "with_view": "gelform.calibration.adjust",
     "calibrate": "gelform.calibration.fit",
     "evaluate": "gelform.calibration.evaluate",
     "Calibration": "gelform.record",
@@ -61,9 +74,15 @@ _HOME = {
 if TYPE_CHECKING:
     from gelform.average import background_from_frames
     from gelform.background import ChangeSettings, color_change_from_image, image_from_color_change
+    from gelform.calibration.adjust import with_crosstalk, with_scale, with_view
+    from gelform.calibration.crosstalk import crosstalk_from_frames
     from gelform.calibration.evaluate import evaluate
     from gelform.calibration.fit import calibrate
     from gelform.calibration.folder import read_presses
+    from gelform.calibration.lens import view_from_grid
+    from gelform.calibration.scale import Scale, combined_scale, scale_from_points, scale_from_profile
+    from gelform.calibration.scale_images import scale_from_punch, scale_from_thread
+    from gelform.calibration.scale_stage import scale_from_stage
     from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
@@ -71,6 +90,7 @@ if TYPE_CHECKING:
     from gelform.exposure import exposure_from_image
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
+    from gelform.lens import Lens
     from gelform.metrics import press_errors
     from gelform.normals import (
         image_from_normals,

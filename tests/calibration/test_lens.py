@@ -124,10 +124,10 @@ def test_what_is_no_grid_is_refused():
 
 
 def test_a_bent_grid_is_refused():
-    """The same points with a wave of 3 px in them: no plane looks so."""
+    """The same points with a wave of 1.5 px in them: no plane looks so."""
     frame = seen_through(LENS, pose(), "checkerboard")
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
-    bent = cv2.remap(frame, x + 3 * np.sin(y / 12).astype(np.float32), y, cv2.INTER_LINEAR)
+    bent = cv2.remap(frame, x + 1.5 * np.sin(y / 20).astype(np.float32), y, cv2.INTER_LINEAR)
     with pytest.raises(DataError, match=r"px off one \(limit 0.5\)"):
         view_from_grid([bent], pattern=PATTERN, pitch_mm=PITCH)
 
