@@ -97,5 +97,13 @@ def test_a_long_stream_is_thinned_not_held():
     assert 2 / np.sqrt(22) < rms < 2 / np.sqrt(9)  # 10 to 20 of the 200 were averaged
 
 
+def test_a_stream_is_thinned_evenly():
+    """Light that drifts by 2 % over the stream: the average is that of the whole, not of its end."""
+    drift = np.linspace(0.99, 1.01, 160)
+    images = (np.clip(np.rint(truth() * gain), 0, 255).astype(np.uint8) for gain in drift)
+    found = background_from_frames(images, max_bytes=20 * frames(1)[0].nbytes)
+    assert np.mean(found.background) / np.mean(truth()) == pytest.approx(1, abs=0.002)
+
+
 def test_noise_of_a_slope_is_none():
     assert noise_from_background(truth()) == pytest.approx([0] * 3, abs=1e-4)

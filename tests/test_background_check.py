@@ -145,6 +145,26 @@ def test_real_backgrounds_of_other_sensors_are_refused(data, ours, theirs):
         check_own_background(other, background)
 
 
+@pytest.mark.parametrize("ours", BACKGROUNDS)
+def test_real_frames_of_another_sensor_are_refused_or_warned_of(data, ours):
+    """Another model is refused; another unit of the same model is warned of. Own frames are neither."""
+    frames = {
+        "mini A": sorted((data / "mini-ball").rglob("gelsight.png"))[::20],
+        "mini C": [data / "mini-objects" / f"{name}.png" for name in ("bead", "key", "seed")],
+        "digit": sorted((data / "digit-ball" / "images").iterdir())[::14],
+    }
+    background = lying(read_image(data / BACKGROUNDS[ours]))
+    for theirs, paths in frames.items():
+        for path in paths:
+            frame = lying(read_image(path))
+            if theirs[:4] != ours[:4]:
+                with pytest.raises(CalibrationError, match=r"not of this image|looks like BGR"):
+                    check_background(frame, background)
+                continue
+            warned = "background_differs" in [finding.name for finding in check_background(frame, background)]
+            assert warned == (theirs != ours), path
+
+
 def test_a_real_later_moment_is_warned_of(data):
     later, ours = (
         read_image(data / "digit-ball" / name) for name in ("background_other_moment.png", "background.png")

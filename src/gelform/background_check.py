@@ -116,7 +116,7 @@ def compared(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[Expo
             f"{turned:.2f} against {correlation:.2f}). Turn them: image[..., ::-1]."
         )
     _refuse_unlike(exposure.gain, correlation)
-    return exposure, _exposure_findings(exposure)
+    return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
 
 
 def _refuse_unlike(gain: NDArray[np.float64], correlation: float) -> None:
@@ -144,6 +144,17 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
         message = f"Exposure differs from the background's by {percents}: compensated."
         return (Finding("exposure", message, largest),)
     return ()
+
+
+def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
+    least = exposure.least_change
+    if not (np.isfinite(least) and least > LEAST_REFUSE):
+        return ()
+    message = (
+        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %: a "
+        "contact that fills the image, or the calibration or background of another sensor."
+    )
+    return (Finding("background_differs", message, least),)
 
 
 def _times(gain: NDArray[np.float64]) -> str:
