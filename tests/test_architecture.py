@@ -10,7 +10,7 @@ import gelform
 
 SOURCE = Path(gelform.__file__).parent
 LEVELS = [
-    {"errors", "checks", "progress", "lens"},
+    {"errors", "checks", "progress", "distortion"},
     {"gradients", "metrics", "view", "frames", "npz_files", "exposure"},
     {"color_models", "solvers", "markers", "background", "background_check", "average"},
     {

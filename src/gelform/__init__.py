@@ -14,7 +14,7 @@ _HOME = {
     "read_image": "gelform.sensors.files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
-    "Lens": "gelform.lens",
+    "Lens": "gelform.distortion",
     "image_from_frame": "gelform.view",
     "frame_from_image": "gelform.view",
     "ChangeSettings": "gelform.background",
@@ -85,12 +85,12 @@ if TYPE_CHECKING:
     from gelform.calibration.scale_stage import scale_from_stage
     from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
+    from gelform.distortion import Lens
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
     from gelform.exposure import exposure_from_image
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
-    from gelform.lens import Lens
     from gelform.metrics import press_errors
     from gelform.normals import (
         image_from_normals,

@@ -9,8 +9,8 @@ import gelform
 from gelform.calibration.adjust import with_crosstalk, with_scale, with_view
 from gelform.calibration.crosstalk import Crosstalk
 from gelform.calibration.scale import Scale
+from gelform.distortion import Lens
 from gelform.errors import DataError
-from gelform.lens import Lens
 from gelform.metrics import press_errors
 from gelform.simulate import LAYOUTS, Optics, exposed, simulate_ball_presses
 from gelform.view import View, image_px_from_frame_px

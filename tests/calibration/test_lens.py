@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gelform.calibration.lens import view_from_grid
+from gelform.distortion import Lens
 from gelform.errors import DataError
-from gelform.lens import Lens
 from gelform.view import image_from_frame, image_px_from_frame_px
 
 SHAPE = (240, 320)

@@ -88,7 +88,6 @@ def calibrate(
 def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
     """Color changes of all presses, checked against the background."""
     rest = PreparedBackground(presses.background, change_settings(presses, offset))
-    check_background_of_frames([press.image for press in presses.presses], presses.background)
     prepared = []
     for done, press in enumerate(presses.presses):
         try:
@@ -100,6 +99,7 @@ def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         prepared.append(PreparedPress(press.name, change, size, radius_px))
         progress(done + 1, len(presses.presses), "preparing")
+    check_background_of_frames([press.image for press in presses.presses], presses.background)
     return prepared
 
 

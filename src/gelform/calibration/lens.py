@@ -13,8 +13,8 @@ from scipy.optimize import least_squares
 
 from gelform.calibration.scale import Scale
 from gelform.checks import check_image, check_positive
+from gelform.distortion import Lens
 from gelform.errors import DataError
-from gelform.lens import Lens
 from gelform.view import View
 
 MAX_RESIDUAL_PX = 0.5
