@@ -224,7 +224,7 @@ def _held_out(
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
         suited = by_offset[candidate.change_offset]
         model = candidate.fit([suited[i] for i in fold.training], fold.contacts)
-        change = change_settings(presses.image_shape, candidate.change_offset)
+        change = change_settings(presses, candidate.change_offset)
         reconstruct = Reconstructor(replace(draft, color_model=model, change=change))
         for i in fold.held_out:
             circle = _free_circle(suited[i], found[i], model, candidate.zone)
