@@ -23,9 +23,7 @@ import numpy as np
 import gelform
 from gelform.anchor import RestAnchor
 from gelform.background import (
-    change_with_gain,
-    check_background,
-    gain_from_background,
+    PreparedBackground,
     untouched_from_color_change,
 )
 from gelform.calibration.folder import Press, Presses
@@ -75,10 +73,11 @@ def with_full_polynomial(calibration: gelform.Calibration) -> gelform.Calibratio
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
     """Each stage of a frame on its own, and the whole."""
     reconstruct = gelform.Reconstructor(calibration)
-    background, blur = reconstruct.background, calibration.change.blur_px
-    gain = gain_from_background(background, calibration.change)
+    background = reconstruct.background
+    rest = PreparedBackground(background, calibration.change)
     model = calibration.color_model.prepare(background, calibration.image_shape)
-    change = change_with_gain(image, background, gain, blur)
+    exposure, _ = rest.compare(image)
+    change = rest.change(image, exposure)
     gradients = model.gradients_from_color(change)[0]
     untouched = untouched_from_color_change(change, calibration.untouched_change)
     pitch = calibration.mm_per_px
@@ -88,8 +87,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     _, confidence = sigma(gradients, image, untouched, change)
     hold = anchor(gradients, untouched)
     return {
-        "background check": lambda: check_background(image, background),
-        "color change": lambda: change_with_gain(image, background, gain, blur),
+        "exposure, background check": lambda: rest.compare(image),
+        "color change": lambda: rest.change(image, exposure),
         "color model (polynomial 4-3-1)": lambda: model.gradients_from_color(change),
         "untouched pixels": lambda: untouched_from_color_change(change, calibration.untouched_change),
         "sigma and confidence": lambda: sigma(gradients, image, untouched, change),

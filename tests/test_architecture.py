@@ -10,9 +10,9 @@ import gelform
 
 SOURCE = Path(gelform.__file__).parent
 LEVELS = [
-    {"errors", "checks", "progress"},
-    {"gradients", "metrics", "view", "frames", "npz_files"},
-    {"color_models", "solvers", "markers", "background"},
+    {"errors", "checks", "progress", "distortion"},
+    {"gradients", "metrics", "view", "frames", "npz_files", "exposure"},
+    {"color_models", "solvers", "markers", "background", "background_check", "average"},
     {
         "normals",
         "depth",
@@ -33,7 +33,12 @@ LEVELS = [
 LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
 # Whose same-level neighbours they may use, said in ARCHITECTURE.md.
-NEIGHBOURS = {("record", "confidence"), ("reconstruction", "normals"), ("uncertainty", "depth")}
+NEIGHBOURS = {
+    ("background", "background_check"),
+    ("record", "confidence"),
+    ("reconstruction", "normals"),
+    ("uncertainty", "depth"),
+}
 INNER_LIBRARIES = {"numpy", "scipy", "numba", "cv2", "gelform"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"record", "reconstruction", "npz_files"}

@@ -134,7 +134,7 @@ def test_settings_come_back(view):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, got frameshape"),
+        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, got frameshape"),
         ({"flip": "z", "frame_shape": [4, 4]}, "none, x, y, xy, got 'z'"),
         ({"flip": "x"}, "Expected frame_shape"),
         ({"frame_shape": [4]}, r"\(height, width\)"),

@@ -15,9 +15,13 @@ _HOME = {
     "Video": "gelform.sensors.video_files",
     "Frame": "gelform.frames",
     "View": "gelform.view",
+    "Lens": "gelform.distortion",
     "image_from_frame": "gelform.view",
     "frame_from_image": "gelform.view",
     "ChangeSettings": "gelform.background",
+    "background_from_frames": "gelform.average",
+    "read_background": "gelform.sensors.backgrounds",
+    "exposure_from_image": "gelform.exposure",
     "color_change_from_image": "gelform.background",
     "image_from_color_change": "gelform.background",
     "Markers": "gelform.markers",
@@ -39,6 +43,18 @@ _HOME = {
     "contact_from_depth": "gelform.contact",
     "read_presses": "gelform.calibration.folder",
     "presses_from_frames": "gelform.calibration.video",
+    "Scale": "gelform.calibration.scale",
+    "combined_scale": "gelform.calibration.scale",
+    "scale_from_profile": "gelform.calibration.scale",
+    "scale_from_points": "gelform.calibration.scale",
+    "scale_from_punch": "gelform.calibration.scale_images",
+    "scale_from_thread": "gelform.calibration.scale_images",
+    "scale_from_stage": "gelform.calibration.scale_stage",
+    "crosstalk_from_frames": "gelform.calibration.crosstalk",
+    "view_from_grid": "gelform.calibration.lens",
+    "with_scale": "gelform.calibration.adjust",
+    "with_crosstalk": "gelform.calibration.adjust",
+    "with_view": "gelform.calibration.adjust",
     "calibrate": "gelform.calibration.fit",
     "evaluate": "gelform.calibration.evaluate",
     "import_calibration": "gelform.importers.calibrations",
@@ -62,15 +78,24 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
+    from gelform.average import background_from_frames
     from gelform.background import ChangeSettings, color_change_from_image, image_from_color_change
+    from gelform.calibration.adjust import with_crosstalk, with_scale, with_view
+    from gelform.calibration.crosstalk import crosstalk_from_frames
     from gelform.calibration.evaluate import evaluate
     from gelform.calibration.fit import calibrate
     from gelform.calibration.folder import read_presses
+    from gelform.calibration.lens import view_from_grid
+    from gelform.calibration.scale import Scale, combined_scale, scale_from_points, scale_from_profile
+    from gelform.calibration.scale_images import scale_from_punch, scale_from_thread
+    from gelform.calibration.scale_stage import scale_from_stage
     from gelform.calibration.video import presses_from_frames
     from gelform.contact import contact_from_depth
     from gelform.depth import Integration, depth_from_gradients, edge_residuals, integrate
+    from gelform.distortion import Lens
     from gelform.errors import CalibrationError, ConvergenceError, DataError, GelformError, SensorError
     from gelform.export import save_press_folder, save_simulated_presses
+    from gelform.exposure import exposure_from_image
     from gelform.frames import Frame
     from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
     from gelform.importers.calibrations import import_calibration
@@ -86,6 +111,7 @@ if TYPE_CHECKING:
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction, load_result, save_result
     from gelform.record import Calibration, load_calibration
+    from gelform.sensors.backgrounds import read_background
     from gelform.sensors.files import read_image
     from gelform.sensors.video_files import Video
     from gelform.solvers.warmup import warmup

@@ -10,14 +10,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.background_check import Finding, compared
 from gelform.checks import check_image
-from gelform.errors import CalibrationError
+from gelform.exposure import Exposure, cells_from_image
 
-RATIO_WARN = (0.9, 1.1)
-RATIO_REFUSE = (0.7, 1.4)
-CORRELATION_REFUSE = 0.8
-CHECKED_PIXELS = 1200
-TOUCHED_SHARE = 0.4
+MAX_CONDITION = 30.0
+Matrix = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -29,26 +27,65 @@ class ChangeSettings:
     method : "divide" gives (I - I0)/(I0 + offset), "subtract" gives (I - I0)/255
     offset : grey levels added to the divisor, so that dark pixels do not amplify noise
     blur_px : standard deviation of a Gaussian blur of the change, px; 0 for none
+    crosstalk : 3x3, row c: how much of the red, green and blue light channel c sees; None: nothing to undo
+        From `crosstalk_from_frames`. Undone on image and background alike, before the change is taken.
+    response : exponent of the camera's response, I = 255 (light/255)^response; 1: nothing to undo
+        Undone first: I and I0 above are then linear light, 0-255.
     """
 
     method: Literal["divide", "subtract"] = "divide"
     offset: float = 10.0
     blur_px: float = 0.0
+    crosstalk: Matrix | None = None
+    response: float = 1.0
 
     def __post_init__(self) -> None:
         if self.method not in ("divide", "subtract"):
             raise ValueError(f"Expected method 'divide' or 'subtract', got {self.method!r}.")
         if not (self.offset >= 0 and self.blur_px >= 0):
             raise ValueError(f"Expected offset and blur_px >= 0, got {self.offset} and {self.blur_px}.")
+        if not 0 < self.response < np.inf:
+            raise ValueError(f"Expected response > 0, got {self.response}.")
+        if self.crosstalk is not None:
+            object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether images are taken as they are: neither response nor crosstalk is undone."""
+        return self.crosstalk is None and self.response == 1
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Something that a user should know, with its figure."""
+def _checked_crosstalk(crosstalk: Any) -> Matrix:
+    matrix = np.asarray(crosstalk, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
+        raise ValueError(f"Expected crosstalk as 3x3 finite numbers, got {crosstalk}.")
+    condition = float(np.linalg.cond(matrix))
+    if not condition < MAX_CONDITION:
+        raise ValueError(
+            f"Expected channels that tell the three lights apart, got a crosstalk matrix of condition number "
+            f"{condition:.3g} (limit {MAX_CONDITION:g}). Are two of the LED frames of the same LED?"
+        )
+    return tuple(tuple(float(value) for value in row) for row in matrix)
 
-    name: str
-    message: str
-    figure: float
+
+def light_from_image(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
+    """The image with response and crosstalk undone, (H, W, 3) float32; the image itself where there is nothing.
+
+    Linear light keeps the scale of 0-255; behind the inverse of a crosstalk matrix it may be a little below 0.
+    """
+    light = image
+    if settings.response != 1:
+        if image.dtype == np.uint8:
+            light = cv2.LUT(image, _linear(np.arange(256), settings.response))
+        else:
+            light = _linear(image, settings.response)
+    if settings.crosstalk is not None:
+        light = cv2.transform(light.astype(np.float32, copy=False), np.linalg.inv(settings.crosstalk))
+    return light
+
+
+def _linear(levels: NDArray[Any], response: float) -> NDArray[np.float32]:
+    return np.asarray(255 * (np.asarray(levels) / 255) ** (1 / response), dtype=np.float32)
 
 
 def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDArray[np.float32]:
@@ -56,7 +93,7 @@ def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDA
     reference = check_image(background, name="background").astype(np.float32)
     if settings.method == "subtract":
         return np.full(reference.shape, 1 / 255, dtype=np.float32)
-    divisor = reference + np.float32(settings.offset)
+    divisor = light_from_image(reference, settings) + np.float32(settings.offset)
     if float(divisor.min()) <= 0:
         raise ValueError(
             "Expected a background above 0 where it is divided by, got pixels of 0 with offset 0. "
@@ -78,27 +115,80 @@ def color_change_from_image(
     Returns
     -------
     color_change : (H, W, 3) float32
+        Of the images as they are: a difference in exposure is part of it (see `PreparedBackground`).
     """
-    settings = settings or ChangeSettings()
-    reference = check_image(background, name="background").astype(np.float32)
+    reference = check_image(background, name="background")
     pressed = check_image(image, shape=reference.shape[:2])
-    return change_with_gain(pressed, reference, gain_from_background(reference, settings), settings.blur_px)
+    return PreparedBackground(reference, settings or ChangeSettings()).change(pressed)
 
 
-def change_with_gain(
-    image: NDArray[Any],
-    background: NDArray[np.float32],
-    gain: NDArray[np.float32],
-    blur_px: float,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
-    """`color_change_from_image` with what a frame needs prepared: the path of `Reconstructor`."""
-    change: NDArray[np.float32] = np.empty(image.shape, dtype=np.float32) if out is None else out
-    cv2.subtract(image, background, dst=change, dtype=cv2.CV_32F)
-    cv2.multiply(change, gain, dst=change)
-    if blur_px > 0:
-        cv2.GaussianBlur(change, (0, 0), blur_px, dst=change, borderType=cv2.BORDER_REFLECT_101)
-    return change
+class PreparedBackground:
+    """The untouched image, with everything about it that does not depend on the frame; immutable.
+
+    Parameters
+    ----------
+    background : (H, W, 3), RGB, 0-255
+    settings : how an image becomes a color change
+    """
+
+    def __init__(self, background: ArrayLike, settings: ChangeSettings) -> None:
+        self.settings = settings
+        self.background = check_image(background, name="background").astype(np.float32)
+        self._light = light_from_image(self.background, settings)
+        self._gain = gain_from_background(self.background, settings)
+        self._cells = cells_from_image(self.background)
+
+    def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
+        """How much brighter the frame is than the background, and what should be warned of.
+
+        Raises
+        ------
+        CalibrationError
+            As `check_background`.
+        """
+        return compared(cells_from_image(image), self._cells)
+
+    def change(
+        self,
+        image: NDArray[Any],
+        exposure: Exposure | None = None,
+        out: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Color change (H, W, 3) float32; with `exposure`, of the image that today's exposure would have given.
+
+        What is compensated is the exposure's `believed_gain`.
+        """
+        shape = self._light.shape
+        change: NDArray[np.float32] = np.empty(shape, dtype=np.float32) if out is None else out
+        light = light_from_image(image, self.settings)
+        mixed = self.settings.crosstalk is not None
+        share = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
+        if mixed and np.ptp(share) > 0:
+            # gains act on the channels as the camera has them: in front of the crosstalk
+            matrix = np.asarray(self.settings.crosstalk)
+            light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(share) @ matrix)
+            share = np.ones(3)
+        rows = (shape[0], shape[1] * 3)
+        scale = np.tile(share.astype(np.float32), shape[1])
+        _scaled_change(
+            light.reshape(rows),
+            scale,
+            self._light.reshape(rows),
+            self._gain.reshape(rows),
+            change.reshape(rows),
+        )
+        if self.settings.blur_px > 0:
+            blur = self.settings.blur_px
+            cv2.GaussianBlur(change, (0, 0), blur, dst=change, borderType=cv2.BORDER_REFLECT_101)
+        return change
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _scaled_change(light, scale, rest, gain, out):  # type: ignore[no-untyped-def]
+    """(light scale - rest) gain, row by row."""
+    for y in range(light.shape[0]):
+        for x in range(light.shape[1]):
+            out[y, x] = (np.float32(light[y, x]) * scale[x] - rest[y, x]) * gain[y, x]
 
 
 def image_from_color_change(
@@ -108,9 +198,18 @@ def image_from_color_change(
 
     Values are clipped to 0-255, as a camera would.
     """
-    gain = gain_from_background(background, settings or ChangeSettings())
-    change = np.asarray(color_change, dtype=np.float32)
-    return np.clip(np.asarray(background, dtype=np.float32) + change / gain, 0, 255)
+    settings = settings or ChangeSettings()
+    rest = check_image(background, name="background").astype(np.float32)
+    gain = gain_from_background(rest, settings)
+    light = light_from_image(rest, settings) + np.asarray(color_change, dtype=np.float32) / gain
+    if settings.crosstalk is not None:
+        light = cv2.transform(light, np.asarray(settings.crosstalk))
+    light = np.clip(light, 0, 255)
+    return light if settings.response == 1 else _camera_levels(light, settings.response)
+
+
+def _camera_levels(light: NDArray[Any], response: float) -> NDArray[np.float32]:
+    return np.asarray(255 * (light / 255) ** response, dtype=np.float32)
 
 
 def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
@@ -136,75 +235,3 @@ def _within(change, center, square):  # type: ignore[no-untyped-def]
             blue = change[y, x, 2] - center[2]
             inside[y, x] = red * red + green * green + blue * blue < limit
     return inside
-
-
-def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:
-    """Refuse a background that is not of this image; return what should be warned of.
-
-    On the pixels that a touch left alone (the mode of image over background), the ratio should be 1 and the
-    two frames should correlate.
-
-    Raises
-    ------
-    CalibrationError
-        The channels fit better reversed (RGB against BGR), a channel's ratio is outside 0.7-1.4, or the
-        correlation is under 0.8. The figure is in the message.
-    """
-    step = max(1, round((image.shape[0] * image.shape[1] / CHECKED_PIXELS) ** 0.5))
-    seen = np.asarray(image[::step, ::step], dtype=np.float32)
-    rest = np.asarray(background[::step, ::step], dtype=np.float32)
-    ratio = _untouched_ratio(seen, rest)
-    correlation = _correlation(seen, rest, ratio)
-    turned = _correlation_reversed(seen, rest) if correlation < 0.97 else 0.0
-    if turned > max(0.9, correlation + 0.03):
-        raise CalibrationError(
-            f"The image looks like BGR: its channels fit the background better reversed (correlation "
-            f"{turned:.2f} against {correlation:.2f}). Turn them: image[..., ::-1]."
-        )
-    figures = ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", ratio))
-    if ratio.min() < RATIO_REFUSE[0] or ratio.max() > RATIO_REFUSE[1]:
-        raise CalibrationError(
-            f"The background is not of this image: untouched pixels are {figures} times as bright as in the "
-            f"background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the same "
-            "exposure, white balance and lights."
-        )
-    if correlation < CORRELATION_REFUSE:
-        raise CalibrationError(
-            f"The background is not of this image: the two correlate by {correlation:.2f} on untouched pixels "
-            f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
-        )
-    if ratio.min() < RATIO_WARN[0] or ratio.max() > RATIO_WARN[1]:
-        message = (
-            f"Untouched pixels are {figures} times as bright as in the background: take a new background."
-        )
-        return (Finding("background_ratio", message, float(ratio[np.argmax(np.abs(np.log(ratio)))])),)
-    return ()
-
-
-def _untouched_ratio(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float64]:
-    return np.array([_mode((seen[..., c] + 1) / (rest[..., c] + 1)) for c in range(3)])
-
-
-def _correlation_reversed(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> float:
-    turned = seen[..., ::-1]
-    return _correlation(turned, rest, _untouched_ratio(turned, rest))
-
-
-def _mode(values: NDArray[np.float32]) -> float:
-    """Middle of the shortest interval that holds 30 % of the values: the untouched ones, if so many are."""
-    ordered = np.sort(values, axis=None)
-    count = max(1, int(0.3 * ordered.size))
-    widths = ordered[count - 1 :] - ordered[: ordered.size - count + 1]
-    start = int(np.argmin(widths))
-    return float(np.median(ordered[start : start + count]))
-
-
-def _correlation(seen: NDArray[np.float32], rest: NDArray[np.float32], ratio: NDArray[Any]) -> float:
-    """Correlation over all but the `TOUCHED_SHARE` of the pixels that changed most, channels together."""
-    scaled = seen / ratio.astype(np.float32)
-    distance = np.abs(scaled - rest).sum(axis=-1)
-    least = distance <= np.quantile(distance, 1 - TOUCHED_SHARE)
-    a, b = scaled[least].ravel(), rest[least].ravel()
-    if a.std() < 1e-3 or b.std() < 1e-3:  # a featureless background can neither agree nor disagree
-        return 1.0
-    return float(np.corrcoef(a, b)[0, 1])

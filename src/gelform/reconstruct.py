@@ -12,18 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.anchor import RestAnchor
 from gelform.background import (
-    Finding,
-    change_with_gain,
-    check_background,
-    gain_from_background,
+    PreparedBackground,
     untouched_from_color_change,
 )
+from gelform.background_check import Finding, background_digest, check_own_background
 from gelform.checks import check_image
 from gelform.color_models.lambertian import PreparedLambertian
 from gelform.confidence import PreparedSigma, UnknownSigma
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
 from gelform.frames import Frame
+from gelform.markers import MarkerFinder
 from gelform.reconstruction import Reconstruction
 from gelform.record import Calibration
 from gelform.solvers import UNIFORM
@@ -57,6 +56,11 @@ class Reconstructor:
         weights nor anchor.
     depth_sigma : whether results have `depth_sigma_mm`; without it a frame takes a quarter less time
 
+    Attributes
+    ----------
+    own_background : whether the background in use is the calibration's own, pixel for pixel
+    findings : what should be known of a background that is not
+
     Raises
     ------
     CalibrationError
@@ -77,9 +81,10 @@ class Reconstructor:
         self.background = calibration.background
         if background is not None:
             today = self._image(background, "background")
-            self.findings = check_background(today, calibration.background)
+            self.findings = check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
-        self._gain = gain_from_background(self.background, calibration.change)
+        self.own_background = background_digest(self.background) == calibration.background_digest
+        self._rest = PreparedBackground(self.background, calibration.change)
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
         self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
         self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
@@ -89,6 +94,8 @@ class Reconstructor:
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
+        self._markers = MarkerFinder(self.background)
+        self._no_dots = np.zeros(calibration.image_shape, dtype=bool)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -110,15 +117,17 @@ class Reconstructor:
             The background is clearly not of this frame, or the frame is BGR.
         """
         image = self._image(frame, "frame")
-        health = (*self.findings, *check_background(image, self.background))
+        exposure, health = self._rest.compare(image)
         with self._pool.one() as change:
-            change_with_gain(image, self.background, self._gain, self.calibration.change.blur_px, out=change)
+            self._rest.change(image, exposure, out=change)
             gradients, sigma = self._model.gradients_from_color(change)
-            untouched, scarce = self._untouched(change)
+            dots = self._dots(image)
+            untouched, scarce = self._untouched(change, dots)
             albedo = self._albedo_source(change)
             _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
             spread, confidence = self._sigma(gradients, image, untouched, change)
             spread, confidence = self._with_own(sigma, spread, confidence)
+            confidence[dots] = 0  # what they hide is filled from around them
         scaled = self.calibration.mm_per_px is not None
         solution, depth_sigma = self._integrate(gradients, confidence, untouched, spread)
         return Reconstruction(
@@ -134,7 +143,7 @@ class Reconstructor:
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*health, *scarce),
+            health=(*self.findings, *health, *scarce),
             index=getattr(frame, "index", None),
             time_s=getattr(frame, "time_s", None),
             wall_time_ns=getattr(frame, "wall_time_ns", None),
@@ -200,9 +209,17 @@ class Reconstructor:
         image = image_from_frame(check_image(_pixels(frame), name=name), self.calibration.view)
         return check_image(image, shape=self.calibration.image_shape, name=name)
 
-    def _untouched(self, change: NDArray[np.float32]) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
+    def _dots(self, image: NDArray[Any]) -> NDArray[np.bool_]:
+        """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included."""
+        if not len(self._markers.rest):
+            return self._no_dots
+        return self._markers.mask(image, int(np.ceil(2 * self.calibration.change.blur_px)))
+
+    def _untouched(
+        self, change: NDArray[np.float32], dots: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
         """Pixels that the touch left alone: what slope and depth are measured against."""
-        untouched = untouched_from_color_change(change, self.calibration.untouched_change)
+        untouched = untouched_from_color_change(change, self.calibration.untouched_change) & ~dots
         share = np.count_nonzero(untouched) / untouched.size
         if share >= MIN_UNTOUCHED:
             return untouched, ()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background import ChangeSettings
+from gelform.background_check import background_digest
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel
 from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.gamut import Gamut
@@ -94,6 +95,11 @@ class Calibration:
             )
         return self.mm_per_px
 
+    @cached_property
+    def background_digest(self) -> str:
+        """SHA-256 of the background's pixels: whether today's is the calibration's own."""
+        return background_digest(self.background)
+
     def color_from_gradients(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
         """Forward response: expected color change (H, W, 3) of gradients (H, W, 2).
 
@@ -160,7 +166,8 @@ class Calibration:
             "gamut": self.gamut
             and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
-            "crosstalk": None,
+            "background_digest": self.background_digest,
+            "crosstalk": self.change.crosstalk,
             "held_out": self.held_out,
             "training_digests": list(self.training_digests),
             "settings": self.settings,

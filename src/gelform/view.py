@@ -1,14 +1,17 @@
-"""frame -> image: crop, flip and resize in one remap, and back.
+"""frame -> image: lens, crop, flip and resize in one remap, and back.
 
 Pixel centres are at integers, so an image pixel covers half a pixel on each side of its number, and resizing
 maps *areas*: `x_frame = (x_image + 1/2) scale - 1/2 + left`. Where the view reduces strongly, whole frame
 pixels are averaged first (a box of the integer part of the reduction), so that nothing is aliased.
+
+With a lens the crop is one of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
+its pixels is looked up in the frame by way of the perspective and the distortion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
+from gelform.distortion import Lens
 
 FLIPS = ("none", "x", "y", "xy")
 
@@ -33,6 +37,8 @@ class View:
         Fractions of a pixel are allowed. Counted in the frame as the camera gives it, before the flip.
     flip : "none", "x" (left and right change places), "y" (top and bottom), or "xy" (turned by 180 degrees)
     image_shape : (H, W) of the image, or None for the size of the crop, rounded
+    lens : Lens or None
+        Distortion and perspective to undo; the crop then counts in the rectified frame.
 
     Raises
     ------
@@ -45,14 +51,17 @@ class View:
     crop: tuple[float, float, float, float] | None = None
     flip: str = "none"
     image_shape: tuple[int, int] | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
+        if self.lens is not None and not isinstance(self.lens, Lens):
+            object.__setattr__(self, "lens", Lens.from_dict(self.lens))
         for name in ("frame_shape", "image_shape"):
             object.__setattr__(self, name, _size_of(getattr(self, name), name))
         object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
         if self.flip not in FLIPS:
             raise ValueError(f"Expected the view's flip as one of {', '.join(FLIPS)}, got {self.flip!r}.")
-        if self.frame_shape is None and (self.crop or self.image_shape or self.flip != "none"):
+        if self.frame_shape is None and (self.crop or self.image_shape or self.lens or self.flip != "none"):
             raise ValueError(
                 "Expected frame_shape, (height, width) of the frames, in a view that changes them."
             )
@@ -71,6 +80,8 @@ class View:
         if self.frame_shape is None:
             return True
         height, width = self.frame_shape
+        if self.lens is not None:
+            return False
         return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
 
     @property
@@ -80,11 +91,13 @@ class View:
 
     def to_dict(self) -> dict[str, Any]:
         """The settings that differ from the default, as JSON and TOML can say them."""
-        return {
+        plain = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "lens"}
+        settings = {
             name: list(v) if isinstance(v, tuple) else v
-            for name, v in asdict(self).items()
+            for name, v in plain.items()
             if v not in (None, "none")
         }
+        return settings if self.lens is None else {**settings, "lens": self.lens.to_dict()}
 
     @classmethod
     def from_dict(cls, settings: Mapping[str, Any]) -> View:
@@ -126,6 +139,9 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
         )
     if view.is_identity or shape != view.frame_shape:
         return pixels
+    if view.lens is not None:
+        box, map_x, map_y = _maps_through_lens(view)
+        return _remap(_averaged(pixels, box), map_x, map_y)
     rows, columns, box, map_x, map_y = _maps_to_image(view)
     return _remap(_averaged(pixels[rows, columns], box), map_x, map_y)
 
@@ -188,17 +204,68 @@ def _averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
 
 
 @lru_cache(maxsize=8)
+def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArray[Any]]:
+    """The box to average in the whole frame, and where each image pixel then lies in it."""
+    assert view.frame_shape is not None
+    assert view.shape is not None
+    assert view.lens is not None
+    _, _, width, height = view._box
+    box = tuple(max(1, int(n / m + 0.5)) for n, m in zip((height, width), view.shape))
+    y, x = np.mgrid[: view.shape[0], : view.shape[1]]
+    points = frame_px_from_image_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
+    maps = [((points[:, k] + 0.5) / box[1 - k] - 0.5).reshape(view.shape).astype(np.float32) for k in (0, 1)]
+    for one in maps:
+        one.setflags(write=False)
+    return (box[0], box[1]), maps[0], maps[1]
+
+
+def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+    """Where points (N, 2), x and y, of the image lie in the frame, px."""
+    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    if view.is_identity:
+        return points
+    assert view.shape is not None
+    left, top, width, height = view._box
+    x = view.shape[1] - 1 - points[:, 0] if "x" in view.flip else points[:, 0]
+    y = view.shape[0] - 1 - points[:, 1] if "y" in view.flip else points[:, 1]
+    rectified = np.stack(
+        [(x + 0.5) * width / view.shape[1] - 0.5 + left, (y + 0.5) * height / view.shape[0] - 0.5 + top],
+        axis=1,
+    )
+    return rectified if view.lens is None else view.lens.frame_px_from_rectified_px(rectified)
+
+
+def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
+    """Where points (N, 2), x and y, of the frame lie in the image, px: what `frame_px_from_image_px` undoes."""
+    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    if view.is_identity:
+        return points
+    assert view.shape is not None
+    left, top, width, height = view._box
+    if view.lens is not None:
+        points = view.lens.rectified_px_from_frame_px(points)
+    x = (points[:, 0] + 0.5 - left) * view.shape[1] / width - 0.5
+    y = (points[:, 1] + 0.5 - top) * view.shape[0] / height - 0.5
+    return np.stack(
+        [
+            view.shape[1] - 1 - x if "x" in view.flip else x,
+            view.shape[0] - 1 - y if "y" in view.flip else y,
+        ],
+        axis=1,
+    )
+
+
+@lru_cache(maxsize=8)
 def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
     """Where each frame pixel lies in the image."""
     assert view.frame_shape is not None
     assert view.shape is not None
-    left, top, width, height = view._box
-    x = (np.arange(view.frame_shape[1]) + 0.5 - left) * view.shape[1] / width - 0.5
-    y = (np.arange(view.frame_shape[0]) + 0.5 - top) * view.shape[0] / height - 0.5
-    return _grid(
-        view.shape[1] - 1 - x if "x" in view.flip else x,
-        view.shape[0] - 1 - y if "y" in view.flip else y,
-    )
+    y, x = np.mgrid[: view.frame_shape[0], : view.frame_shape[1]]
+    points = image_px_from_frame_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
+    maps = [points[:, k].reshape(view.frame_shape).astype(np.float32) for k in (0, 1)]
+    for one in maps:
+        one.setflags(write=False)
+    return maps[0], maps[1]
 
 
 def _grid(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

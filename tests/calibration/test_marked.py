@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.background import ChangeSettings, color_change_from_image
+from gelform.background import ChangeSettings, PreparedBackground, color_change_from_image
 from gelform.calibration.design import _as_read
 from gelform.calibration.fit import prepare
 from gelform.calibration.marked import change_without_markers
@@ -42,7 +42,9 @@ def test_the_change_is_that_of_the_unmarked_gel(plain, dotted):
     finder = MarkerFinder(background)
     spoilt, errors, left_out = [], [], []
     for clean, press in zip(plain[0].presses, dotted[0].presses):
-        change, usable = change_without_markers(press.image, background, settings, finder)
+        change, usable = change_without_markers(
+            press.image, PreparedBackground(background, settings), None, finder
+        )
         wanted = color_change_from_image(clean.image, plain[1].background, settings)
         raw = color_change_from_image(press.image, background, settings)
         spoilt.append(np.abs(raw - wanted).mean(axis=-1))
@@ -67,7 +69,7 @@ def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(
     assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
     settings = ChangeSettings("divide", 10, 0.7)
     finder = MarkerFinder(rest)
-    _, usable = change_without_markers(press.image, rest, settings, finder)
+    _, usable = change_without_markers(press.image, PreparedBackground(rest, settings), None, finder)
     raw = color_change_from_image(press.image, rest, settings)
     spoilt = np.abs(raw - color_change_from_image(clean.image, clean_rest, settings)).mean(axis=-1)
     assert np.count_nonzero(spoilt > 0.2) > 50
@@ -81,7 +83,7 @@ def test_an_unmarked_gel_is_left_as_it_is(plain):
     settings = ChangeSettings("divide", 10, 0.7)
     image = made.presses[0].image
     change, usable = change_without_markers(
-        image, presses.background, settings, MarkerFinder(presses.background)
+        image, PreparedBackground(presses.background, settings), None, MarkerFinder(presses.background)
     )
     assert usable is None
     np.testing.assert_array_equal(change, color_change_from_image(image, presses.background, settings))

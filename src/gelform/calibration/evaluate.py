@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gelform.background import PreparedBackground
 from gelform.calibration.folder import Press, Presses
 from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import find_contact, why_no_contact
@@ -27,11 +28,15 @@ class Evaluation:
     rows : one per press: its name, whether the calibration has seen it, its circle and errors, or why it has none
     summary : over the presses that have errors
     seen : how many of them the calibration was made from; their errors say little
+    own_background : whether the presses' background is the calibration's own, pixel for pixel
+    findings : what should be known of a background that is not
     """
 
     rows: tuple[dict[str, Any], ...]
     summary: dict[str, float]
     seen: int
+    own_background: bool = True
+    findings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The evaluation as JSON can hold it."""
@@ -68,7 +73,8 @@ def evaluate(calibration: Calibration, presses: Presses, *, progress: Progress =
     if not errors:
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {rows[0]['reason']}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
-    return Evaluation(tuple(rows), summary(errors), seen)
+    said = tuple(finding.message for finding in reconstruct.findings)
+    return Evaluation(tuple(rows), summary(errors), seen, reconstruct.own_background, said)
 
 
 def errors_of(press: Press, circle_px: tuple[float, float, float], reconstruct: Reconstructor) -> PressErrors:
@@ -88,7 +94,8 @@ def _circle(press: Press, reconstruct: Reconstructor) -> tuple[tuple[float, floa
         return press.label, None
     calibration = reconstruct.calibration
     image = image_from_frame(press.image, calibration.view)
-    finder = MarkerFinder(reconstruct.background)
-    change, _ = change_without_markers(image, reconstruct.background, calibration.change, finder)
+    rest = PreparedBackground(reconstruct.background, calibration.change)
+    exposure, _ = rest.compare(image)
+    change, _ = change_without_markers(image, rest, exposure, MarkerFinder(reconstruct.background))
     contact = find_contact(change)
     return contact.circle_px, why_no_contact(contact)

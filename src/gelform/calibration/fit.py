@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.background import ChangeSettings, check_background
+from gelform.background import ChangeSettings, PreparedBackground
+from gelform.background_check import check_background_of_frames
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
@@ -94,25 +95,27 @@ def calibrate(
 
 def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress) -> list[PreparedPress]:
     """Color changes of all presses, checked against the background."""
-    settings = change_settings(presses.image_shape, offset)
+    rest = PreparedBackground(presses.background, change_settings(presses, offset))
     finder = MarkerFinder(presses.background)
     prepared = []
     for done, press in enumerate(presses.presses):
         try:
-            check_background(press.image, presses.background)
+            exposure, _ = rest.compare(press.image)
         except CalibrationError as problem:
             raise CalibrationError(f"{press.name}: {problem}") from None
-        change, usable = change_without_markers(press.image, presses.background, settings, finder)
+        change, usable = change_without_markers(press.image, rest, exposure, finder)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         prepared.append(PreparedPress(press.name, change, size, radius_px, usable))
         progress(done + 1, len(presses.presses), "preparing")
+    check_background_of_frames([press.image for press in presses.presses], presses.background)
     return prepared
 
 
-def change_settings(shape: tuple[int, int], offset: float) -> ChangeSettings:
-    """Division by the background, blurred by 1.25 px at 240 rows."""
-    return ChangeSettings("divide", offset, BLUR_PX * scale_of(shape))
+def change_settings(presses: Presses, offset: float) -> ChangeSettings:
+    """Division by the background, blurred by 1.25 px at 240 rows; known response and crosstalk undone."""
+    blur_px = BLUR_PX * scale_of(presses.image_shape)
+    return ChangeSettings("divide", offset, blur_px, presses.geometry.matrix, presses.response)
 
 
 def find_contact_of(press: PreparedPress, progress: Progress, index: int, count: int) -> Contact:
@@ -196,7 +199,7 @@ def _draft(
         background_noise=_pixel_noise(presses.background)
         if presses.background_noise is None
         else presses.background_noise,
-        change=change_settings(presses.image_shape, chosen.change_offset),
+        change=change_settings(presses, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
         forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
         slope_sigma=FIRST_GUESS,
@@ -208,6 +211,7 @@ def _draft(
             **dict(chosen.settings),
             "presses": len(used),
             "response": presses.response,
+            **presses.geometry.settings(),
         },
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
@@ -234,7 +238,7 @@ def _held_out(
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
         suited = by_offset[candidate.change_offset]
         model = candidate.fit([suited[i] for i in fold.training], fold.contacts)
-        change = change_settings(presses.image_shape, candidate.change_offset)
+        change = change_settings(presses, candidate.change_offset)
         reconstruct = Reconstructor(replace(draft, color_model=model, change=change))
         for i in fold.held_out:
             circle = _free_circle(suited[i], found[i], model, candidate.zone)
@@ -292,15 +296,11 @@ def _report(
     notes: tuple[str, ...] = (
         f"Held-out errors: {len(errors)} presses in {len(selection.by_fold)} folds; circles, model, its kind and its zone "
         f"were found without a fold's presses. {_agreeing(selection)} folds chose what all presses together chose.",
-        "Crosstalk is absorbed in the color model. The errors do not include the uncertainty of mm_per_px.",
+        *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
     )
     notes += tuple(
         f"{name} was left out: it divides by the background, which has pixels of 0." for name in left_out
     )
-    if presses.response != 1:
-        notes += (
-            f"The camera's response, exponent {presses.response:g}, is absorbed in the model, not undone.",
-        )
     return CalibrationReport(tuple(rows), tuple(candidates), summary(list(errors.values())), seconds, notes)
 
 

@@ -21,6 +21,7 @@ from gelform.calibration.tables import diameter, number, table_rows
 from gelform.calibration.video import presses_from_video
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
+from gelform.sensors.backgrounds import read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 from gelform.sensors.video_files import is_video
 from gelform.view import image_from_frame
@@ -48,7 +49,8 @@ def read_presses(
     sensor : name of a profile, which gives the view and mm_per_px
     mm_per_px : pixel pitch, mm; goes before sensor.toml and the profile
     ball_diameter_mm : for data that do not name it
-    background : the untouched image; `background.png` (or .jpg ...) of the folder by default
+    background : the untouched image; or a folder of several; the folder's `background.png` or `background/`
+        by default
     crop : (left, top, width, height) in pixels of the frame
     progress : called with (done, total, what)
 
@@ -141,7 +143,7 @@ def _px(size: tuple[int, int]) -> str:
 
 def press_folder_source(folder: Path, asked: Asked) -> Source:
     """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels), `background.png`, images."""
-    rest = read_image(asked.background or background_in(folder))
+    rest = read_background(asked.background or background_in(folder))
     listed = list(_press_table(folder))
     return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
 
@@ -164,7 +166,7 @@ def plain_source(folder: Path, asked: Asked) -> Source:
     images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
     ball = asked.ball(f"{folder} has images but no presses.csv") if images else 0.0
     listed = [Listed(path.name, ball) for path in images]
-    return Source(read_image(rest_path), listed, lambda k: read_image(images[k]))
+    return Source(read_background(rest_path), listed, lambda k: read_image(images[k]))
 
 
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background import ChangeSettings, color_change_from_image
+from gelform.background import PreparedBackground
+from gelform.exposure import Exposure
 from gelform.gradients import fill
 from gelform.markers import MarkerFinder
 
@@ -21,14 +22,15 @@ BLUR_REACH = 2.0
 
 
 def change_without_markers(
-    image: NDArray[Any], background: NDArray[np.float32], settings: ChangeSettings, finder: MarkerFinder
+    image: NDArray[Any], rest: PreparedBackground, exposure: Exposure | None, finder: MarkerFinder
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
     """The color change of an image, and which of its pixels may be used.
 
     Parameters
     ----------
-    image, background : (H, W, 3), 0-255
-    settings : how the change is taken
+    image : (H, W, 3), 0-255
+    rest : the untouched image, and how the change is taken
+    exposure : what `rest.compare(image)` found, compensated; None to take the image as it is
     finder : of this background
 
     Returns
@@ -37,10 +39,11 @@ def change_without_markers(
     usable : (H, W) bool, False on the dots of either image; None on a gel without markers
     """
     if not len(finder.rest):
-        return color_change_from_image(image, background, settings), None
+        return rest.change(image, exposure), None
+    settings = rest.settings
     usable = ~_grown(finder.rest.mask | finder(image).mask, BLUR_REACH * max(settings.blur_px, 0.5))
-    change = color_change_from_image(image, background, replace(settings, blur_px=0.0))
-    change = fill(change, usable)
+    sharp = PreparedBackground(rest.background, replace(settings, blur_px=0.0))
+    change = fill(sharp.change(image, exposure), usable)
     if settings.blur_px > 0:
         cv2.GaussianBlur(change, (0, 0), settings.blur_px, dst=change, borderType=cv2.BORDER_REFLECT_101)
     return change, usable

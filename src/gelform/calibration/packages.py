@@ -15,6 +15,7 @@ from gelform.calibration.press_set import Asked, Listed, Source
 from gelform.calibration.tables import diameter, number, table_rows
 from gelform.checks import check_positive
 from gelform.errors import DataError
+from gelform.sensors.backgrounds import read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
 
 MAX_PACK_BYTES = 4 << 30
@@ -22,8 +23,12 @@ TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 
 
 def background_in(folder: Path, stem: str = "background") -> Path:
-    """The image of that stem in a folder."""
-    found = sorted(p for p in folder.glob(f"{stem}.*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    """The image of that stem in a folder, or a folder of that name with several."""
+    found = sorted(
+        p
+        for p in folder.glob(f"{stem}*")
+        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or p.is_dir())
+    )
     if not found:
         raise DataError(
             f"No background in {folder}: expected {stem}.png, an image of the untouched gel. "
@@ -34,7 +39,7 @@ def background_in(folder: Path, stem: str = "background") -> Path:
 
 def gs_sdk_source(folder: Path, asked: Asked) -> Source:
     """gs_sdk's folder: `catalog.csv` (experiment_reldir, diameter(mm)), `<dir>/gelsight.png`, `background.png`."""
-    rest = read_image(asked.background or background_in(folder))
+    rest = read_background(asked.background or background_in(folder))
     listed = list(_gs_sdk_rows(folder))
     return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
 
@@ -61,7 +66,7 @@ def py3dcal_source(folder: Path, asked: Asked) -> Source:
     `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
     probe_radius_mm), `blank_images/blank.png`, `probe_images/`.
     """
-    rest = read_image(asked.background or _blank_in(folder / "blank_images"))
+    rest = read_background(asked.background or _blank_in(folder / "blank_images"))
     facts = _py3dcal_facts(folder)
     ball = asked.ball_diameter_mm or 2 * facts["probe_radius_mm"]
     rows = []
@@ -129,7 +134,7 @@ def taxim_source(path: Path, asked: Asked) -> Source:
     ball = asked.ball(str(pack))
     names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
     rows = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
-    rest = read_image(asked.background) if asked.background is not None else _rgb(arrays["f0"])
+    rest = read_background(asked.background) if asked.background is not None else _rgb(arrays["f0"])
     return Source(rest, rows, lambda k: _rgb(images[k]))
 
 

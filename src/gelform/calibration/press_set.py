@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.calibration.geometry import Geometry
 from gelform.checks import check_positive
 from gelform.errors import DataError
 from gelform.sensors.files import SensorSettings, read_sensor_toml
@@ -52,7 +53,8 @@ class Presses:
     mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation where known
     sensor_name, serial, gel_id : from sensor.toml or the profile
     view : how frames become images
-    response : exponent of the camera's response, from sensor.toml; recorded, not undone
+    response : exponent of the camera's response, from sensor.toml; undone where it is not 1
+    geometry : what was measured beside the presses: scale, crosstalk, lens
     background_noise : (3,) standard deviation of a pixel in one frame, grey levels; None where there was
         only one untouched frame to tell it
     notes : what a user should know of how they were read, such as parts of a video that were left out
@@ -68,6 +70,7 @@ class Presses:
     gel_id: str | None
     view: View
     response: float = 1.0
+    geometry: Geometry = field(default_factory=Geometry)
     background_noise: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
 
@@ -122,7 +125,9 @@ class Asked:
         if settings is None:
             raise DataError(
                 f"No scale for {place}: presses of a ball alone do not tell it. Write name and mm_per_px into "
-                f"{beside}, or give mm_per_px= (--mm-per-px) or sensor= (--sensor)."
+                f"{beside}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it: two marked points "
+                "(--scale-points), a flat punch (--punch), a thread (--thread), a stage's step (--stage) or a grid "
+                "(--lens-images)."
             )
         return settings
 

@@ -106,6 +106,8 @@ def _rest_slopes(press: PreparedPress, found: Contact, model: ColorModel) -> NDA
     step = max(1, int(np.sqrt(height * width / PER_PRESS)))
     rows, cols = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
     far = np.hypot(cols - found.x_px, rows - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
+    if press.usable is not None:
+        far &= press.usable[rows, cols]
     if not far.any():
         return np.zeros((0, 2))
     slopes = press.gradients(model, rows[far], cols[far])

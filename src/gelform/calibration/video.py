@@ -25,7 +25,7 @@ from gelform.calibration.stills import (
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.progress import Progress, no_progress
-from gelform.sensors.files import read_image
+from gelform.sensors.backgrounds import read_background
 from gelform.sensors.video_files import Video
 from gelform.view import View, image_from_frame
 
@@ -79,7 +79,7 @@ def presses_from_frames(
 def presses_from_video(path: Path, asked: Asked, progress: Progress = no_progress) -> Presses:
     """`presses_from_frames` of a video file, read twice; settings may stand in a `sensor.toml` beside it."""
     asked.ball(str(path))
-    background = None if asked.background is None else read_image(asked.background)
+    background = None if asked.background is None else read_background(asked.background)
     video = Video(path)
     return _presses(video.frames, _ViewOfFrames(asked, path), background, str(path), progress)
 

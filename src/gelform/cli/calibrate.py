@@ -26,6 +26,19 @@ from gelform.cli.console import (
     show_table,
     warm,
 )
+from gelform.cli.geometry import (
+    Grid,
+    LedFrames,
+    LensImages,
+    PitchMm,
+    Punch,
+    ScalePoints,
+    Stage,
+    Thread,
+    grid_view,
+    is_scale_asked,
+    measured,
+)
 from gelform.cli.names import make_folder
 from gelform.errors import CalibrationError, DataError
 
@@ -47,6 +60,14 @@ def calibrate(
     ball_diameter_mm: BallDiameter = None,
     background: Background = None,
     crop: Crop = None,
+    scale_points: ScalePoints = None,
+    punch: Punch = None,
+    thread: Thread = None,
+    stage: Stage = None,
+    led_frames: LedFrames = None,
+    lens_images: LensImages = None,
+    grid: Grid = None,
+    pitch_mm: PitchMm = None,
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for pictures of the circles found, and errors.")
     ] = None,
@@ -68,10 +89,16 @@ def calibrate(
       gelform calibrate frames/ -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate presses.avi -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
+      gelform calibrate presses/ -o cal.npz --punch punch.png,5 --led-frames red.png green.png blue.png
+      gelform calibrate presses/ -o cal.npz --lens-images grid.png --grid 9x6 --pitch-mm 1
     """
     _check_model(model)
     box = _crop(crop)
     _check_outputs(output, report, overwrite)
+    lens = grid_view(lens_images, grid, pitch_mm)
+    scale_asked = is_scale_asked(scale_points, punch, thread, stage, lens)
+    if scale_asked and mm_per_px is not None:
+        raise typer.BadParameter("expected no other source of the scale beside it.", param_hint="--mm-per-px")
     from gelform.calibration.fit import calibrate as calibrate_presses
     from gelform.calibration.folder import read_presses
 
@@ -80,11 +107,20 @@ def calibrate(
         found = read_presses(
             presses,
             sensor=sensor,
-            mm_per_px=mm_per_px,
+            mm_per_px=1.0 if scale_asked else mm_per_px,  # measured below, in the images that are read here
             ball_diameter_mm=ball_diameter_mm,
             background=background,
             crop=box,
             progress=progress,
+        )
+        found = measured(
+            found,
+            points=scale_points,
+            punch=punch,
+            thread=thread,
+            stage=stage,
+            led_frames=led_frames,
+            grid=lens,
         )
         calibration = calibrate_presses(found, color_model=model, progress=progress)
         calibration.save(output, overwrite=overwrite)

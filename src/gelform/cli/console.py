@@ -28,7 +28,8 @@ BallDiameter = Annotated[
     typer.Option(metavar="F", help="Diameter of the ball, mm, for a video or a folder without presses.csv."),
 ]
 Background = Annotated[
-    Path | None, typer.Option(metavar="IMG", help="Image of the untouched gel, instead of the usual one.")
+    Path | None,
+    typer.Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average."),
 ]
 Crop = Annotated[
     str | None,

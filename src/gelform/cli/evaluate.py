@@ -67,6 +67,10 @@ def evaluate(
             f"warning: the calibration was made from {evaluation.seen} of these presses: "
             "their errors say little."
         )
+    whose = "the calibration's own" if evaluation.own_background else "another than the calibration's"
+    say(f"Background: {whose}.", quiet)
+    for message in evaluation.findings:
+        say(f"warning: {message}")
     if as_json:
         print_json(evaluation.to_dict())
         return

@@ -90,14 +90,14 @@ def reconstruct(
 def _prepared(calibration: Path, background: Path | None, solver: str) -> Reconstructor:
     from gelform.reconstruct import Reconstructor
     from gelform.record import load_calibration
-    from gelform.sensors.files import read_image
+    from gelform.sensors.backgrounds import read_background
     from gelform.solvers import SOLVERS
 
     if solver != "auto" and solver not in SOLVERS:
         raise typer.BadParameter(
             f"expected auto or one of {', '.join(SOLVERS)}, got {solver!r}.", param_hint="--solver"
         )
-    rest = None if background is None else read_image(background)
+    rest = None if background is None else read_background(background)
     return Reconstructor(load_calibration(calibration), background=rest, solver=solver)
 
 

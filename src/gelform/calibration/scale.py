@@ -1,0 +1,99 @@
+"""mm per pixel with its uncertainty, and where it comes from: presses of a ball alone do not tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.sensors.profiles import profile_named
+
+SOURCES = "two marked points, a flat punch, a thread, a step of a stage, or a grid"
+MARK_SIGMA_PX = 0.5
+MAX_DISAGREEMENT = 4.0
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Pixel pitch on the gel.
+
+    Attributes
+    ----------
+    mm_per_px : mm per image pixel (square pixels)
+    sigma : its standard deviation, mm
+    source : what told it, with the figures
+    """
+
+    mm_per_px: float
+    sigma: float
+    source: str
+
+    def __post_init__(self) -> None:
+        check_positive(self.mm_per_px, "mm_per_px")
+        check_positive(self.sigma, "sigma")
+
+
+def scale_from_profile(name: str) -> Scale:
+    """The scale of a sensor profile; its sigma includes the differences between units."""
+    profile = profile_named(name)
+    return Scale(profile.mm_per_px, profile.mm_per_px_sigma, f"profile {name}: {profile.source}")
+
+
+def scale_from_points(
+    a_px: tuple[float, float],
+    b_px: tuple[float, float],
+    distance_mm: float,
+    *,
+    sigma_px: float = MARK_SIGMA_PX,
+    sigma_mm: float = 0.0,
+) -> Scale:
+    """From two marked points a known distance apart.
+
+    Parameters
+    ----------
+    a_px, b_px : (x, y) in pixels of the image, after the view
+    distance_mm : between them, on the gel
+    sigma_px : standard deviation of each marked coordinate, px
+    sigma_mm : standard deviation of the distance, mm
+    """
+    distance_px = float(np.hypot(a_px[0] - b_px[0], a_px[1] - b_px[1]))
+    if not (np.isfinite(distance_px) and distance_px > 10 * sigma_px):
+        raise ValueError(
+            f"Expected two points at least {10 * sigma_px:g} px apart, got {distance_px:.3g} px. "
+            "Mark two that are far apart: the scale is as good as their distance is long."
+        )
+    source = f"two points {distance_px:.1f} px and {distance_mm:g} mm apart"
+    return scale_from_lengths(distance_mm, distance_px, sigma_mm, np.sqrt(2) * sigma_px, source)
+
+
+def scale_from_lengths(mm: float, px: float, sigma_mm: float, sigma_px: float, source: str) -> Scale:
+    """mm/px of one length known in both, with the uncertainty of both."""
+    pitch = check_positive(mm, "length_mm") / check_positive(px, "length_px")
+    return Scale(pitch, float(pitch * np.hypot(sigma_mm / mm, sigma_px / px)), source)
+
+
+def combined_scale(scales: Sequence[Scale]) -> Scale:
+    """The mean of several, weighted by their inverse variances.
+
+    Raises
+    ------
+    DataError
+        Two of them are more than four standard deviations apart: one is wrong, and a mean would hide it.
+    """
+    if not scales:
+        raise ValueError(f"Expected one scale or more, from {SOURCES}, got none.")
+    for i, a in enumerate(scales):
+        for b in scales[i + 1 :]:
+            apart = abs(a.mm_per_px - b.mm_per_px) / np.hypot(a.sigma, b.sigma)
+            if apart > MAX_DISAGREEMENT:
+                raise DataError(
+                    f"Expected scales that agree, got {a.mm_per_px:.5g} +- {a.sigma:.2g} mm/px ({a.source}) and "
+                    f"{b.mm_per_px:.5g} +- {b.sigma:.2g} mm/px ({b.source}): {apart:.1f} standard deviations apart. "
+                    "Leave the wrong one out."
+                )
+    weight = np.array([1 / scale.sigma**2 for scale in scales])
+    mean = float(weight @ [scale.mm_per_px for scale in scales] / weight.sum())
+    return Scale(mean, float(weight.sum() ** -0.5), "; ".join(scale.source for scale in scales))

@@ -1,0 +1,145 @@
+"""How much brighter a frame is than the untouched image, by channel: exposure and white balance, not touch.
+
+Both images are averaged over about 1200 cells. Exposure and white balance multiply a channel alike everywhere;
+a touch turns the gel's surface, which changes the three channels differently and from place to place. So the
+gain is where the cells' log ratios crowd, in all three channels at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+CELLS = 1200
+DARK, BRIGHT = 6.0, 250.0  # mean levels of a cell between which its ratio tells the gain
+SPAN_LOG, BINS, WINDOW = 1.2, 240, 6  # the crowd is first sought in windows of 0.06 over +-1.2
+HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])  # what counts as untouched, round by round
+MIN_SHARE, FULL_SHARE = 0.15, 0.3
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """A frame's brightness against the untouched image.
+
+    Attributes
+    ----------
+    gain : (3,) float64, R, G, B
+        Untouched pixels are this many times as bright as in the untouched image.
+    share : float, 0-1
+        Part of the image that agrees on the gain to 2 %, in all three channels.
+    least_change : float
+        How far the quarter of the image that changed least is from that gain: 0.01 is one per cent of its
+        brightness. Noise and small drift for a frame of this sensor, whatever touches it; more for another.
+    middle_change : float
+        The same for the half that changed least: for two untouched images.
+    """
+
+    gain: NDArray[np.float64]
+    share: float
+    least_change: float
+    middle_change: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether enough of the image agrees (15 %) for the gain to be believed."""
+        return self.share >= MIN_SHARE
+
+    @property
+    def believed_gain(self) -> NDArray[np.float64]:
+        """The gain to compensate, (3,): 1 where too little of the image agrees, all of it from 30 % on.
+
+        Between the two its logarithm grows in proportion, so that no frame jumps.
+        """
+        part = min(max((self.share - MIN_SHARE) / (FULL_SHARE - MIN_SHARE), 0.0), 1.0)
+        return np.asarray(self.gain**part, dtype=np.float64)
+
+
+def exposure_from_image(image: NDArray[Any], background: NDArray[Any]) -> Exposure:
+    """Gain of each channel between an image and the untouched image, from what a touch left alone.
+
+    Parameters
+    ----------
+    image, background : (H, W, 3), RGB, 0-255
+
+    Returns
+    -------
+    Exposure
+        Only a gain is sought. A large contact does not pull it, but can leave too little to see it:
+        `is_known` is then False, and the gain is not to be used.
+    """
+    return exposure_from_cells(cells_from_image(image), cells_from_image(background))
+
+
+def cells_from_image(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Means over about 1200 square cells, (h, w, 3) float32."""
+    height, width = image.shape[:2]
+    step = max(1.0, (height * width / CELLS) ** 0.5)
+    size = (max(1, round(width / step)), max(1, round(height / step)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def exposure_from_cells(cells: NDArray[np.float32], rest: NDArray[np.float32]) -> Exposure:
+    """`exposure_from_image` of images that `cells_from_image` has averaged."""
+    center, distances, inside = _crowd(cells.reshape(-1, 3), rest.reshape(-1, 3), HALF_WIDTHS_LOG)
+    if not len(distances):
+        return Exposure(np.ones(3), 0.0, np.inf, np.inf)
+    order = np.partition(distances, (len(distances) // 4, len(distances) // 2))
+    quarter, half = order[len(distances) // 4], order[len(distances) // 2]
+    return Exposure(np.exp(center), inside / (cells.size // 3), float(quarter), float(half))
+
+
+@njit(cache=True, nogil=True)
+def _crowd(cells, rest, half_widths):  # type: ignore[no-untyped-def]
+    """Where the cells' log ratios crowd, each cell's distance from there (largest channel), and how many are near.
+
+    The start is each channel's fullest window; then the mean of the cells that are near in all channels.
+    """
+    ratios = np.empty((cells.shape[0], 3))
+    count = 0
+    for k in range(cells.shape[0]):
+        low = min(cells[k, 0], cells[k, 1], cells[k, 2], rest[k, 0], rest[k, 1], rest[k, 2])
+        high = max(cells[k, 0], cells[k, 1], cells[k, 2], rest[k, 0], rest[k, 1], rest[k, 2])
+        if low > DARK and high < BRIGHT:
+            for c in range(3):
+                ratios[count, c] = np.log(cells[k, c] / rest[k, c])
+            count += 1
+    ratios = ratios[:count]
+    center = np.zeros(3)
+    for c in range(3):
+        center[c] = _fullest(ratios[:, c])
+    distances = np.empty(count)
+    inside = 0
+    for half_width in half_widths:
+        total, inside = np.zeros(3), 0
+        for k in range(count):
+            a, b, c = ratios[k, 0] - center[0], ratios[k, 1] - center[1], ratios[k, 2] - center[2]
+            distances[k] = max(abs(a), abs(b), abs(c))
+            if distances[k] < half_width:
+                inside += 1
+                total[0] += a
+                total[1] += b
+                total[2] += c
+        if inside == 0:
+            break
+        center += total / inside
+    return center, distances, inside
+
+
+@njit(cache=True, nogil=True)
+def _fullest(values):  # type: ignore[no-untyped-def]
+    """Middle of the window that holds the most values, on a grid of bins."""
+    bins = np.zeros(BINS, dtype=np.int64)
+    for value in values:
+        bins[min(max(int((value + SPAN_LOG) * BINS / (2 * SPAN_LOG)), 0), BINS - 1)] += 1
+    held = bins[:WINDOW].sum()
+    best, start = held, 0
+    for first in range(1, BINS - WINDOW + 1):
+        held += bins[first + WINDOW - 1] - bins[first - 1]
+        if held > best:
+            best, start = held, first
+    return (start + WINDOW / 2) * 2 * SPAN_LOG / BINS - SPAN_LOG

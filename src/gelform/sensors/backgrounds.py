@@ -1,0 +1,64 @@
+"""The untouched image from files: one image, several, or a folder of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gelform.average import Background, background_from_frames, noise_from_background
+from gelform.errors import DataError
+from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+
+
+def read_background(paths: str | Path | Sequence[str | Path]) -> NDArray[Any]:
+    """The untouched image (H, W, 3), RGB: uint8 of one file, float32 of the robust average of several.
+
+    Parameters
+    ----------
+    paths : an image, a folder of images, or several of either
+
+    Raises
+    ------
+    DataError
+        A file is missing or unreadable, a folder holds no image, or the frames disagree (see
+        `background_from_frames`).
+    """
+    files = background_files(paths)
+    return read_image(files[0]) if len(files) == 1 else averaged_background(paths).background
+
+
+def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
+    """The same with the noise of a frame, and which images were left out and why."""
+    files = background_files(paths)
+    try:
+        return background_from_frames(map(read_image, files), names=[str(file) for file in files])
+    except ValueError as problem:  # another size
+        raise DataError(f"Images of the untouched gel in {files[0].parent}: {problem}") from problem
+
+
+def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Every image that is meant, folders opened, in the order of their names."""
+    given = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    files: list[Path] = []
+    for path in map(Path, given):
+        inside = (
+            sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
+            if path.is_dir()
+            else [path]
+        )
+        if not inside:
+            raise DataError(f"Expected images of the untouched gel in the folder {path}, got none.")
+        files += inside
+    return files
+
+
+__all__ = [
+    "Background",
+    "averaged_background",
+    "background_files",
+    "noise_from_background",
+    "read_background",
+]
