@@ -22,7 +22,7 @@ from gelform.simulate import (
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.camera import maps_from_depth, px_seen
+from gelform.simulate.camera import draws, maps_from_depth, normal_table, px_seen
 from gelform.simulate.gel import surface_from_ball
 from gelform.simulate.light import spread_in_gel
 from gelform.simulate.shadows import visible_from_surface
@@ -76,6 +76,23 @@ def test_gloss_is_brightest_where_the_surface_mirrors_the_light():
     half = to_light / np.linalg.norm(to_light) + np.array([0, 0, 1])
     assert normal @ half / np.linalg.norm(half) > 0.999
     assert gloss.min() > -1e-9
+
+
+@pytest.mark.parametrize("shininess", [1, 2, 16])
+def test_gloss_is_the_power_of_the_half_angle(shininess):
+    led = Led((-20, 0, 20), (1e5, 0, 0))
+    settings = {"rng": None, "quantise": False, "oversample": 1}
+    coating = Coating(specular=0.5, shininess=shininess)
+    matte, glossy = (
+        simulate_pose(replace(PLAIN, leds=(led,), coating=c), Ball(2), Pose(0), **settings).image[..., 0]
+        for c in (Coating(), coating)
+    )
+    x, y = PLAIN.grid_mm()
+    to_light = np.stack(np.broadcast_arrays(-20 - x, -y, 20.0), axis=-1)
+    square = np.sum(to_light**2, axis=-1)
+    half = to_light / np.sqrt(square)[..., None] + np.array([0, 0, 1])
+    cosine = half[..., 2] / np.linalg.norm(half, axis=-1)
+    np.testing.assert_allclose(glossy - matte, 0.5 * 1e5 * cosine**shininess / square, rtol=1e-9)
 
 
 def test_a_far_low_light_casts_the_shadow_that_geometry_says():
@@ -178,6 +195,24 @@ def test_the_response_curve_is_a_power():
     linear = simulate_background(PLAIN, None, quantise=False)
     curved = simulate_background(replace(PLAIN, optics=Optics(response_gamma=2.2)), None, quantise=False)
     np.testing.assert_allclose(curved, 255 * (linear / 255) ** (1 / 2.2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("gamma", [0.6, 1.2, 2.2])
+def test_the_table_of_the_response_is_the_response(gamma):
+    sensor = exposed(replace(PLAIN, optics=Optics(response_gamma=gamma)), 100)
+    grey = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None).image
+    exact = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None, quantise=False).image
+    assert np.abs(grey - np.clip(exact, 0, 255)).max() < 0.51
+
+
+def test_noise_is_normal():
+    drawn = normal_table()[draws(np.random.default_rng(5), 400_001)].astype(np.float64)
+    assert drawn.shape == (400_001,)
+    moments = [np.mean(drawn**k) for k in (1, 2, 3, 4)]
+    np.testing.assert_allclose(moments, [0, 1, 0, 3], atol=0.03)
+    assert np.mean(np.abs(drawn) > 2.5758) == pytest.approx(0.01, rel=0.1)
+    neighbours = drawn[: 4 * 100_000].reshape(-1, 4)
+    np.testing.assert_allclose(np.corrcoef(neighbours.T), np.eye(4), atol=0.015)
 
 
 def test_exposure_times_light_and_noise_with_it():
