@@ -17,15 +17,15 @@ from gelform.background import ChangeSettings, check_background, color_change_fr
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
+from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
-from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.calibration.samples import PreparedPress
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
 from gelform.color_models import COLOR_MODELS, ColorModel
-from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
@@ -184,7 +184,7 @@ def _draft(
         background_noise=_pixel_noise(presses.background),
         change=change_settings(presses.image_shape, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
-        forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
+        forward=forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px),
         slope_sigma=FIRST_GUESS,
         untouched_change=_untouched_change(used, contacts),
         held_out={},
@@ -194,6 +194,9 @@ def _draft(
             **dict(chosen.settings),
             "presses": len(used),
             "response": presses.response,
+            "image_noise": image_noise(
+                [presses.presses[i].image for i in refined.accepted], presses.background
+            ).tolist(),
         },
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
