@@ -43,7 +43,7 @@ def test_depth_and_slope_are_told_apart():
     slope = np.array([[0.3, 0.2]])
     at_slope = response.color_from_gradients(slope, np.array([50]), np.array([40]), depth_mm=np.zeros(1))
     norm = np.sqrt(1 + 0.13)
-    np.testing.assert_allclose(at_slope, [[0.6 / norm, -0.2 / norm, 0]], atol=0.02)
+    np.testing.assert_allclose(at_slope, [[0.6 / norm, -0.2 / norm, 0]], atol=0.05)
 
 
 def test_depth_in_the_contact_is_the_balls():
