@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -41,6 +42,25 @@ def test_a_height_map(run, tmp_path):
         assert np.isclose(truth["depth_mm"].max(), 0.4, atol=0.02)
         assert truth["contact"].any()
     assert (tmp_path / "out" / "image.png").is_file()
+
+
+def test_a_grey_image_is_a_height_map_and_all_truth_is_written(run, fails, tmp_path):
+    grey = np.zeros((60, 60), np.uint8)
+    grey[20:40, 20:40] = 255
+    cv2.imwrite(str(tmp_path / "block.png"), grey)
+    face = ("--height-map", tmp_path / "block.png", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.3")
+    arguments = ("simulate", "-o", tmp_path / "out", "--layout", "small", *face)
+    assert "--height-map-range-mm" in fails(*arguments)
+    code, _, err = run(*arguments, "--height-map-range-mm", "0.5", "--seed", "7")
+    assert code == 0, err
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        assert truth["contact"].sum() * 0.1268**2 == pytest.approx(4, rel=0.25)
+        assert {"depth_mm", "gradients", "albedo", "shadowed", "saturated", "markers_px"} <= set(truth.files)
+        assert json.loads(str(truth["meta"]))["seed"] == 7
+        assert truth["mm_per_px"] == 0.1268
+    said = json.loads((tmp_path / "out" / "parameters.json").read_text())
+    assert said["seed"] == 7
+    assert said["sensor"]["shape"] == [120, 160]
 
 
 def test_mistakes_are_one_line(fails, tmp_path):

@@ -155,13 +155,14 @@ def _one_thread() -> None:
 def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
     press = presses.press(k)
     _write_png(folder / f"images/{k:04d}.png", press.image)
-    _write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
+    write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
     x, y = press.center_px
     numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
     return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers)))
 
 
-def _write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any]) -> None:
+def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
+    """Write everything that is true of a press as .npz; `meta` joins its pose as JSON, `arrays` its arrays."""
     pose = {
         "depth_mm": press.press_depth_mm,
         "center_mm": list(press.center_mm),
@@ -169,7 +170,8 @@ def _write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any]) -> 
         "tilt_deg": list(press.pose.tilt_deg),
         "time_s": press.time_s,
     }
-    arrays: dict[str, Any] = {
+    members: dict[str, Any] = {
+        **arrays,
         **truth_from_press(press),
         "albedo": press.albedo,
         "shadowed": press.shadowed,
@@ -179,7 +181,7 @@ def _write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any]) -> 
         "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
     }
     with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **members)
 
 
 def _write_png(path: Path, image: Any) -> None:

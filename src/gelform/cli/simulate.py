@@ -11,8 +11,6 @@ from gelform.cli.console import Json, Quiet, print_json, progress_shown, say
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from gelform.simulate import HeightMap, Indenter, SimulatedSensor
     from gelform.simulate.like import Twin
 
@@ -49,10 +47,14 @@ def simulate(
         list[float], typer.Option(metavar="F", help="Diameter of a ball, mm; give several, they take turns.")
     ] = [6.0, 9.0],  # noqa: B006, typer reads it and never changes it
     height_map: Annotated[
-        Path | None, typer.Option(metavar="FILE.npy", help="Press this instead: heights in mm, (h, w).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image."),
     ] = None,
     height_map_mm_per_px: Annotated[
         float | None, typer.Option(metavar="F", help="Its sample pitch, mm.")
+    ] = None,
+    height_map_range_mm: Annotated[
+        float | None, typer.Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
     ] = None,
     depth_mm: Annotated[
         float, typer.Option(metavar="F", help="How deep the height map or mesh is pressed, mm.")
@@ -86,9 +88,9 @@ def simulate(
       gelform simulate -o gear --like cal.npz --mesh gear.stl
       gelform simulate -o taxim --like polycalib.npz --background rest.png --mm-per-px 0.03
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
+      gelform simulate -o coin --height-map coin.png --height-map-mm-per-px 0.02 --height-map-range-mm 0.3
       gelform simulate -o gear --mesh gear.stl --sensor gelsight-mini
     """
-    import numpy as np
 
     from gelform.checks import check_positive
     from gelform.simulate import LAYOUTS
@@ -111,9 +113,9 @@ def simulate(
             face = (
                 _mesh(mesh, mesh_mm_per_unit)
                 if height_map is None
-                else _height_map(height_map, height_map_mm_per_px)
+                else _height_map(height_map, height_map_mm_per_px, height_map_range_mm)
             )
-            _press_one(made, twin, face, depth_mm, np.random.default_rng(seed), output)
+            _press_one(made, twin, face, depth_mm, seed, output)
         else:
             from gelform.batch.simulated import SetOfPresses, save_simulated_set
 
@@ -178,13 +180,16 @@ def _mesh(path: Path | None, mm_per_unit: float) -> Indenter:
         raise DataError(str(problem)) from problem
 
 
-def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
+def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> HeightMap:
     import numpy as np
 
+    from gelform.importers.relief import read_height_image
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:
         raise typer.BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
+    if path.suffix.lower() != ".npy" and range_mm is not None:
+        return read_height_image(path, mm_per_px=mm_per_px, height_mm=range_mm)
     if not path.is_file():
         raise DataError(f"No file {path}: expected heights in mm as .npy.")
     if path.stat().st_size > MAX_MAP_BYTES:
@@ -194,29 +199,46 @@ def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
     try:
         heights = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError) as problem:
-        raise DataError(f"{path} is no array file (.npy) of numbers, or a damaged one.") from problem
+        raise DataError(
+            f"{path} is no array file (.npy) of numbers, or a damaged one. Is it a grey "
+            "image? Say --height-map-range-mm."
+        ) from problem
     if not isinstance(heights, np.ndarray):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
     return HeightMap(heights, mm_per_px)
 
 
 def _press_one(
-    sensor: SimulatedSensor, twin: Twin | None, face: Indenter, depth_mm: float, rng: Generator, folder: Path
+    sensor: SimulatedSensor, twin: Twin | None, face: Indenter, depth_mm: float, seed: int, folder: Path
 ) -> None:
+    import json
+
     import numpy as np
 
-    from gelform.export import toml_string, truth_from_press, written_whole
-    from gelform.npz_files import written_file
+    from gelform import __version__
+    from gelform.batch.simulated import write_truth
+    from gelform.export import toml_string, written_whole
     from gelform.plots import save_picture
     from gelform.simulate import simulate_background, simulate_press
+    from gelform.simulate.settings import settings_from_sensor
 
+    rng = np.random.default_rng(seed)
     press = simulate_press(sensor, face, depth_mm=depth_mm, rng=rng)
     rest = simulate_background(sensor, rng) if twin is None else twin.background
+    if twin is not None:
+        press = twin.rendered(press, rng)
+    parameters = {
+        "sensor": settings_from_sensor(sensor),
+        "like": None if twin is None else twin.look.name,
+        "seed": seed,
+        "gelform_version": __version__,
+    }
     with written_whole(folder) as partial:
         save_picture(partial / "background.png", rest)
-        save_picture(partial / "image.png", press.image if twin is None else twin.rendered(press, rng).image)
-        truth = {**truth_from_press(press), "mm_per_px": np.float64(sensor.mm_per_px)}
-        with written_file(partial / "truth.npz") as file:
-            np.savez_compressed(file, **truth)  # type: ignore[arg-type]
+        save_picture(partial / "image.png", press.image)
+        pitch = np.float64(sensor.mm_per_px)
+        write_truth(partial / "truth.npz", press, {"seed": seed}, mm_per_px=pitch)
+        text = json.dumps(parameters, indent=1, sort_keys=True)
+        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
         text = f"name = {toml_string(sensor.name)}\nmm_per_px = {sensor.mm_per_px!r}\n"
         (partial / "sensor.toml").write_text(text, encoding="utf-8")
