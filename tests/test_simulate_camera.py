@@ -22,10 +22,12 @@ from gelform.simulate import (
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.camera import draws, maps_from_depth, normal_table, px_seen
+from gelform.simulate.camera import draws, maps_from_depth, normal_table, px_seen, saturated_from_levels
+from gelform.simulate.coating import texture_gradients
 from gelform.simulate.gel import surface_from_ball
+from gelform.simulate.layouts import led_ring
 from gelform.simulate.light import spread_in_gel
-from gelform.simulate.shadows import visible_from_surface
+from gelform.simulate.shadows import shadowed_from_surface, visible_from_surface
 
 PLAIN = SimulatedSensor(
     (Led((-9, 2, 8), (9000, 500, 0)), Led((5, 9, 8), (0, 9000, 8000))), shape=(60, 80), mm_per_px=0.1
@@ -130,6 +132,46 @@ def test_shadows_take_light_and_never_give():
         assert np.all(dark <= free + 1e-6), name
         background = simulate_background(replace(sensor, cast_shadows=True), None, quantise=False)
         np.testing.assert_array_equal(background, simulate_background(sensor, None, quantise=False))
+
+
+@pytest.mark.parametrize("place", [(-9.0, 2.0, 4.0), (0.5, 8.0, 4.0), (7.0, -7.0, 5.0)])
+def test_attached_shadows_are_where_the_light_lies_behind_the_surface(place):
+    grid = PLAIN.grid_mm()
+    surface = surface_from_ball(Ball(1), *grid, center_mm=(0.5, -1), depth_mm=0.8, relaxation_mm=0.3)
+    lost = shadowed_from_surface(surface, (Led(place, (1, 1, 1)),), None)
+    to_light = np.stack(
+        np.broadcast_arrays(place[0] - grid[0], place[1] - grid[1], place[2] - surface.depth_mm)
+    )
+    facing = to_light[2] - np.sum(surface.gradients * np.moveaxis(to_light[:2], 0, -1), axis=-1)
+    np.testing.assert_array_equal(lost, facing <= 0)
+    assert lost.any()
+
+
+def test_the_texture_is_the_slope_of_one_surface():
+    slopes = texture_gradients(Coating(roughness=0.05, scratches=4, grain_mm=0.4, seed=3), (60, 80), 0.1, 1)
+    along_y, along_x = np.gradient(slopes[..., 0], axis=0), np.gradient(slopes[..., 1], axis=1)
+    inner = (slice(2, -2), slice(2, -2))
+    np.testing.assert_allclose(along_y[inner], along_x[inner], atol=1e-4)
+    assert np.abs(along_y).max() > 0.01
+
+
+def test_markers_are_as_large_as_said():
+    coating = Coating(marker_pitch_mm=2.0, marker_radius_mm=0.3)
+    press = simulate_pose(replace(PLAIN, coating=coating), Ball(2), Pose(0), rng=None)
+    dark = (1 - press.albedo).sum() / 0.9 * 0.1**2
+    assert dark / (60 * 80 * 0.1**2) == pytest.approx(np.pi * 0.3**2 / 2.0**2, rel=0.1)
+
+
+def test_a_ring_goes_round_as_its_angles_say():
+    right, down = led_ring(10.0, 5.0, (0, 90), ((1, 0, 0), (0, 1, 0)))
+    np.testing.assert_allclose(right.position_mm, (10, 0, 5), atol=1e-9)
+    np.testing.assert_allclose(down.position_mm, (0, 10, 5), atol=1e-9)
+
+
+def test_levels_under_zero_are_saturated_too():
+    cut = np.full((2, 3, 3), 100.0)
+    cut[0, 1, 2], cut[1, 0, 0] = -2.0, 300.0
+    assert np.argwhere(saturated_from_levels(cut)).tolist() == [[0, 1], [1, 0]]
 
 
 def test_scattering_keeps_the_light_and_interreflection_adds_to_it():

@@ -95,6 +95,10 @@ def test_the_noise_is_that_of_the_images(calibration, presses):
     noisy = Twin(calibration).press(Ball(3), flat, rng=np.random.default_rng(0)).image.astype(float)
     apart = (noisy - calibration.background).std(axis=(0, 1))
     np.testing.assert_allclose(apart, np.sqrt(look.noise**2 + 1 / 12), rtol=0.1)
+    uneven = CalibratedLook(replace(calibration, settings={"image_noise": [1.0, 2.0, 4.0]}))
+    noisy = Twin(uneven).press(Ball(3), flat, rng=np.random.default_rng(0)).image.astype(float)
+    apart = (noisy - calibration.background).std(axis=(0, 1))
+    np.testing.assert_allclose(apart, np.sqrt(np.array([1, 4, 16]) + 1 / 12), rtol=0.1)
     older = {k: v for k, v in calibration.settings.items() if k != "image_noise"}
     np.testing.assert_array_equal(
         CalibratedLook(replace(calibration, settings=older)).noise, calibration.background_noise

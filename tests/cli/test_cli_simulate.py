@@ -114,6 +114,9 @@ def test_presses_like_a_calibration(run_json, calibration_file, tmp_path):
     for path in (p for p in (tmp_path / "twin").rglob("*") if p.is_file()):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "twin")).read_bytes()
     assert json.loads((tmp_path / "twin/parameters.json").read_text())["like"]
+    run_json(*arguments, "-o", tmp_path / "other", "--seed", "5")
+    flat = [read_image(tmp_path / name / "images/0001.png")[:20, :20] for name in ("twin", "other")]
+    assert np.any(flat[0] != flat[1])
 
 
 def test_a_height_map_like_a_calibration(run, calibration_file, tmp_path):
