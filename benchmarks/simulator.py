@@ -134,7 +134,7 @@ def speed() -> dict[str, Any]:
             sensor, Ball(3), slide_poses(0.6, (-3, 0), (3, 0), 80), rng=np.random.default_rng(0)
         )
         frame, transform = [], []
-        for _ in range(8):
+        for _ in range(24):
             transform.append(cpu_ms(lambda: idctn(dctn(pair)), 20))
             frame.append(cpu_ms(lambda frames=frames: next(frames), 9))
         least, d = np.min(frame, axis=0)[0], np.min(transform, axis=0)[0]

@@ -134,6 +134,20 @@ def test_shadows_take_light_and_never_give():
         np.testing.assert_array_equal(background, simulate_background(sensor, None, quantise=False))
 
 
+def test_turning_light_and_surface_turns_the_shadow():
+    sensor = replace(PLAIN, shape=(61, 61))
+    settings = {"depth_mm": 0.8, "relaxation_mm": 0.3}
+    first = surface_from_ball(Ball(1), *sensor.grid_mm(), center_mm=(0.7, 0.3), **settings)
+    turned = surface_from_ball(Ball(1), *sensor.grid_mm(), center_mm=(-0.3, 0.7), **settings)
+    for x, y in ((-15.0, 2.0), (15.0, 2.0), (3.0, -15.0), (3.0, 15.0)):
+        seen = visible_from_surface(first, (Led((x, y, 6.0), (1, 1, 1)),))[0]
+        again = visible_from_surface(turned, (Led((-y, x, 6.0), (1, 1, 1)),))[0]
+        np.testing.assert_allclose(again, np.rot90(seen, k=-1), atol=2e-3)
+        rows, columns = np.nonzero(seen < 0.5)
+        away = np.array([columns.mean() - 37, rows.mean() - 33]) @ np.array([x, y])
+        assert away < 0  # the shadow lies on the side that is turned from the light
+
+
 @pytest.mark.parametrize("place", [(-9.0, 2.0, 4.0), (0.5, 8.0, 4.0), (7.0, -7.0, 5.0)])
 def test_attached_shadows_are_where_the_light_lies_behind_the_surface(place):
     grid = PLAIN.grid_mm()
