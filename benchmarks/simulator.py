@@ -131,7 +131,7 @@ def speed() -> dict[str, Any]:
         ("everything", replace(full, cast_shadows=True)),
     ):
         frames = simulate_sequence(
-            sensor, Ball(3), slide_poses(0.6, (-3, 0), (3, 0), 80), rng=np.random.default_rng(0)
+            sensor, Ball(3), slide_poses(0.6, (-3, 0), (3, 0), 240), rng=np.random.default_rng(0)
         )
         frame, transform = [], []
         for _ in range(24):
