@@ -100,7 +100,7 @@ class CalibratedLook:
         steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
         limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
         forward = self.calibration.forward
-        if not forward.knows_depth:
+        if forward is None or not forward.knows_depth:
             return self.calibration.color_from_gradients(limited)
         y, x = (axis.ravel() for axis in np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]])
         change = forward.color_from_gradients(limited.reshape(-1, 2), x, y, depth_mm=depth_mm.ravel())
