@@ -22,10 +22,12 @@ from gelform.simulate import (
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.camera import maps_from_depth, px_seen
+from gelform.simulate.camera import draws, maps_from_depth, normal_table, px_seen, saturated_from_levels
+from gelform.simulate.coating import texture_gradients
 from gelform.simulate.gel import surface_from_ball
+from gelform.simulate.layouts import led_ring
 from gelform.simulate.light import spread_in_gel
-from gelform.simulate.shadows import visible_from_surface
+from gelform.simulate.shadows import shadowed_from_surface, visible_from_surface
 
 PLAIN = SimulatedSensor(
     (Led((-9, 2, 8), (9000, 500, 0)), Led((5, 9, 8), (0, 9000, 8000))), shape=(60, 80), mm_per_px=0.1
@@ -78,6 +80,23 @@ def test_gloss_is_brightest_where_the_surface_mirrors_the_light():
     assert gloss.min() > -1e-9
 
 
+@pytest.mark.parametrize("shininess", [1, 2, 16])
+def test_gloss_is_the_power_of_the_half_angle(shininess):
+    led = Led((-20, 0, 20), (1e5, 0, 0))
+    settings = {"rng": None, "quantise": False, "oversample": 1}
+    coating = Coating(specular=0.5, shininess=shininess)
+    matte, glossy = (
+        simulate_pose(replace(PLAIN, leds=(led,), coating=c), Ball(2), Pose(0), **settings).image[..., 0]
+        for c in (Coating(), coating)
+    )
+    x, y = PLAIN.grid_mm()
+    to_light = np.stack(np.broadcast_arrays(-20 - x, -y, 20.0), axis=-1)
+    square = np.sum(to_light**2, axis=-1)
+    half = to_light / np.sqrt(square)[..., None] + np.array([0, 0, 1])
+    cosine = half[..., 2] / np.linalg.norm(half, axis=-1)
+    np.testing.assert_allclose(glossy - matte, 0.5 * 1e5 * cosine**shininess / square, rtol=1e-9)
+
+
 def test_a_far_low_light_casts_the_shadow_that_geometry_says():
     sensor = replace(
         PLAIN, leds=(Led((-1e4, 0, 5e3), (1e9, 1e9, 1e9), size_mm=0),), shape=(61, 161), mm_per_px=0.05
@@ -113,6 +132,60 @@ def test_shadows_take_light_and_never_give():
         assert np.all(dark <= free + 1e-6), name
         background = simulate_background(replace(sensor, cast_shadows=True), None, quantise=False)
         np.testing.assert_array_equal(background, simulate_background(sensor, None, quantise=False))
+
+
+def test_turning_light_and_surface_turns_the_shadow():
+    sensor = replace(PLAIN, shape=(61, 61))
+    settings = {"depth_mm": 0.8, "relaxation_mm": 0.3}
+    first = surface_from_ball(Ball(1), *sensor.grid_mm(), center_mm=(0.7, 0.3), **settings)
+    turned = surface_from_ball(Ball(1), *sensor.grid_mm(), center_mm=(-0.3, 0.7), **settings)
+    for x, y in ((-15.0, 2.0), (15.0, 2.0), (3.0, -15.0), (3.0, 15.0)):
+        seen = visible_from_surface(first, (Led((x, y, 6.0), (1, 1, 1)),))[0]
+        again = visible_from_surface(turned, (Led((-y, x, 6.0), (1, 1, 1)),))[0]
+        np.testing.assert_allclose(again, np.rot90(seen, k=-1), atol=2e-3)
+        rows, columns = np.nonzero(seen < 0.5)
+        away = np.array([columns.mean() - 37, rows.mean() - 33]) @ np.array([x, y])
+        assert away < 0  # the shadow lies on the side that is turned from the light
+
+
+@pytest.mark.parametrize("place", [(-9.0, 2.0, 4.0), (0.5, 8.0, 4.0), (7.0, -7.0, 5.0)])
+def test_attached_shadows_are_where_the_light_lies_behind_the_surface(place):
+    grid = PLAIN.grid_mm()
+    surface = surface_from_ball(Ball(1), *grid, center_mm=(0.5, -1), depth_mm=0.8, relaxation_mm=0.3)
+    lost = shadowed_from_surface(surface, (Led(place, (1, 1, 1)),), None)
+    to_light = np.stack(
+        np.broadcast_arrays(place[0] - grid[0], place[1] - grid[1], place[2] - surface.depth_mm)
+    )
+    facing = to_light[2] - np.sum(surface.gradients * np.moveaxis(to_light[:2], 0, -1), axis=-1)
+    np.testing.assert_array_equal(lost, facing <= 0)
+    assert lost.any()
+
+
+def test_the_texture_is_the_slope_of_one_surface():
+    slopes = texture_gradients(Coating(roughness=0.05, scratches=4, grain_mm=0.4, seed=3), (60, 80), 0.1, 1)
+    along_y, along_x = np.gradient(slopes[..., 0], axis=0), np.gradient(slopes[..., 1], axis=1)
+    inner = (slice(2, -2), slice(2, -2))
+    np.testing.assert_allclose(along_y[inner], along_x[inner], atol=1e-4)
+    assert np.abs(along_y).max() > 0.01
+
+
+def test_markers_are_as_large_as_said():
+    coating = Coating(marker_pitch_mm=2.0, marker_radius_mm=0.3)
+    press = simulate_pose(replace(PLAIN, coating=coating), Ball(2), Pose(0), rng=None)
+    dark = (1 - press.albedo).sum() / 0.9 * 0.1**2
+    assert dark / (60 * 80 * 0.1**2) == pytest.approx(np.pi * 0.3**2 / 2.0**2, rel=0.1)
+
+
+def test_a_ring_goes_round_as_its_angles_say():
+    right, down = led_ring(10.0, 5.0, (0, 90), ((1, 0, 0), (0, 1, 0)))
+    np.testing.assert_allclose(right.position_mm, (10, 0, 5), atol=1e-9)
+    np.testing.assert_allclose(down.position_mm, (0, 10, 5), atol=1e-9)
+
+
+def test_levels_under_zero_are_saturated_too():
+    cut = np.full((2, 3, 3), 100.0)
+    cut[0, 1, 2], cut[1, 0, 0] = -2.0, 300.0
+    assert np.argwhere(saturated_from_levels(cut)).tolist() == [[0, 1], [1, 0]]
 
 
 def test_scattering_keeps_the_light_and_interreflection_adds_to_it():
@@ -178,6 +251,24 @@ def test_the_response_curve_is_a_power():
     linear = simulate_background(PLAIN, None, quantise=False)
     curved = simulate_background(replace(PLAIN, optics=Optics(response_gamma=2.2)), None, quantise=False)
     np.testing.assert_allclose(curved, 255 * (linear / 255) ** (1 / 2.2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("gamma", [0.6, 1.2, 2.2])
+def test_the_table_of_the_response_is_the_response(gamma):
+    sensor = exposed(replace(PLAIN, optics=Optics(response_gamma=gamma)), 100)
+    grey = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None).image
+    exact = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None, quantise=False).image
+    assert np.abs(grey - np.clip(exact, 0, 255)).max() < 0.51
+
+
+def test_noise_is_normal():
+    drawn = normal_table()[draws(np.random.default_rng(5), 400_001)].astype(np.float64)
+    assert drawn.shape == (400_001,)
+    moments = [np.mean(drawn**k) for k in (1, 2, 3, 4)]
+    np.testing.assert_allclose(moments, [0, 1, 0, 3], atol=0.03)
+    assert np.mean(np.abs(drawn) > 2.5758) == pytest.approx(0.01, rel=0.1)
+    neighbours = drawn[: 4 * 100_000].reshape(-1, 4)
+    np.testing.assert_allclose(np.corrcoef(neighbours.T), np.eye(4), atol=0.015)
 
 
 def test_exposure_times_light_and_noise_with_it():

@@ -7,7 +7,7 @@ import pytest
 
 from gelform.frames import Frame
 from gelform.sensors.simulated import SimulatedSource
-from gelform.simulate import LAYOUTS, Cylinder, Timing
+from gelform.simulate import LAYOUTS, Coating, Cylinder, Timing
 
 SENSOR = replace(LAYOUTS["three-edges"], shape=(60, 80), mm_per_px=0.2, timing=Timing(frame_rate_hz=20.0))
 
@@ -83,6 +83,35 @@ def test_dropped_frames_leave_gaps_in_the_index():
     gaps = np.diff([camera.read().index for _ in range(40)])
     assert gaps.min() == 1
     assert 5 < np.count_nonzero(gaps > 1) < 35
+
+
+def test_the_surface_is_dragged_from_frame_to_frame():
+    camera, _ = source(replace(SENSOR, coating=Coating(marker_pitch_mm=1.0)))
+    camera.move(depth_mm=0.6)
+    camera.read()
+    still = camera.truth.markers_shift_mm
+    camera.move(center_mm=(0.1, 0.0))
+    camera.read()
+    moved = camera.truth.markers_shift_mm - still
+    assert moved[:, 0].max() > 0.05
+
+
+def test_the_background_is_an_untouched_frame():
+    camera, _ = source()
+    frame = camera.read().image.astype(float)
+    apart = camera.background.astype(float) - frame
+    assert abs(apart.mean()) < 0.1
+    assert 0.3 < apart.std() < 4
+
+
+def test_frames_drift_with_the_clock_of_the_camera():
+    camera, _ = source(
+        replace(SENSOR, noise_sd=0, noise_gain=0, timing=Timing(5.0, drift=(0.3, 0, 0), drift_time_s=1.0))
+    )
+    first, second = camera.read(), camera.read()
+    expected = 1 + 0.3 * (1 - np.exp(-0.2))
+    ratio = second.image[..., 0].mean() / first.image[..., 0].mean()
+    assert ratio == pytest.approx(expected, rel=0.01)
 
 
 def test_the_same_seed_gives_the_same_frames():

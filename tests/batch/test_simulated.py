@@ -60,7 +60,12 @@ def test_the_parameters_make_the_set_again(tmp_path):
         press = again.press(3)
         np.testing.assert_array_equal(truth["contact"], press.contact)
         np.testing.assert_array_equal(truth["markers_px"], press.markers_px)
-        assert json.loads(str(truth["meta"]))["depth_mm"] == press.press_depth_mm
+        for name in ("albedo", "shadowed", "saturated", "markers_shift_mm"):
+            np.testing.assert_array_equal(truth[name], getattr(press, name))
+        meta = json.loads(str(truth["meta"]))
+    assert meta["depth_mm"] == press.press_depth_mm
+    assert (meta["number"], meta["seed"]) == (3, 11)
+    assert meta["tilt_deg"] == [0, 0]
 
 
 def test_progress_is_reported(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.calibration.design import Variation, compare_designs, light_quality
+from gelform.calibration.design import Variation, _summed, compare_designs, light_quality
 from gelform.calibration.design_picture import design_picture
 from gelform.simulate import LAYOUTS, Led, SimulatedSensor, simulate_background
 
@@ -57,6 +57,26 @@ def test_a_variation_changes_what_it_says_and_keeps_the_levels():
     np.testing.assert_allclose(levels[1], levels[0], rtol=1e-6)
 
 
+def test_white_lights_are_blind_and_half_white_ones_see_less():
+    sensor = far_lights((0, 120, 240))
+    conditions, sigmas = zip(*(light_quality(Variation("x", whiteness=w).of(sensor)) for w in (0, 0.5, 1)))
+    np.testing.assert_allclose(conditions[:2], 1, rtol=1e-3)
+    assert np.all(sigmas[1] > 1.5 * sigmas[0])
+    assert sigmas[2].min() > 100 * sigmas[0].max()
+
+
+def test_errors_are_mapped_where_they_are():
+    where = np.array([[0, 0], [0, 5], [59, 79], [31, 70]])  # row, column
+    depth = np.array([0.001, 0.001, 0.003, 0.002])
+    total, _, found, angle = _summed([(where, depth, np.array([1.0, 2.0, 3.0, 6.0]))], (60, 80))
+    assert found[0, 0] == pytest.approx(1.0)
+    assert found[5, 7] == pytest.approx(3.0)
+    assert found[3, 7] == pytest.approx(2.0)
+    assert np.count_nonzero(~np.isnan(found)) == 3
+    assert total == pytest.approx(1000 * np.sqrt(np.mean(depth**2)))
+    assert angle == 3.0
+
+
 def test_much_noise_is_found_to_be_worse_and_can_be_drawn():
     sensor = replace(LAYOUTS["ring-120"], shape=(120, 160), mm_per_px=0.1268)
     calls = []
@@ -87,6 +107,7 @@ def test_much_noise_is_found_to_be_worse_and_can_be_drawn():
     [
         (lambda: Variation("x", led_height=0), "led_height"),
         (lambda: Variation("x", noise=-1), "noise"),
+        (lambda: Variation("x", whiteness=2), "whiteness in 0-1"),
         (lambda: compare_designs(LAYOUTS["ring-120"], [], presses=8), "a variation"),
         (lambda: compare_designs(LAYOUTS["ring-120"], presses=2), "presses >= 4"),
     ],

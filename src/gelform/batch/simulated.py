@@ -14,12 +14,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from gelform.checks import check_positive
 from gelform.errors import DataError
 from gelform.export import toml_string, truth_from_press, written_whole
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
+from gelform.simulate.like import Twin
 from gelform.simulate.press import ball_press_of_set
 from gelform.simulate.settings import settings_from_sensor
 
@@ -28,13 +30,17 @@ COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_r
 
 @dataclass(frozen=True)
 class SetOfPresses:
-    """What a data set of ball presses is made from: everything that its bytes depend on."""
+    """What a data set of ball presses is made from: everything that its bytes depend on.
+
+    With a `twin` the images are the twin's, and `sensor` is its sensor.
+    """
 
     sensor: SimulatedSensor
     ball_diameters_mm: tuple[float, ...]
     count: int
     seed: int
     oversample: int = 3
+    twin: Twin | None = None
 
     def __post_init__(self) -> None:
         if self.count < 1 or len(self.ball_diameters_mm) == 0:
@@ -48,9 +54,21 @@ class SetOfPresses:
 
     def press(self, k: int) -> SimulatedPress:
         """The k-th press; it depends on no other."""
-        return ball_press_of_set(
+        press = ball_press_of_set(
             self.sensor, self.ball_diameters_mm, k, seed=self.seed, oversample=self.oversample
         )
+        if self.twin is None:
+            return press
+        return self.twin.rendered(
+            press, np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k + 2, 0)))
+        )
+
+    def background(self) -> NDArray[np.uint8]:
+        """The untouched gel."""
+        if self.twin is not None:
+            return self.twin.background
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(0,)))
+        return np.asarray(simulate_background(self.sensor, rng), dtype=np.uint8)
 
     def parameters(self) -> dict[str, Any]:
         """All of it, as JSON can hold it."""
@@ -62,6 +80,7 @@ class SetOfPresses:
             "count": self.count,
             "seed": self.seed,
             "oversample": self.oversample,
+            "like": None if self.twin is None else self.twin.look.name,
             "gelform_version": __version__,
         }
 
@@ -93,8 +112,7 @@ def save_simulated_set(
     with written_whole(target) as partial:
         for name in ("images", "truth"):
             (partial / name).mkdir()
-        background_rng = np.random.default_rng(np.random.SeedSequence(presses.seed, spawn_key=(0,)))
-        _write_png(partial / "background.png", simulate_background(presses.sensor, background_rng))
+        _write_png(partial / "background.png", presses.background())
         rows = []
         for row in _made(presses, partial, workers):
             rows.append(row)
@@ -137,15 +155,23 @@ def _one_thread() -> None:
 def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
     press = presses.press(k)
     _write_png(folder / f"images/{k:04d}.png", press.image)
-    _write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
+    write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
     x, y = press.center_px
     numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
     return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers)))
 
 
-def _write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any]) -> None:
-    pose = {"depth_mm": press.press_depth_mm, "center_mm": list(press.center_mm), "time_s": press.time_s}
-    arrays: dict[str, Any] = {
+def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
+    """Write everything that is true of a press as .npz; `meta` joins its pose as JSON, `arrays` its arrays."""
+    pose = {
+        "depth_mm": press.press_depth_mm,
+        "center_mm": list(press.center_mm),
+        "spin_deg": press.pose.spin_deg,
+        "tilt_deg": list(press.pose.tilt_deg),
+        "time_s": press.time_s,
+    }
+    members: dict[str, Any] = {
+        **arrays,
         **truth_from_press(press),
         "albedo": press.albedo,
         "shadowed": press.shadowed,
@@ -155,7 +181,7 @@ def _write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any]) -> 
         "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
     }
     with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **members)
 
 
 def _write_png(path: Path, image: Any) -> None:

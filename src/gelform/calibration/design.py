@@ -36,7 +36,10 @@ CELLS = (6, 8)  # of the map of depth errors
 
 @dataclass(frozen=True)
 class Variation:
-    """How a design differs from the sensor that was given; factors, 1 for no change."""
+    """How a design differs from the sensor that was given; factors, 1 for no change.
+
+    `whiteness` moves each light's colour from what it is (0) to white of the same sum (1).
+    """
 
     name: str
     led_height: float = 1.0
@@ -44,8 +47,11 @@ class Variation:
     noise: float = 1.0
     crosstalk: float = 1.0
     relaxation: float = 1.0
+    whiteness: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.whiteness <= 1:
+            raise ValueError(f"Expected whiteness in 0-1, got {self.whiteness}.")
         for what in ("led_height", "led_distance", "relaxation"):
             check_positive(getattr(self, what), what)
         if self.noise < 0 or self.crosstalk < 0:
@@ -69,13 +75,16 @@ class Variation:
     def _moved(self, led: Led) -> Led:
         x, y, z = led.position_mm
         place = (x * self.led_distance, y * self.led_distance, z * self.led_height)
-        return replace(led, position_mm=place)
+        grey = sum(led.color) / 3
+        red, green, blue = ((1 - self.whiteness) * c + self.whiteness * grey for c in led.color)
+        return replace(led, position_mm=place, color=(red, green, blue))
 
 
 VARIATIONS = (
     Variation("as given"),
     Variation("lights 1.5 x higher", led_height=1.5),
     Variation("lights 1.5 x lower", led_height=1 / 1.5),
+    Variation("lights half white", whiteness=0.5),
     Variation("no crosstalk", crosstalk=0.0),
     Variation("twice the noise", noise=2.0),
     Variation("gel relaxes 1.5 x farther", relaxation=1.5),

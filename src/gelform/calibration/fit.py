@@ -19,17 +19,17 @@ from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
+from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.inputs import check_inputs, input_notes
 from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
-from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.calibration.samples import PreparedPress
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
 from gelform.color_models import COLOR_MODELS, ColorModel
-from gelform.color_models.forward import ForwardResponse
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
@@ -201,7 +201,7 @@ def _draft(
         else presses.background_noise,
         change=change_settings(presses, chosen.change_offset),
         color_model=chosen.fit(used, contacts),
-        forward=ForwardResponse.fit(contact_samples(used, contacts, chosen.zone)),
+        forward=forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px),
         slope_sigma=FIRST_GUESS,
         untouched_change=_untouched_change(used, contacts),
         held_out={},
@@ -212,6 +212,9 @@ def _draft(
             "presses": len(used),
             "response": presses.response,
             **presses.geometry.settings(),
+            "image_noise": image_noise(
+                [presses.presses[i].image for i in refined.accepted], presses.background
+            ).tolist(),
         },
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),

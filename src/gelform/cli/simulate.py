@@ -12,8 +12,11 @@ from gelform.errors import DataError
 
 if TYPE_CHECKING:
     from gelform.simulate import HeightMap, Indenter, SimulatedSensor
+    from gelform.simulate.like import Twin
 
 MAX_MAP_BYTES = 1 << 28
+GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # the background of tables that come without one
+TABLES_NOISE = 1.0
 
 
 def simulate(
@@ -27,17 +30,31 @@ def simulate(
         ),
     ] = None,
     like: Annotated[
-        Path | None, typer.Option(metavar="CAL.npz", help="Instead: answer as this calibrated sensor does.")
+        Path | None,
+        typer.Option(
+            metavar="CAL.npz",
+            help="Instead: answer as this calibrated sensor does, or as Taxim's tables say.",
+        ),
+    ] = None,
+    background: Annotated[
+        Path | None, typer.Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
+    ] = None,
+    mm_per_px: Annotated[
+        float | None, typer.Option(metavar="F", help="Pixel pitch of that image, mm: the tables hold none.")
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40,
     ball_diameter_mm: Annotated[
         list[float], typer.Option(metavar="F", help="Diameter of a ball, mm; give several, they take turns.")
     ] = [6.0, 9.0],  # noqa: B006, typer reads it and never changes it
     height_map: Annotated[
-        Path | None, typer.Option(metavar="FILE.npy", help="Press this instead: heights in mm, (h, w).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image."),
     ] = None,
     height_map_mm_per_px: Annotated[
         float | None, typer.Option(metavar="F", help="Its sample pitch, mm.")
+    ] = None,
+    height_map_range_mm: Annotated[
+        float | None, typer.Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
     ] = None,
     depth_mm: Annotated[
         float, typer.Option(metavar="F", help="How deep the height map or mesh is pressed, mm.")
@@ -67,11 +84,13 @@ def simulate(
       gelform simulate -o presses --layout homemade --count 60 --ball-diameter-mm 5 --ball-diameter-mm 8
       gelform simulate -o presses --sensor digit --count 10000 --workers 8
       gelform simulate -o presses --sensor mine.toml
-      gelform simulate -o twin --like cal.npz
+      gelform simulate -o twin --like cal.npz --count 1000 --workers 4
+      gelform simulate -o gear --like cal.npz --mesh gear.stl
+      gelform simulate -o taxim --like polycalib.npz --background rest.png --mm-per-px 0.03
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
+      gelform simulate -o coin --height-map coin.png --height-map-mm-per-px 0.02 --height-map-range-mm 0.3
       gelform simulate -o gear --mesh gear.stl --sensor gelsight-mini
     """
-    import numpy as np
 
     from gelform.checks import check_positive
     from gelform.simulate import LAYOUTS
@@ -84,23 +103,24 @@ def simulate(
         )
     if sum(given is not None for given in (sensor, like)) > 1 or None not in (height_map, mesh):
         raise typer.BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
-    made = LAYOUTS[layout] if sensor is None else sensor_of(sensor)
+    twin = _twin_of(like, background, mm_per_px)
+    if twin is not None:
+        made = twin.sensor
+    else:
+        made = LAYOUTS[layout] if sensor is None else sensor_of(sensor)
     with progress_shown(quiet) as progress:
-        if like is not None:
-            if height_map is not None or mesh is not None:
-                raise typer.BadParameter("presses balls only.", param_hint="--like")
-            _save_like(like, ball_diameter_mm, count, seed, output)
-        elif height_map is not None or mesh is not None:
+        if height_map is not None or mesh is not None:
             face = (
                 _mesh(mesh, mesh_mm_per_unit)
                 if height_map is None
-                else _height_map(height_map, height_map_mm_per_px)
+                else _height_map(height_map, height_map_mm_per_px, height_map_range_mm)
             )
-            _press_one(made, face, depth_mm, np.random.default_rng(seed), output)
+            _press_one(made, twin, face, depth_mm, seed, output)
         else:
             from gelform.batch.simulated import SetOfPresses, save_simulated_set
 
-            wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed)
+            oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's centre
+            wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed, oversample, twin)
             save_simulated_set(output, wanted, workers=workers, progress=progress)
     say(f"Wrote {output}.", quiet or as_json)
     if as_json:
@@ -122,18 +142,32 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
         raise typer.BadParameter(str(problem), param_hint="--sensor") from problem
 
 
-def _save_like(path: Path, ball_diameters_mm: list[float], count: int, seed: int, output: Path) -> None:
-    import numpy as np
-
-    from gelform.export import save_simulated_presses
+def _twin_of(path: Path | None, background: Path | None, mm_per_px: float | None) -> Twin | None:
+    """A twin of a calibration or of Taxim's tables; None without either."""
+    from gelform.importers.taxim_forward import is_taxim_forward
     from gelform.record import load_calibration
     from gelform.simulate.like import Twin
 
-    twin = Twin(load_calibration(path))
-    presses = twin.ball_presses(
-        ball_diameters_mm=ball_diameters_mm, count=count, rng=np.random.default_rng(seed)
-    )
-    save_simulated_presses(output, presses)
+    if path is not None and path.is_file() and is_taxim_forward(path):
+        return _twin_of_tables(path, background, mm_per_px)
+    for given, name in ((background, "--background"), (mm_per_px, "--mm-per-px")):
+        if given is not None:
+            raise typer.BadParameter("is for --like with Taxim's tables only.", param_hint=name)
+    return None if path is None else Twin(load_calibration(path))
+
+
+def _twin_of_tables(path: Path, background: Path | None, mm_per_px: float | None) -> Twin:
+    import numpy as np
+
+    from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
+    from gelform.sensors.files import read_image
+    from gelform.simulate.like import Twin
+
+    if mm_per_px is None:
+        raise typer.BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
+    rest = np.full(GREY_SHAPE, GREY_LEVEL) if background is None else read_image(background)
+    noise = np.full(3, TABLES_NOISE)
+    return Twin(TaximLook(read_taxim_forward(path), rest.astype(np.float32), mm_per_px, noise))
 
 
 def _mesh(path: Path | None, mm_per_unit: float) -> Indenter:
@@ -146,13 +180,16 @@ def _mesh(path: Path | None, mm_per_unit: float) -> Indenter:
         raise DataError(str(problem)) from problem
 
 
-def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
+def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> HeightMap:
     import numpy as np
 
+    from gelform.importers.relief import read_height_image
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:
         raise typer.BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
+    if path.suffix.lower() != ".npy" and range_mm is not None:
+        return read_height_image(path, mm_per_px=mm_per_px, height_mm=range_mm)
     if not path.is_file():
         raise DataError(f"No file {path}: expected heights in mm as .npy.")
     if path.stat().st_size > MAX_MAP_BYTES:
@@ -162,27 +199,46 @@ def _height_map(path: Path, mm_per_px: float | None) -> HeightMap:
     try:
         heights = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError) as problem:
-        raise DataError(f"{path} is no array file (.npy) of numbers, or a damaged one.") from problem
+        raise DataError(
+            f"{path} is no array file (.npy) of numbers, or a damaged one. Is it a grey "
+            "image? Say --height-map-range-mm."
+        ) from problem
     if not isinstance(heights, np.ndarray):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
     return HeightMap(heights, mm_per_px)
 
 
-def _press_one(sensor: SimulatedSensor, face: Indenter, depth_mm: float, rng: object, folder: Path) -> None:
+def _press_one(
+    sensor: SimulatedSensor, twin: Twin | None, face: Indenter, depth_mm: float, seed: int, folder: Path
+) -> None:
+    import json
+
     import numpy as np
 
-    from gelform.export import toml_string, truth_from_press, written_whole
-    from gelform.npz_files import written_file
+    from gelform import __version__
+    from gelform.batch.simulated import write_truth
+    from gelform.export import toml_string, written_whole
     from gelform.plots import save_picture
     from gelform.simulate import simulate_background, simulate_press
+    from gelform.simulate.settings import settings_from_sensor
 
-    assert isinstance(rng, np.random.Generator)
+    rng = np.random.default_rng(seed)
     press = simulate_press(sensor, face, depth_mm=depth_mm, rng=rng)
+    rest = simulate_background(sensor, rng) if twin is None else twin.background
+    if twin is not None:
+        press = twin.rendered(press, rng)
+    parameters = {
+        "sensor": settings_from_sensor(sensor),
+        "like": None if twin is None else twin.look.name,
+        "seed": seed,
+        "gelform_version": __version__,
+    }
     with written_whole(folder) as partial:
-        save_picture(partial / "background.png", simulate_background(sensor, rng))
+        save_picture(partial / "background.png", rest)
         save_picture(partial / "image.png", press.image)
-        truth = {**truth_from_press(press), "mm_per_px": np.float64(sensor.mm_per_px)}
-        with written_file(partial / "truth.npz") as file:
-            np.savez_compressed(file, **truth)  # type: ignore[arg-type]
+        pitch = np.float64(sensor.mm_per_px)
+        write_truth(partial / "truth.npz", press, {"seed": seed}, mm_per_px=pitch)
+        text = json.dumps(parameters, indent=1, sort_keys=True)
+        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
         text = f"name = {toml_string(sensor.name)}\nmm_per_px = {sensor.mm_per_px!r}\n"
         (partial / "sensor.toml").write_text(text, encoding="utf-8")

@@ -102,11 +102,11 @@ def ball_on_grid(
     )
     step = reach / (TABLE - 1)
     depth, slope = _table(press, step)
-    out = np.zeros((y_mm.size, x_mm.size, 3))
-    touching = np.zeros(out.shape[:2], dtype=bool)
+    z, gradients = np.zeros((y_mm.size, x_mm.size)), np.zeros((y_mm.size, x_mm.size, 2))
+    touching = np.zeros(z.shape, dtype=bool)
     dx, dy = np.ravel(x_mm) - center_mm[0], np.ravel(y_mm) - center_mm[1]
-    _fill(dx, dy, press.radius_mm, press.depth_mm, a, step, depth, slope, out, touching)
-    return out[..., 0].copy(), np.ascontiguousarray(out[..., 1:]), touching
+    _fill(dx, dy, press.radius_mm, press.depth_mm, a, step, depth, slope, z, gradients, touching)
+    return z, gradients, touching
 
 
 @lru_cache(maxsize=64)
@@ -176,6 +176,7 @@ def _fill(
     depth: Any,
     slope: Any,
     out: Any,
+    gradients: Any,
     touching: Any,
 ) -> None:
     """The cap inside, beyond it cubic Hermite interpolation in a table of depth and slope over the radius."""
@@ -185,7 +186,7 @@ def _fill(
             r = np.sqrt(square)
             if r <= a:
                 cosine = np.sqrt(radius * radius - square)
-                out[i, j, 0] = top - radius + cosine
+                out[i, j] = top - radius + cosine
                 over_r = -1 / cosine
                 touching[i, j] = True
             else:
@@ -196,7 +197,7 @@ def _fill(
                 t = place - k
                 d0, d1, s0, s1 = depth[k], depth[k + 1], step * slope[k], step * slope[k + 1]
                 square_term, cubic = 3 * (d1 - d0) - 2 * s0 - s1, 2 * (d0 - d1) + s0 + s1
-                out[i, j, 0] = d0 + t * (s0 + t * (square_term + t * cubic))
+                out[i, j] = d0 + t * (s0 + t * (square_term + t * cubic))
                 over_r = (s0 + t * (2 * square_term + 3 * t * cubic)) / (step * r)
-            out[i, j, 1] = over_r * dx[j]
-            out[i, j, 2] = over_r * dy[i]
+            gradients[i, j, 0] = over_r * dx[j]
+            gradients[i, j, 1] = over_r * dy[i]

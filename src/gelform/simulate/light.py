@@ -208,8 +208,11 @@ def _add_gloss(
     for j in range(x.size):
         dx, dz = (lx - x[j]) * near[j], (lz - z[j]) * near[j]
         half = (dz + one - p[j] * dx - q[j] * dy * near[j]) * cosine[j]
-        gloss[j] = max(half, zero) / np.sqrt(two + two * dz)
-    for _ in range(doublings):
+        gloss[j] = max(half, zero) * max(half, zero) / (two + two * dz)  # squared: no root needed
+    if doublings == 0:
+        for j in range(x.size):
+            gloss[j] = np.sqrt(gloss[j])
+    for _ in range(doublings - 1):
         for j in range(x.size):
             gloss[j] *= gloss[j]
     for j in range(x.size):

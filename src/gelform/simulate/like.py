@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,42 +12,70 @@ from numpy.typing import NDArray
 from gelform.background import image_from_color_change
 from gelform.checks import check_positive
 from gelform.record import Calibration
-from gelform.simulate.camera import saturated_from_levels
-from gelform.simulate.gel import Gel
+from gelform.simulate.camera import draws, normal_table, saturated_from_levels
+from gelform.simulate.gel import Gel, depth_of_ball
 from gelform.simulate.indenters import Indenter
 from gelform.simulate.motion import Pose
 from gelform.simulate.press import SimulatedPress, SimulatedPresses, simulate_ball_presses, simulate_pose
 from gelform.simulate.sensor import Led, SimulatedSensor
 
 STEEPEST = 1.2  # calibrations see slopes up to about 1; a cubic response says nothing beyond
+# A GelSight Mini's, found on ball presses: the gel leaves the ball this far inside the rim that one sees.
+GEL = Gel(thickness_mm=3.5, bulge=0.5)
+RELAXATION_MM = 0.5
+RIM_MM = 0.25
 _ANY_LIGHT = Led((0.0, 0.0, 1e3), (1.0, 1.0, 1.0))
 
 
-class Twin:
-    """A sensor that answers as a calibration says the real one does.
+def press_depth_of_rim(ball_radius_mm: float, rim_radius_mm: float) -> float:
+    """How deep a ball stands in the twin's gel, mm, when the rim that one sees has this radius."""
+    contact = min(max(rim_radius_mm - RIM_MM, 0.05 * rim_radius_mm), 0.95 * ball_radius_mm)
+    slope = contact / np.sqrt(ball_radius_mm**2 - contact**2)
+    return depth_of_ball(ball_radius_mm, slope, RELAXATION_MM, thickness_mm=GEL.thickness_mm, bulge=GEL.bulge)
 
-    The surface comes from the simulator's gel, the colour from `calibration.color_from_gradients`, the
-    background is
-    the calibration's own, the noise that of its background pixels. Dust, scratches and drift of the real
-    sensor are in
-    its background; cast shadows, which depend on more than the slope at a pixel, are not made.
+
+class Look(Protocol):
+    """How one sensor answers to a surface: what a twin shows."""
+
+    @property
+    def name(self) -> str:
+        """Whose look it is."""
+        ...
+
+    @property
+    def background(self) -> NDArray[np.float32]:
+        """The untouched image (H, W, 3)."""
+        ...
+
+    @property
+    def mm_per_px(self) -> float:
+        """Pixel pitch, mm."""
+        ...
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        """Standard deviation (3,) of an image's pixel, grey levels."""
+        ...
+
+    def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+        """Grey levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
+        ...
+
+
+class CalibratedLook:
+    """The look that a calibration has learnt: its forward response to slope and depth.
+
+    To slope alone where it was fitted without depths. The noise is that of the images it was made from; its
+    background's where the calibration knows no other.
 
     Parameters
     ----------
     calibration : of the real sensor
-    gel, relaxation_mm : of its gel
     steepest : float
         Steeper slopes are rendered as this one: the response was fitted on gentler ones.
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        *,
-        gel: Gel | None = None,
-        relaxation_mm: float = 0.35,
-        steepest: float = STEEPEST,
-    ) -> None:
+    def __init__(self, calibration: Calibration, *, steepest: float = STEEPEST) -> None:
         pitch_x, pitch_y = np.broadcast_to(np.asarray(calibration.known_mm_per_px, dtype=np.float64), 2)
         if abs(pitch_x / pitch_y - 1) > 1e-6:
             raise ValueError(
@@ -55,18 +83,65 @@ class Twin:
             )
         self.calibration = calibration
         self.steepest = check_positive(steepest, "steepest")
-        self.sensor = SimulatedSensor(
-            (_ANY_LIGHT,),
-            name=f"like {calibration.sensor_name}",
-            shape=calibration.image_shape,
-            mm_per_px=float(pitch_x),
-            relaxation_mm=relaxation_mm,
-            gel=gel or Gel(thickness_mm=3.5, bulge=0.5),
+        self.name = calibration.sensor_name
+        self.background = calibration.background
+        self.mm_per_px = float(pitch_x)
+        self.noise = np.asarray(
+            calibration.settings.get("image_noise", calibration.background_noise), dtype=np.float64
         )
 
-    def press(self, indenter: Indenter, pose: Pose, *, rng: np.random.Generator | None) -> SimulatedPress:
+    def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+        """Grey levels (H, W, 3) of slopes (H, W, 2) and depths (H, W)."""
+        change = self.color_change(gradients, depth_mm)
+        return image_from_color_change(change, self.background, self.calibration.change)
+
+    def color_change(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+        """Expected color change (H, W, 3) of gradients (H, W, 2), the steep ones made less so, and depths (H, W)."""
+        steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
+        limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
+        forward = self.calibration.forward
+        if forward is None or not forward.knows_depth:
+            return self.calibration.color_from_gradients(limited)
+        y, x = (axis.ravel() for axis in np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]])
+        change = forward.color_from_gradients(limited.reshape(-1, 2), x, y, depth_mm=depth_mm.ravel())
+        return change.reshape(*depth_mm.shape, 3).astype(np.float32)
+
+
+class Twin:
+    """A sensor that answers as a real one does, as far as its calibration or its tables say.
+
+    The surface comes from the simulator's gel, everything that one sees from the look: dust and scratches are in
+    its background; cast shadows, which depend on more than slope and depth at a pixel, are not made.
+
+    Parameters
+    ----------
+    look : a Calibration, or any `Look`: another package's tables, say
+    gel, relaxation_mm : of its gel
+    """
+
+    def __init__(
+        self,
+        look: Calibration | Look,
+        *,
+        gel: Gel | None = None,
+        relaxation_mm: float = RELAXATION_MM,
+    ) -> None:
+        self.look: Look = CalibratedLook(look) if isinstance(look, Calibration) else look
+        height, width = self.look.background.shape[:2]
+        self.sensor = SimulatedSensor(
+            (_ANY_LIGHT,),
+            name=f"like {self.look.name}",
+            shape=(height, width),
+            mm_per_px=self.look.mm_per_px,
+            relaxation_mm=relaxation_mm,
+            gel=gel or GEL,
+        )
+
+    def press(
+        self, indenter: Indenter, pose: Pose, *, rng: np.random.Generator | None, oversample: int = 1
+    ) -> SimulatedPress:
         """The image of an indenter at a pose, and its truth."""
-        return self._rendered(simulate_pose(self.sensor, indenter, pose, rng=None), rng)
+        return self.rendered(simulate_pose(self.sensor, indenter, pose, rng=None, oversample=oversample), rng)
 
     def ball_presses(
         self, *, ball_diameters_mm: Sequence[float], count: int, rng: np.random.Generator
@@ -75,22 +150,20 @@ class Twin:
         made = simulate_ball_presses(
             self.sensor, ball_diameters_mm=ball_diameters_mm, count=count, rng=rng, oversample=1
         )
-        presses = tuple(self._rendered(press, rng) for press in made.presses)
-        return replace(made, background=_grey(self.calibration.background), presses=presses)
+        presses = tuple(self.rendered(press, rng) for press in made.presses)
+        return replace(made, background=self.background, presses=presses)
 
-    def color_change(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
-        """Expected color change (H, W, 3) of gradients (H, W, 2), the steep ones made less so."""
-        steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
-        limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
-        return self.calibration.color_from_gradients(limited)
+    @property
+    def background(self) -> NDArray[np.uint8]:
+        """The untouched image, without noise."""
+        return _grey(self.look.background)
 
-    def _rendered(self, press: SimulatedPress, rng: np.random.Generator | None) -> SimulatedPress:
-        calibration = self.calibration
-        change = self.color_change(press.gradients)
-        levels = image_from_color_change(change, calibration.background, calibration.change)
+    def rendered(self, press: SimulatedPress, rng: np.random.Generator | None) -> SimulatedPress:
+        """A press of the twin's sensor with the look's image; `rng` for its noise, None for none."""
+        levels = self.look.levels(press.gradients, press.depth_mm)
         if rng is not None:
-            noise = calibration.background_noise * rng.standard_normal(levels.shape)
-            levels = levels + noise.astype(np.float32)
+            drawn = normal_table()[draws(rng, levels.size)].reshape(levels.shape)
+            levels = levels + drawn * self.look.noise.astype(np.float32)
         nowhere = np.zeros(press.contact.shape, dtype=bool)
         return replace(press, image=_grey(levels), shadowed=nowhere, saturated=saturated_from_levels(levels))
 

@@ -50,9 +50,17 @@ def shadowed_from_surface(
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _behind(x: Any, y: Any, z: Any, g: Any, leds: Any, lost: Any) -> None:
+    """Row by row; a light that stands over the row's steepest possible plane is passed by."""
     for i in range(y.size):
+        slope_x, slope_y, top = 0.0, 0.0, z[i, 0]
+        for j in range(x.size):
+            slope_x, slope_y = max(slope_x, abs(g[i, j, 0])), max(slope_y, abs(g[i, j, 1]))
+            top = max(top, z[i, j])
         for k in range(leds.shape[0]):
             dy = leds[k, 1] - y[i]
+            far = max(abs(leds[k, 0] - x[0]), abs(leds[k, 0] - x[-1]))
+            if slope_x * far + slope_y * abs(dy) < leds[k, 2] - top:
+                continue
             for j in range(x.size):
                 reached = g[i, j, 0] * (leds[k, 0] - x[j]) + g[i, j, 1] * dy
                 lost[i, j] |= leds[k, 2] - z[i, j] <= reached

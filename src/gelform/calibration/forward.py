@@ -1,0 +1,54 @@
+"""What rendering needs beside a color model: colour from slope and depth, and the noise of an image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.presses import Contact
+from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.color_models.forward import ForwardResponse
+from gelform.simulate.like import press_depth_of_rim
+
+MAX_NOISE_IMAGES = 12
+
+
+def forward_from_presses(
+    presses: Sequence[PreparedPress], contacts: Sequence[Contact], zone: float, mm_per_px: float
+) -> ForwardResponse:
+    """The forward response of presses of balls, with the depths that their visible rims imply."""
+    parts = []
+    each = 40_000 // max(len(presses), 1)
+    for press, contact in zip(presses, contacts):
+        samples = contact_samples([press], [contact], zone, total=each)
+        parts.append((samples, depth_in_contact(samples, contact, press.ball_radius_px, mm_per_px)))
+    names = ("color_change", "x_px", "y_px", "gradients", "weight")
+    joined: dict[str, Any] = {n: np.concatenate([getattr(s, n) for s, _ in parts]) for n in names}
+    return ForwardResponse.fit(replace(parts[0][0], **joined), depth_mm=np.concatenate([d for _, d in parts]))
+
+
+def depth_in_contact(
+    samples: Any, contact: Contact, ball_radius_px: float, mm_per_px: float
+) -> NDArray[np.float64]:
+    """Depth in mm (N,) of samples under a ball whose visible rim is known."""
+    radius = ball_radius_px * mm_per_px
+    top = press_depth_of_rim(radius, contact.radius_px * mm_per_px)
+    square = ((samples.x_px - contact.x_px) ** 2 + (samples.y_px - contact.y_px) ** 2) * mm_per_px**2
+    return np.asarray(top - radius + np.sqrt(np.maximum(radius**2 - square, 0)), dtype=np.float64)
+
+
+def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Standard deviation of an image's pixel per channel, grey levels, from second differences (robust).
+
+    A background is often an average of frames, and quieter than the images that are taken beside it.
+    """
+    found = []
+    for image in images[:: max(1, len(images) // MAX_NOISE_IMAGES)]:
+        change = image.astype(np.float32) - background
+        second = change[:, 2:] - 2 * change[:, 1:-1] + change[:, :-2]
+        found.append(1.4826 * np.median(np.abs(second), axis=(0, 1)) / np.sqrt(6))
+    return np.asarray(np.median(found, axis=0), dtype=np.float64)

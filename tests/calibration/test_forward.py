@@ -1,0 +1,66 @@
+"""The forward response of presses, and the noise of images."""
+
+import numpy as np
+import pytest
+
+from gelform.calibration.forward import depth_in_contact, forward_from_presses, image_noise
+from gelform.calibration.presses import Contact
+from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.simulate.like import press_depth_of_rim
+
+SHAPE = (80, 100)
+BALL_PX, MM = 60.0, 0.05
+
+
+def contact_at(x, y, radius):
+    return Contact(x_px=x, y_px=y, radius_px=radius, **dict.fromkeys(EXTRA, 1.0))
+
+
+EXTRA = [name for name in Contact.__dataclass_fields__ if name not in ("x_px", "y_px", "radius_px")]
+
+
+def press_at(x, y, depth_change):
+    """A press whose colour is twice its slope in red, minus its slope down in green, and its depth in blue."""
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    cosine = np.sqrt(np.maximum(BALL_PX**2 - (cols - x) ** 2 - (rows - y) ** 2, 1))
+    p, q = -(cols - x) / cosine, -(rows - y) / cosine
+    norm = np.sqrt(1 + p**2 + q**2)
+    top = press_depth_of_rim(BALL_PX * MM, 25 * MM)
+    depth = top + (cosine - BALL_PX) * MM
+    change = np.stack([2 * p / norm, -q / norm, depth_change * depth], axis=-1).astype(np.float32)
+    return PreparedPress("press", change, np.abs(change).sum(-1), BALL_PX)
+
+
+def test_depth_and_slope_are_told_apart():
+    places = [(30, 30), (60, 45), (50, 30), (35, 50)]
+    presses = [press_at(x, y, 0.5) for x, y in places]
+    contacts = [contact_at(x, y, 25.0) for x, y in places]
+    response = forward_from_presses(presses, contacts, 0.8, MM)
+    at_top = response.color_from_gradients(
+        np.zeros((1, 2)), np.array([50]), np.array([40]), depth_mm=np.array([0.4])
+    )
+    np.testing.assert_allclose(at_top, [[0, 0, 0.2]], atol=0.03)
+    slope = np.array([[0.3, 0.2]])
+    at_slope = response.color_from_gradients(slope, np.array([50]), np.array([40]), depth_mm=np.zeros(1))
+    norm = np.sqrt(1 + 0.13)
+    np.testing.assert_allclose(at_slope, [[0.6 / norm, -0.2 / norm, 0]], atol=0.05)
+
+
+def test_depth_in_the_contact_is_the_balls():
+    contact = contact_at(50.0, 40.0, 25.0)
+    samples = contact_samples([press_at(50, 40, 0)], [contact], 0.8)
+    depth = depth_in_contact(samples, contact, BALL_PX, MM)
+    r = np.hypot(samples.x_px - 50, samples.y_px - 40) * MM
+    np.testing.assert_allclose(depth.max() - depth, 3 - np.sqrt(9 - r**2), atol=1e-9)
+    assert depth.max() == pytest.approx(press_depth_of_rim(3.0, 1.25))
+
+
+def test_the_noise_of_images_is_found_under_what_is_smooth():
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:120, :160] / 20
+    background = (100 + 10 * np.sin(x) + 5 * np.cos(y))[..., None] * np.ones(3)
+    images = [
+        background + (20 * np.sin(x + k))[..., None] + rng.normal(size=(120, 160, 3)) * [1, 2, 3]
+        for k in range(15)
+    ]
+    np.testing.assert_allclose(image_noise(images, background.astype(np.float32)), [1, 2, 3], rtol=0.03)
