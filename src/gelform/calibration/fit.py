@@ -96,7 +96,7 @@ def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress
         change = color_change_from_image(press.image, presses.background, settings)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
-        prepared.append(PreparedPress(press.name, change, size, radius_px))
+        prepared.append(PreparedPress(press.name, change, size, radius_px, presses.background))
         progress(done + 1, len(presses.presses), "preparing")
     return prepared
 

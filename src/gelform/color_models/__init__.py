@@ -10,6 +10,7 @@ No colour change means no slope, in every model.
 
 from typing import Any
 
+from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.lambertian import LambertianModel
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.mlp import MlpModel
@@ -29,12 +30,14 @@ COLOR_MODELS: dict[str, Any] = {
 IMPORTED_MODELS: dict[str, Any] = {
     "network": NetworkModel,
     "slope_table": SlopeTableModel,
+    "hierarchical": HierarchicalModel,
 }
 
 __all__ = [
     "COLOR_MODELS",
     "IMPORTED_MODELS",
     "ColorModel",
+    "HierarchicalModel",
     "LambertianModel",
     "LookupModel",
     "MlpModel",
