@@ -15,12 +15,14 @@ from gelform.color_models.lambertian import LambertianModel
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.mlp import MlpModel
 from gelform.color_models.network import NetworkModel
+from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
 from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
+    "near_light": NearLightModel,
     "polynomial": PolynomialModel,
     "mlp": MlpModel,
     "lookup": LookupModel,
@@ -42,6 +44,7 @@ __all__ = [
     "LookupModel",
     "MlpModel",
     "NetworkModel",
+    "NearLightModel",
     "PolynomialModel",
     "PreparedColorModel",
     "Samples",

@@ -9,7 +9,7 @@ per term).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import cv2
@@ -115,8 +115,15 @@ class HierarchicalModel:
 def _thinned(samples: Samples) -> Samples:
     """Every n-th sample, some 20 000: neighbours in a press are copies of each other."""
     step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
-    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
-    return replace(samples, **{part: np.asarray(getattr(samples, part))[::step] for part in parts})
+    return Samples(
+        samples.color_change[::step],
+        samples.x_px[::step],
+        samples.y_px[::step],
+        samples.gradients[::step],
+        samples.weight[::step],
+        samples.shape,
+        samples.background,
+    )
 
 
 def _node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -186,7 +193,7 @@ class PreparedHierarchical:
     """The coefficients of each row of pixels at the nodes' columns; immutable, shared by threads."""
 
     def __init__(self, model: HierarchicalModel) -> None:
-        height, width = model.shape
+        height = model.shape[0]
         row, v, _, _ = _interpolation(np.zeros(height), np.arange(height), model.shape)
         v = v[:, None, None, None]
         rows = model.nodes[row] * (1 - v) + model.nodes[row + 1] * v
