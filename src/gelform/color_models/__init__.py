@@ -11,6 +11,7 @@ No colour change means no slope, in every model.
 from typing import Any
 
 from gelform.color_models.hierarchical import HierarchicalModel
+from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.mlp import MlpModel
@@ -33,6 +34,7 @@ IMPORTED_MODELS: dict[str, Any] = {
     "network": NetworkModel,
     "slope_table": SlopeTableModel,
     "hierarchical": HierarchicalModel,
+    "interpolation": InterpolationModel,
 }
 
 __all__ = [
@@ -40,6 +42,7 @@ __all__ = [
     "IMPORTED_MODELS",
     "ColorModel",
     "HierarchicalModel",
+    "InterpolationModel",
     "LambertianModel",
     "LookupModel",
     "MlpModel",

@@ -63,7 +63,8 @@ class NearLightModel:
 
         Parameters
         ----------
-        response : of the camera; estimated within 0.3-1.6 unless given
+        response : of the camera; estimated within 0.3-1.6 unless given. Give it where it is known: on gentle slopes a
+            smaller exponent looks like higher lights
         crosstalk : whether a channel may see the other two lights; False: only its own
         falloff : exponent of the distance
         """
@@ -150,8 +151,14 @@ def _pressed(samples: Samples) -> Samples:
     if len(chosen) < 30:
         raise ValueError(f"Expected at least 30 pressed and lit samples, got {len(chosen)}.")
     chosen = chosen[:: max(1, len(chosen) // FITTED_SAMPLES)]
-    columns = (samples.color_change, samples.x_px, samples.y_px, samples.gradients, samples.weight)
-    return Samples(*(np.asarray(c, dtype=np.float64)[chosen] for c in columns), samples.shape)
+    return Samples(
+        np.asarray(samples.color_change, dtype=np.float64)[chosen],
+        samples.x_px[chosen],
+        samples.y_px[chosen],
+        samples.gradients[chosen],
+        samples.weight[chosen],
+        samples.shape,
+    )
 
 
 def _start(samples: Samples, channel: int, response: float) -> list[float]:
