@@ -39,7 +39,7 @@ def test_far_from_the_samples_the_slope_is_doubted():
 
 def test_bad_settings_and_other_sizes_are_refused():
     samples = ball_samples(shading_change)
-    with pytest.raises(ValueError, match="points >= 32"):
+    with pytest.raises(ValueError, match="points >= 16"):
         InterpolationModel.fit(samples, points=3)
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         InterpolationModel.fit(samples).prepare(np.zeros((10, 10, 3)), (10, 10))

@@ -2,7 +2,7 @@
 
 Local linear regression (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979) without a constant, drawn to the line of all
 samples where the neighbours do not say. It knows how far from its samples a pixel is, which parametric models do
-not; it is slow, a second or so for a frame.
+not; it is slow, seconds for a frame.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from gelform.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.seam import Samples
 
-NEIGHBOURS = 32
+NEIGHBOURS = 16
 CHUNK = 20_000
 PRIOR = 0.3
 
@@ -53,7 +53,7 @@ class InterpolationModel:
     change_offset: ClassVar[float] = 10.0
 
     @classmethod
-    def fit(cls, samples: Samples, *, points: int = 6000, place_scale: float = 0.5) -> InterpolationModel:
+    def fit(cls, samples: Samples, *, points: int = 4000, place_scale: float = 0.5) -> InterpolationModel:
         """Keep every n-th sample, about `points`; `place_scale` says how far neighbours may be in the image."""
         if points < NEIGHBOURS or not place_scale > 0:
             raise ValueError(
