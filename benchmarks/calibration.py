@@ -1,6 +1,7 @@
 """Color models on real presses: each model x each split of mini-ball, and the error by the number of presses.
 
-    python benchmarks/calibration.py             # about 5 minutes; writes results/calibration.json and .png
+    python benchmarks/calibration.py             # about 10 minutes; writes results/calibration.json and .png
+    python benchmarks/calibration.py "10 presses" "half and half"
 
 Circles are refined on the calibrating presses of a split alone; errors are those of whole reconstructions of the
 others. Read from GELFORM_DATA (default ../shared/data).
@@ -9,6 +10,7 @@ others. Read from GELFORM_DATA (default ../shared/data).
 from __future__ import annotations
 
 import csv
+import json
 import os
 import sys
 import time
@@ -20,11 +22,11 @@ import numpy as np
 import gelform
 from gelform.background import untouched_from_color_change
 from gelform.calibration.fit import _untouched_change, prepare
+from gelform.calibration.ladder import Candidate
 from gelform.calibration.presses import Contact, find_contact
 from gelform.calibration.refine import refine
 from gelform.calibration.report import summary
 from gelform.calibration.samples import PreparedPress
-from gelform.calibration.select import Candidate
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from report import RESULTS, dct_pair, median_ms, table, write
@@ -42,7 +44,7 @@ MODELS = {
 }
 SLOW = ("interpolation",)  # seconds for a frame: measured on one split, no frame rate
 ZONE = 0.8
-COUNTS = (5, 10, 20, 34, 50)
+COUNTS = (10, 20, 50)
 FIGURES = ("normal_free_deg", "radius_percent", "radius_signed_percent", "cap_free_um", "off_contact_um")
 
 
@@ -140,24 +142,32 @@ def picture(figures: dict[str, dict[str, dict[str, float]]]) -> None:
 
 
 def main() -> None:
-    """All models on all splits, the speed, the picture."""
+    """The splits that are named, or all and the speed; the others' last figures are kept."""
     if not DATA.is_dir():
         sys.exit(f"No data in {DATA}: set GELFORM_DATA.")
-    bench = Bench()
-    figures: dict[str, dict[str, dict[str, float]]] = {}
-    for split, (training, test) in bench.splits().items():
-        used, contacts = bench.refined(training)
-        figures[split] = {
-            name: bench.errors(Candidate(model, ZONE, settings), used, contacts, test)
+    bench, wanted = Bench(), sys.argv[1:]
+    path = RESULTS / "calibration.json"
+    content = json.loads(path.read_text()) if path.is_file() else {"splits": {}}
+    content.pop("machine", None)
+    splits = bench.splits()
+    for split in wanted or splits:
+        used, contacts = bench.refined(splits[split][0])
+        content["splits"][split] = {
+            name: bench.errors(Candidate(model, ZONE, settings), used, contacts, splits[split][1])
             for name, (model, settings) in MODELS.items()
             if name not in SLOW or split == "half and half"
         }
-        rows = [[name, *(e[key] for key in FIGURES), e["fit_s"]] for name, e in figures[split].items()]
+        rows = [
+            [name, *(e[key] for key in FIGURES), e["fit_s"]] for name, e in content["splits"][split].items()
+        ]
         print("\n" + table([f"{split} ({len(used)} used)", *FIGURES, "fit_s"], rows), flush=True)
-    speed = bench.speed()
-    print("\n" + table(["a frame", "D"], list(speed.items())))
-    write("calibration", {"zone": ZONE, "splits": figures, "frame_in_dct_pairs": speed})
-    picture(figures)
+        write("calibration", {**content, "zone": ZONE})
+    if not wanted:
+        content["frame_in_dct_pairs"] = bench.speed()
+        print("\n" + table(["a frame", "D"], list(content["frame_in_dct_pairs"].items())))
+        write("calibration", {**content, "zone": ZONE})
+    if all(f"{count} presses" in content["splits"] for count in COUNTS):
+        picture(content["splits"])
 
 
 if __name__ == "__main__":
