@@ -135,9 +135,9 @@ def picture(figures: dict[str, dict[str, dict[str, float]]]) -> None:
     for name in (name for name in MODELS if name not in SLOW):
         values = [figures[f"{count} presses"][name]["normal_free_deg"] for count in COUNTS]
         axes.plot(COUNTS, values, "o-", label=name, markersize=4)
-    axes.set(xlabel="presses that calibrate", ylabel="normal error of the others, degrees", ylim=(0, 10))
+    axes.set(xlabel="presses that calibrate", ylabel="normal error of the others, degrees", ylim=(0, 14))
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper right", ncols=2)
     figure.savefig(RESULTS / "calibration.png", dpi=100)
 
 

@@ -15,8 +15,8 @@ from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.mlp import MlpModel
-from gelform.color_models.network import NetworkModel
 from gelform.color_models.near_light import NearLightModel
+from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
 from gelform.color_models.slope_table import SlopeTableModel
@@ -25,6 +25,8 @@ COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
     "near_light": NearLightModel,
     "polynomial": PolynomialModel,
+    "hierarchical": HierarchicalModel,
+    "interpolation": InterpolationModel,
     "mlp": MlpModel,
     "lookup": LookupModel,
 }
@@ -33,8 +35,6 @@ COLOR_MODELS: dict[str, Any] = {
 IMPORTED_MODELS: dict[str, Any] = {
     "network": NetworkModel,
     "slope_table": SlopeTableModel,
-    "hierarchical": HierarchicalModel,
-    "interpolation": InterpolationModel,
 }
 
 __all__ = [
