@@ -73,7 +73,9 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
         "polynomial": polynomials,
         "near_light": [Candidate("near_light", DEFAULT_ZONE)],
         "interpolation": [Candidate("interpolation", DEFAULT_ZONE)],
-        "hierarchical": [Candidate("hierarchical", DEFAULT_ZONE, (("ridge", r),)) for r in (1e-3, 3e-4, 1e-4)],
+        "hierarchical": [
+            Candidate("hierarchical", DEFAULT_ZONE, (("ridge", r),)) for r in (1e-3, 3e-4, 1e-4)
+        ],
     }
     if color_model == "auto":
         return known["lambertian"] + polynomials + known["hierarchical"]
