@@ -185,5 +185,8 @@ def test_few_presses_try_few_terms():
         "lambertian, zone 0.8",
         "polynomial 1, zone 0.8",
         "polynomial 2-1, zone 0.8",
+        "hierarchical ridge 0.001, zone 0.8",
+        "hierarchical ridge 0.0003, zone 0.8",
+        "hierarchical ridge 0.0001, zone 0.8",
     ]
     assert candidates_for("polynomial", 40)[-1].describe() == "polynomial 5-4-3, zone 0.8"

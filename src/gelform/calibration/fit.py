@@ -106,7 +106,7 @@ def prepare(presses: Presses, offset: float, *, progress: Progress = no_progress
         change, usable = change_without_markers(press.image, rest, exposure, finder)
         size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
         radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
-        prepared.append(PreparedPress(press.name, change, size, radius_px, usable))
+        prepared.append(PreparedPress(press.name, change, size, radius_px, usable, presses.background))
         progress(done + 1, len(presses.presses), "preparing")
     check_background_of_frames([press.image for press in presses.presses], presses.background)
     return prepared

@@ -57,8 +57,8 @@ class Candidate:
 
     def describe(self) -> str:
         """Name, settings and zone, short."""
-        degrees = dict(self.settings).get("position_degrees")
-        return f"{self.model}{' ' + '-'.join(map(str, degrees)) if degrees else ''}, zone {self.zone:g}"
+        said = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
+        return " ".join([self.model, *said]) + f", zone {self.zone:g}"
 
 
 def candidates_for(color_model: str, presses: int) -> list[Candidate]:
@@ -71,9 +71,14 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     known: dict[str, list[Candidate]] = {
         "lambertian": [Candidate("lambertian", DEFAULT_ZONE)],
         "polynomial": polynomials,
+        "near_light": [Candidate("near_light", DEFAULT_ZONE)],
+        "interpolation": [Candidate("interpolation", DEFAULT_ZONE)],
+        "hierarchical": [
+            Candidate("hierarchical", DEFAULT_ZONE, (("ridge", r),)) for r in (1e-3, 3e-4, 1e-4)
+        ],
     }
     if color_model == "auto":
-        return known["lambertian"] + polynomials
+        return known["lambertian"] + polynomials + known["hierarchical"]
     if color_model not in known:
         raise ValueError(f"Expected color_model among auto, {', '.join(known)}, got {color_model!r}.")
     return known[color_model]

@@ -32,6 +32,7 @@ class PreparedPress:
     size : (H, W) float32, |color change - its median|
     ball_radius_px : float
     usable : (H, W) bool, False on marker dots; None where all pixels are
+    background : (H, W, 3) float32, the untouched image that all presses share; or None
     """
 
     name: str
@@ -39,6 +40,7 @@ class PreparedPress:
     size: NDArray[np.float32]
     ball_radius_px: float
     usable: NDArray[np.bool_] | None = None
+    background: NDArray[np.float32] | None = None
 
     def pixels(
         self, contact: Contact, zone: float, count: int | None = None
@@ -81,7 +83,8 @@ def contact_samples(
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
         parts.append((press.color_change[rows, cols], cols, rows, press.ball_gradients(contact, rows, cols)))
     change, x, y, gradients = (np.concatenate([part[i] for part in parts]) for i in range(4))
-    return Samples(change, x, y, gradients, np.ones(len(x)), presses[0].size.shape)
+    first = presses[0]
+    return Samples(change, x, y, gradients, np.ones(len(x)), first.size.shape, first.background)
 
 
 def with_rest_samples(

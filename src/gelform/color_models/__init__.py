@@ -10,9 +10,12 @@ No colour change means no slope, in every model.
 
 from typing import Any
 
+from gelform.color_models.hierarchical import HierarchicalModel
+from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.mlp import MlpModel
+from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
@@ -20,7 +23,10 @@ from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,
+    "near_light": NearLightModel,
     "polynomial": PolynomialModel,
+    "hierarchical": HierarchicalModel,
+    "interpolation": InterpolationModel,
     "mlp": MlpModel,
     "lookup": LookupModel,
 }
@@ -35,10 +41,13 @@ __all__ = [
     "COLOR_MODELS",
     "IMPORTED_MODELS",
     "ColorModel",
+    "HierarchicalModel",
+    "InterpolationModel",
     "LambertianModel",
     "LookupModel",
     "MlpModel",
     "NetworkModel",
+    "NearLightModel",
     "PolynomialModel",
     "PreparedColorModel",
     "Samples",

@@ -81,3 +81,26 @@ def robust_ridge(
         residual = np.linalg.norm(scaled @ coefficients - target, axis=1)
         current = weight * np.minimum(1, huber / np.maximum(residual, 1e-12))
     return coefficients / scale[:, None]
+
+
+def penalised_huber(
+    design: NDArray[np.float64],
+    target: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    penalties: NDArray[np.float64],
+    *,
+    huber: float,
+    rounds: int = 3,
+) -> NDArray[np.float64]:
+    """Coefficients (terms, outputs) of a regression with a ridge of its own for each column, in samples' mean weight.
+
+    Reweighted by Huber's loss of the residual's length; the columns are taken as they are.
+    """
+    prior = np.diag(penalties * float(weight.sum()))
+    current = weight
+    for _ in range(rounds):
+        weighted = design * current[:, None]
+        coefficients = np.linalg.solve(weighted.T @ design + prior, weighted.T @ target)
+        residual = np.linalg.norm(design @ coefficients - target, axis=1)
+        current = weight * np.minimum(1, huber / np.maximum(residual, 1e-12))
+    return np.asarray(coefficients, dtype=np.float64)

@@ -20,6 +20,7 @@ class Samples:
     gradients : (N, 2) float64, mm/mm
     weight : (N,) float64, >= 0
     shape : (H, W) of the images they come from
+    background : (H, W, 3) float32, the untouched image, for models that learn from the light at a place; or None
     """
 
     color_change: NDArray[Any]
@@ -28,6 +29,7 @@ class Samples:
     gradients: NDArray[Any]
     weight: NDArray[Any]
     shape: tuple[int, int]
+    background: NDArray[Any] | None = None
 
 
 class PreparedColorModel(Protocol):

@@ -1,0 +1,174 @@
+"""Color models on real presses: each model x each split of mini-ball, and the error by the number of presses.
+
+    python benchmarks/calibration.py             # about 10 minutes; writes results/calibration.json and .png
+    python benchmarks/calibration.py "10 presses" "half and half"
+
+Circles are refined on the calibrating presses of a split alone; errors are those of whole reconstructions of the
+others. Read from GELFORM_DATA (default ../shared/data).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gelform
+from gelform.background import untouched_from_color_change
+from gelform.calibration.fit import _untouched_change, prepare
+from gelform.calibration.ladder import Candidate
+from gelform.calibration.presses import Contact, find_contact
+from gelform.calibration.refine import refine
+from gelform.calibration.report import summary
+from gelform.calibration.samples import PreparedPress
+from gelform.color_models import COLOR_MODELS
+from gelform.metrics import press_errors
+from report import RESULTS, dct_pair, median_ms, table, write
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
+MODELS = {
+    "lambertian": ("lambertian", ()),
+    "near_light": ("near_light", ()),
+    "interpolation": ("interpolation", ()),
+    "polynomial 2-1": ("polynomial", (("position_degrees", (2, 1)),)),
+    "polynomial 3-2-0": ("polynomial", (("position_degrees", (3, 2, 0)),)),
+    "polynomial 4-3-1": ("polynomial", (("position_degrees", (4, 3, 1)),)),
+    "hierarchical 3e-4": ("hierarchical", (("ridge", 3e-4),)),
+    "hierarchical 1e-4": ("hierarchical", (("ridge", 1e-4),)),
+}
+SLOW = ("interpolation",)  # seconds for a frame: measured on one split, no frame rate
+ZONE = 0.8
+COUNTS = (10, 20, 50)
+FIGURES = ("normal_free_deg", "radius_percent", "radius_signed_percent", "cap_free_um", "off_contact_um")
+
+
+class Bench:
+    """mini-ball, prepared once for each offset of the division, and the circles that score."""
+
+    def __init__(self) -> None:
+        self.presses = gelform.read_presses(DATA)
+        self.prepared = {offset: prepare(self.presses, offset) for offset in (10.0, 0.0)}
+        self.found = [find_contact(press.color_change) for press in self.prepared[10.0]]
+        with (DATA / "reference_circles.csv").open() as file:
+            circles = {
+                row["image"]: tuple(
+                    float(row[key]) for key in ("center_x_px", "center_y_px", "contact_radius_px")
+                )
+                for row in csv.DictReader(file)
+            }
+        self.circles: list[Any] = [circles[press.name] for press in self.presses.presses]
+        names = [press.name for press in self.presses.presses]
+        self.order = sorted(range(len(names)), key=names.__getitem__)
+
+    def splits(self) -> dict[str, tuple[list[int], list[int]]]:
+        """Calibrating and testing presses."""
+        small = [i for i in self.order if self.presses.presses[i].ball_diameter_mm < 8]
+        large = [i for i in self.order if self.presses.presses[i].ball_diameter_mm > 8]
+        splits = {
+            "half and half": (self.order[0::2], self.order[1::2]),
+            "6.31 -> 9.50 mm": (small, large),
+            "9.50 -> 6.31 mm": (large, small),
+        }
+        for count in COUNTS:
+            chosen = np.random.default_rng(count).permutation(len(self.order))[:count]
+            training = [self.order[k] for k in sorted(chosen)]
+            splits[f"{count} presses"] = (training, [i for i in self.order if i not in set(training)])
+        return splits
+
+    def refined(self, training: list[int]) -> tuple[list[int], list[Contact]]:
+        """The presses that fit, and their circles."""
+        refined = refine([self.prepared[10.0][i] for i in training], [self.found[i] for i in training])
+        return [training[k] for k in refined.accepted], [refined.contacts[k] for k in refined.accepted]
+
+    def errors(
+        self, candidate: Candidate, training: list[int], contacts: list[Contact], test: list[int]
+    ) -> dict[str, float]:
+        """The issue's figures of a model on the test presses, and the seconds of its fit."""
+        prepared = self.prepared[COLOR_MODELS[candidate.model].change_offset]
+        used = [prepared[i] for i in training]
+        start = time.perf_counter()
+        model = candidate.fit(used, contacts)
+        seconds = time.perf_counter() - start
+        ready = model.prepare(self.presses.background, self.presses.image_shape)
+        threshold = _untouched_change(used, contacts)
+        errors = [self._press_errors(ready, prepared[i], i, threshold) for i in test]
+        return {**summary(errors), "fit_s": seconds}
+
+    def _press_errors(self, ready: Any, press: PreparedPress, index: int, threshold: float) -> Any:
+        gradients = np.array(ready.gradients_from_color(press.color_change)[0])
+        untouched = untouched_from_color_change(press.color_change, threshold)
+        gradients -= np.median(gradients[untouched], axis=0)
+        pitch = self.presses.mm_per_px
+        depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, zero=untouched)
+        radius = self.presses.presses[index].ball_diameter_mm / 2
+        return press_errors(
+            depth, gradients, circle_px=self.circles[index], ball_radius_mm=radius, mm_per_px=pitch
+        )
+
+    def speed(self) -> dict[str, float]:
+        """Time of a frame through each model, in bare DCT pairs D of the same size, one thread."""
+        training, contacts = self.refined(self.order[0::2])
+        shape = self.presses.image_shape
+        calls = [dct_pair(shape)]
+        names = [name for name in MODELS if name not in SLOW]
+        for name in names:
+            model, settings = MODELS[name]
+            prepared = self.prepared[COLOR_MODELS[model].change_offset]
+            fitted = Candidate(model, ZONE, settings).fit([prepared[i] for i in training], contacts)
+            ready = fitted.prepare(self.presses.background, shape)
+            calls.append(lambda r=ready, c=prepared[0].color_change: r.gradients_from_color(c))
+        times = median_ms(calls)
+        return {name: t / times[0] for name, t in zip(names, times[1:])}
+
+
+def picture(figures: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Normal error by the number of calibrating presses, a line per model."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.4, 4), layout="constrained")
+    for name in (name for name in MODELS if name not in SLOW):
+        values = [figures[f"{count} presses"][name]["normal_free_deg"] for count in COUNTS]
+        axes.plot(COUNTS, values, "o-", label=name, markersize=4)
+    axes.set(xlabel="presses that calibrate", ylabel="normal error of the others, degrees", ylim=(0, 14))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="upper right", ncols=2)
+    figure.savefig(RESULTS / "calibration.png", dpi=100)
+
+
+def main() -> None:
+    """The splits that are named, or all and the speed; the others' last figures are kept."""
+    if not DATA.is_dir():
+        sys.exit(f"No data in {DATA}: set GELFORM_DATA.")
+    bench, wanted = Bench(), sys.argv[1:]
+    path = RESULTS / "calibration.json"
+    content = json.loads(path.read_text()) if path.is_file() else {"splits": {}}
+    content.pop("machine", None)
+    splits = bench.splits()
+    for split in wanted or splits:
+        used, contacts = bench.refined(splits[split][0])
+        content["splits"][split] = {
+            name: bench.errors(Candidate(model, ZONE, settings), used, contacts, splits[split][1])
+            for name, (model, settings) in MODELS.items()
+            if name not in SLOW or split == "half and half"
+        }
+        rows = [
+            [name, *(e[key] for key in FIGURES), e["fit_s"]] for name, e in content["splits"][split].items()
+        ]
+        print("\n" + table([f"{split} ({len(used)} used)", *FIGURES, "fit_s"], rows), flush=True)
+        write("calibration", {**content, "zone": ZONE})
+    if not wanted:
+        content["frame_in_dct_pairs"] = bench.speed()
+        print("\n" + table(["a frame", "D"], list(content["frame_in_dct_pairs"].items())))
+        write("calibration", {**content, "zone": ZONE})
+    if all(f"{count} presses" in content["splits"] for count in COUNTS):
+        picture(content["splits"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,250 @@
+"""Gradients as a polynomial in the colour change, its coefficients shrunk the more they vary over the image.
+
+A press shows few slopes at few places, so a free polynomial in (colour, x, y) invents the rest. Here each
+coefficient is a sum of Legendre polynomials of the place and of the light that falls there (the logarithm of the
+untouched image, which tells how near the lamps are), and a ridge grows with the degree: what the presses do not
+show stays as simple as it can be (A. E. Hoerl and R. W. Kennard, Technometrics 12(1), 1970, with a prior variance
+per term).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
+
+from gelform.color_models.least_squares import HUBER_SLOPE, monomials, penalised_huber, position_powers
+from gelform.color_models.seam import Samples
+
+NODE_PX = 16
+LIGHT_BLUR_PX = 8.0
+PLACE_GROWTH = 4.0
+COLOR_GROWTH = 3.0
+LIGHT_RIDGE = (3.0, 10.0)
+DARKEST = 1.0
+MAX_SAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class HierarchicalModel:
+    """Polynomial in (R, G, B) without a constant, its coefficients given at nodes and bilinear between them.
+
+    Attributes
+    ----------
+    nodes : (rows, columns, terms, 2) float64, coefficients at every 16th pixel, the last beyond the border
+    degree : of the polynomial in colour
+    shape : (H, W) of the images it was fitted on
+    """
+
+    nodes: NDArray[np.float64]
+    degree: int
+    shape: tuple[int, int]
+
+    name: ClassVar[str] = "hierarchical"
+    change_offset: ClassVar[float] = 10.0
+
+    @classmethod
+    def fit(
+        cls, samples: Samples, *, position_degrees: tuple[int, ...] = (5, 4, 3), ridge: float = 3e-4
+    ) -> HierarchicalModel:
+        """Penalised Huber regression.
+
+        Parameters
+        ----------
+        samples : with `background` the light at each place counts too
+        position_degrees : degree in (x, y) of the linear, quadratic, cubic colour terms; each may be large,
+            since the ridge is 4 times stronger per degree in place and 3 times per degree in colour
+        ridge : > 0, of a coefficient that is the same everywhere, relative to one sample
+        """
+        if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
+            raise ValueError(
+                f"Expected position degrees >= 0 and ridge > 0, got {position_degrees} and {ridge}."
+            )
+        samples = _thinned(samples)
+        terms = monomials(3, len(position_degrees))
+        places, penalties = zip(
+            *(_places(len(t), position_degrees, samples.shape, samples.background) for t in terms)
+        )
+        change = np.asarray(samples.color_change, dtype=np.float64)
+        scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
+        at = _interpolation(samples.x_px, samples.y_px, samples.shape)
+        products = _products(change / scale, terms)
+        design = np.concatenate(
+            [_at_pixels(place, *at) * product[:, None] for place, product in zip(places, products)], axis=1
+        )
+        found = penalised_huber(
+            design, samples.gradients, samples.weight, ridge * np.concatenate(penalties), huber=HUBER_SLOPE
+        )
+        split = np.split(found, np.cumsum([len(p) for p in penalties])[:-1])
+        nodes = [place @ own / scale ** len(term) for place, own, term in zip(places, split, terms)]
+        return cls(np.stack(nodes, axis=2), len(position_degrees), samples.shape)
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels."""
+        products = _products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
+        coefficients = _at_pixels(self.nodes, *_interpolation(x_px, y_px, self.shape))
+        gradients: NDArray[np.float64] = np.einsum("tn,ntk->nk", products, coefficients)
+        return gradients
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedHierarchical:
+        """The coefficients of every row of pixels at every 16th column."""
+        if tuple(shape) != tuple(self.shape):
+            raise ValueError(
+                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
+            )
+        return PreparedHierarchical(self)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """The coefficients at the nodes."""
+        return {"nodes": self.nodes}, {"degree": self.degree, "shape": list(self.shape)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> HierarchicalModel:
+        """The model of `to_arrays`."""
+        height, width = settings["shape"]
+        return cls(arrays["nodes"], settings["degree"], (height, width))
+
+
+def _thinned(samples: Samples) -> Samples:
+    """Every n-th sample, some 20 000: neighbours in a press are copies of each other."""
+    step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
+    return Samples(
+        samples.color_change[::step],
+        samples.x_px[::step],
+        samples.y_px[::step],
+        samples.gradients[::step],
+        samples.weight[::step],
+        samples.shape,
+        samples.background,
+    )
+
+
+def _node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the nodes, px; the last is at the border or beyond."""
+    rows, columns = (np.arange(-(-(n - 1) // NODE_PX) + 1 + (n == 1)) * NODE_PX for n in shape)
+    return rows, columns
+
+
+def _places(
+    order: int, position_degrees: tuple[int, ...], shape: tuple[int, int], background: NDArray[Any] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What a coefficient of a colour term of an order is a sum of, (rows, columns, functions), and their penalties."""
+    degree = position_degrees[order - 1]
+    unit = [
+        2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(_node_positions(shape), shape)
+    ]
+    size = np.sqrt(2 * np.arange(degree + 1) + 1)
+    along_y, along_x = (legvander(u, degree) * size for u in unit)
+    powers = position_powers(degree)
+    functions = [along_y[:, None, j] * along_x[None, :, i] for i, j in powers]
+    penalties = [COLOR_GROWTH ** (order - 1) * PLACE_GROWTH ** (i + j) for i, j in powers]
+    if background is not None and order <= len(LIGHT_RIDGE):
+        functions += list(_light_at_nodes(background))
+        penalties += [LIGHT_RIDGE[order - 1]] * 3
+    return np.stack(functions, axis=-1), np.array(penalties)
+
+
+def _light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:
+    """Logarithm of the untouched image at the nodes, (3, rows, columns), of mean 0 and deviation 1."""
+    light = np.maximum(np.asarray(background, dtype=np.float32), DARKEST)
+    smooth = cv2.GaussianBlur(light, (0, 0), LIGHT_BLUR_PX, borderType=cv2.BORDER_REFLECT_101)
+    logarithm = np.log(smooth.astype(np.float64))
+    logarithm -= logarithm.mean(axis=(0, 1))
+    deviation = logarithm.std(axis=(0, 1))
+    rows, columns = (
+        np.minimum(n, limit - 1) for n, limit in zip(_node_positions(light.shape[:2]), light.shape)
+    )
+    values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light tells nothing
+    return np.moveaxis(values, -1, 0)
+
+
+def _products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
+    """Monomials (terms, N) of a colour change (N, 3)."""
+    return np.stack([np.prod(change[:, list(term)], axis=1) for term in terms])
+
+
+def _interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, ...]:
+    """The node above left of each pixel, and how far on towards the next it lies, 0-1."""
+    found: list[Any] = []
+    for position, nodes in zip((y_px, x_px), _node_positions(shape)):
+        along = np.asarray(position, dtype=np.float64) / NODE_PX
+        cell = np.clip(along.astype(np.intp), 0, len(nodes) - 2)
+        found += [cell, along - cell]
+    return tuple(found)
+
+
+def _at_pixels(nodes: NDArray[Any], row: Any, v: Any, column: Any, u: Any) -> NDArray[np.float64]:
+    """Values (N, ...) between the nodes, bilinear."""
+    v, u = (part.reshape(-1, *[1] * (nodes.ndim - 2)) for part in (v, u))
+    above = nodes[row, column] * (1 - u) + nodes[row, column + 1] * u
+    below = nodes[row + 1, column] * (1 - u) + nodes[row + 1, column + 1] * u
+    values: NDArray[np.float64] = above * (1 - v) + below * v
+    return values
+
+
+class PreparedHierarchical:
+    """The coefficients of each row of pixels at the nodes' columns; immutable, shared by threads."""
+
+    def __init__(self, model: HierarchicalModel) -> None:
+        height = model.shape[0]
+        row, v, _, _ = _interpolation(np.zeros(height), np.arange(height), model.shape)
+        v = v[:, None, None, None]
+        rows = model.nodes[row] * (1 - v) + model.nodes[row + 1] * v
+        start, step = rows[:, :-1], np.diff(rows, axis=1)
+        table = np.stack([start, step], axis=-1)  # (rows, cells, terms, 2, 2)
+        self._table = np.ascontiguousarray(table.transpose(0, 2, 1, 3, 4), dtype=np.float32)
+        terms = monomials(3, model.degree)
+        index = {term: t for t, term in enumerate(terms)}
+        self._parents = np.array([[index.get(term[:-1], -1), term[-1]] for term in terms])
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
+        _evaluate(color_change, self._table, self._parents, gradients)
+        return gradients, None
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _evaluate(change, table, parents, out):  # type: ignore[no-untyped-def]
+    """Row by row: monomials of the colour, each times a coefficient that is linear between nodes, summed."""
+    height, width, _ = change.shape
+    cells = table.shape[2]
+    padded = cells * NODE_PX
+    color = np.zeros((3, padded), np.float32)
+    products = np.empty((parents.shape[0], padded), np.float32)
+    ramp = (np.arange(NODE_PX) / NODE_PX).astype(np.float32)
+    p = np.empty(padded, np.float32)
+    q = np.empty(padded, np.float32)
+    for y in range(height):
+        for k in range(min(width, padded)):
+            color[0, k], color[1, k], color[2, k] = change[y, k, 0], change[y, k, 1], change[y, k, 2]
+        p[:] = 0
+        q[:] = 0
+        for t in range(parents.shape[0]):
+            parent, channel = parents[t]
+            for k in range(padded):
+                products[t, k] = color[channel, k] if parent < 0 else products[parent, k] * color[channel, k]
+            _add_term(table[y, t], products[t], ramp, p, q)
+        for k in range(width):
+            out[y, k, 0] = p[k]
+            out[y, k, 1] = q[k]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _add_term(coefficients, m, ramp, p, q):  # type: ignore[no-untyped-def]
+    """p, q += m (start + u step): the pixels of a cell are a few vectors."""
+    for cell in range(coefficients.shape[0]):
+        p0, p1 = coefficients[cell, 0, 0], coefficients[cell, 0, 1]
+        q0, q1 = coefficients[cell, 1, 0], coefficients[cell, 1, 1]
+        begin = cell * NODE_PX
+        mc, pc, qc = m[begin : begin + NODE_PX], p[begin : begin + NODE_PX], q[begin : begin + NODE_PX]
+        for j in range(NODE_PX):
+            pc[j] += mc[j] * (p0 + ramp[j] * p1)
+            qc[j] += mc[j] * (q0 + ramp[j] * q1)

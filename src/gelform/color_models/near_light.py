@@ -1,0 +1,252 @@
+"""Photometric stereo with three near lights, on the ratio of the image to the untouched image.
+
+A light at S shines on a surface point X from the direction (S - X)/|S - X| with a strength that falls as
+|S - X|^-falloff, so `E = n . (S - X)/|S - X|^(1 + falloff)` (R. Mecca et al., Near field photometric stereo with
+point light sources, SIAM J. Imaging Sciences 7(4), 2014, eq. 3, at constant depth). Crosstalk mixes the lights
+into each channel; where all of them shine the channel is linear in n at every pixel, with a light matrix of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from gelform.color_models.lambertian import (
+    DARKEST_RATIO,
+    MAX_SLOPE,
+    RESPONSES,
+    gradients_from_scaled,
+    linear_change,
+)
+from gelform.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
+from gelform.color_models.seam import Samples
+
+FITTED_SAMPLES = 4000
+HEIGHTS = (0.05, 20.0)
+FARTHEST = 20.0
+MAX_CONDITION = 1e4
+
+
+@dataclass(frozen=True)
+class NearLightModel:
+    """Three near lights, the mixture that each channel sees, and the camera's response.
+
+    Attributes
+    ----------
+    positions_px : (3, 3) float64, x, y from the image's centre and height above the gel, of the lights that R, G, B
+        mainly see; times mm_per_px it is mm
+    mixture : (3, 3) float64, row: channel, column: light; relative strength, 1 on the diagonal
+    falloff : exponent of the distance; 2 is a point light
+    response : exponent of the camera's response, I = light^response
+    shape : (H, W) of the images it was fitted on
+    """
+
+    positions_px: NDArray[np.float64]
+    mixture: NDArray[np.float64]
+    falloff: float
+    response: float
+    shape: tuple[int, int]
+
+    name: ClassVar[str] = "near_light"
+    change_offset: ClassVar[float] = 0.0
+
+    @classmethod
+    def fit(
+        cls, samples: Samples, *, response: float | None = None, crosstalk: bool = True, falloff: float = 2.0
+    ) -> NearLightModel:
+        """Robust (soft l1) nonlinear least squares of the color change, from each channel's linear solution.
+
+        Parameters
+        ----------
+        response : of the camera; estimated within 0.3-1.6 unless given. Give it where it is known: on gentle slopes a
+            smaller exponent looks like higher lights
+        crosstalk : whether a channel may see the other two lights; False: only its own
+        falloff : exponent of the distance
+        """
+        used = _pressed(samples)
+        start = np.concatenate([_start(used, c, response or 1.0) for c in range(3)])
+        free = [*start, *([0.05] * 6 if crosstalk else []), *([] if response else [1.0])]
+        low = [*[-FARTHEST, -FARTHEST, HEIGHTS[0]] * 3, *([0.0] * 6 if crosstalk else [])]
+        high = [*[FARTHEST, FARTHEST, HEIGHTS[1]] * 3, *([2.0] * 6 if crosstalk else [])]
+        if not response:
+            low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
+        x, y = unit_position(used.x_px, used.y_px, used.shape)
+        normals = np.concatenate([-used.gradients, np.ones((len(x), 1))], axis=1)
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        weight = np.sqrt(used.weight)[:, None]
+
+        def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            positions, mixture, exponent = _unpacked(values, crosstalk, response)
+            seen = _ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
+            return ((seen - used.color_change) * weight).ravel()
+
+        fit = least_squares(
+            residuals, free, bounds=(low, high), loss="soft_l1", f_scale=0.05, x_scale="jac", max_nfev=60
+        )
+        positions, mixture, exponent = _unpacked(fit.x, crosstalk, response)
+        return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
+
+    def positions_mm(self, mm_per_px: float) -> NDArray[np.float64]:
+        """Positions (3, 3) of the lights, mm from the point of the gel at the image's centre."""
+        return self.positions_px * mm_per_px
+
+    def lights_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, as fixed lights would have them at each pixel."""
+        x, y = unit_position(x_px, y_px, self.shape)
+        return _scaled_lights(x, y, 2 * self.positions_px / max(self.shape), self.mixture, self.falloff)
+
+    def gradients_at(
+        self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Gradients (N, 2) of scattered pixels."""
+        change = linear_change(np.asarray(color_change, dtype=np.float64), self.response)
+        return gradients_from_scaled(change, _inverted(self.lights_at(x_px, y_px)))
+
+    def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
+        """The inverse light matrix of every pixel."""
+        if tuple(shape) != tuple(self.shape):
+            raise ValueError(
+                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
+            )
+        y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
+        inverse = _inverted(self.lights_at(x, y)).reshape(*shape, 9)
+        return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Positions, mixture and exponents."""
+        settings = {"falloff": self.falloff, "response": self.response, "shape": list(self.shape)}
+        return {"positions_px": self.positions_px, "mixture": self.mixture}, settings
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> NearLightModel:
+        """The model of `to_arrays`."""
+        height, width = settings["shape"]
+        exponents = settings["falloff"], settings["response"]
+        return cls(arrays["positions_px"], arrays["mixture"], *exponents, (height, width))
+
+
+@dataclass(frozen=True)
+class PreparedNearLight:
+    """The inverse light matrix of every pixel, (H, W, 9) float32, and the camera's response."""
+
+    inverse: NDArray[np.float32]
+    response: float
+
+    def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
+        """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
+        gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
+        _evaluate(linear_change(color_change, self.response), self.inverse, gradients)
+        return gradients, None
+
+
+def _pressed(samples: Samples) -> Samples:
+    """Some 4000 samples that are pressed and lit: at rest every light gives the ratio 1."""
+    known = np.any(samples.gradients != 0, axis=1) & np.all(samples.color_change > DARKEST_RATIO - 1, axis=1)
+    chosen = np.flatnonzero(known)
+    if len(chosen) < 30:
+        raise ValueError(f"Expected at least 30 pressed and lit samples, got {len(chosen)}.")
+    chosen = chosen[:: max(1, len(chosen) // FITTED_SAMPLES)]
+    return Samples(
+        np.asarray(samples.color_change, dtype=np.float64)[chosen],
+        samples.x_px[chosen],
+        samples.y_px[chosen],
+        samples.gradients[chosen],
+        samples.weight[chosen],
+        samples.shape,
+    )
+
+
+def _start(samples: Samples, channel: int, response: float) -> list[float]:
+    """A light from one channel alone: `ratio length - 1 = -(a p + b q)` with a = (S_x - x)/S_z, b = (S_y - y)/S_z."""
+    x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
+    p, q = samples.gradients.T
+    ratio = 1 + linear_change(samples.color_change[:, channel], response)
+    target = (ratio * np.sqrt(1 + p * p + q * q) - 1)[:, None]
+    design = np.stack([-p, -q, p * x + q * y], axis=1)
+    a, b, inverse_height = robust_ridge(design, target, samples.weight, ridge=1e-6, huber=HUBER_SLOPE)[:, 0]
+    height = 1 / np.clip(inverse_height, 0.2, 5.0)
+    return [
+        *np.clip([a * height, b * height], -0.9 * FARTHEST, 0.9 * FARTHEST),
+        float(height),
+    ]
+
+
+def _unpacked(
+    values: NDArray[np.float64], crosstalk: bool, response: float | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Positions (3, 3), mixture (3, 3), response from the vector that is fitted."""
+    mixture = np.eye(3)
+    if crosstalk:
+        mixture[~np.eye(3, dtype=bool)] = values[9:15]
+    return values[:9].reshape(3, 3), mixture, response or float(values[-1])
+
+
+def _toward(
+    x: NDArray[np.float64], y: NDArray[np.float64], positions: NDArray[np.float64], falloff: float
+) -> NDArray[np.float64]:
+    """`(S - X)/|S - X|^(1 + falloff)` of each light at each place, (N, 3 lights, 3), in strengths at the centre."""
+    place = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    way = positions - place[:, None]
+    distance = np.linalg.norm(way, axis=-1, keepdims=True)
+    middle = np.linalg.norm(positions, axis=-1, keepdims=True)
+    unit: NDArray[np.float64] = way / distance * (middle / distance) ** falloff
+    return unit
+
+
+def _ratio(
+    normals: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    mixture: NDArray[np.float64],
+    falloff: float,
+) -> NDArray[np.float64]:
+    """Light of each channel over that at rest, (N, 3); a light behind the surface gives nothing."""
+    toward = _toward(x, y, positions, falloff)
+    lit = np.maximum(np.einsum("nlk,nk->nl", toward, normals), 0)
+    ratio: NDArray[np.float64] = np.maximum(lit @ mixture.T / (toward[..., 2] @ mixture.T), 1e-3)
+    return ratio
+
+
+def _scaled_lights(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    mixture: NDArray[np.float64],
+    falloff: float,
+) -> NDArray[np.float64]:
+    lights = np.einsum("cl,nlk->nck", mixture, _toward(x, y, positions, falloff))
+    scaled: NDArray[np.float64] = lights / lights[..., 2:]
+    return scaled
+
+
+def _inverted(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    worst = float(np.linalg.cond(lights).max())
+    if not worst < MAX_CONDITION:
+        raise ValueError(
+            f"Expected three lights from directions that span space at every pixel, got a condition number of "
+            f"{worst:.3g} (limit {MAX_CONDITION:g}). Press at more places, or use the color model lambertian."
+        )
+    return np.asarray(np.linalg.inv(lights), dtype=np.float64)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _evaluate(change, inverse, out):  # type: ignore[no-untyped-def]
+    """`gradients_from_scaled` with a matrix per pixel."""
+    height, width, _ = change.shape
+    one, most, least = np.float32(1), np.float32(1 / MAX_SLOPE), np.float32(1e-6)
+    for y in range(height):
+        for x in range(width):
+            r, g, b = one + change[y, x, 0], one + change[y, x, 1], one + change[y, x, 2]
+            m = inverse[y, x]
+            nx = m[0] * r + m[1] * g + m[2] * b
+            ny = m[3] * r + m[4] * g + m[5] * b
+            nz = m[6] * r + m[7] * g + m[8] * b
+            nz = max(max(nz, np.sqrt(nx * nx + ny * ny) * most), least)
+            out[y, x, 0] = -nx / nz
+            out[y, x, 1] = -ny / nz

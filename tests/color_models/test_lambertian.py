@@ -1,0 +1,56 @@
+"""Lambertian: the camera's exponent and the crosstalk come back, exact on its own law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.color_models import LambertianModel
+from gelform.color_models.lambertian import linear_change
+from test_color_models import LIGHTS, ball_samples, lambertian_change
+
+SCALED = LIGHTS / LIGHTS[:, 2:]
+
+
+def gamma_coded(exponent, mixture=None):
+    """Samples of slopes up to 0.4 as a camera of that response and crosstalk sees them."""
+    samples = ball_samples(lambda g, x, y: lambertian_change(g / 2, x, y))
+    ratio = 1 + samples.color_change
+    if mixture is not None:
+        ratio = ratio @ mixture.T
+    return replace(samples, color_change=ratio**exponent - 1, gradients=samples.gradients / 2)
+
+
+@pytest.mark.parametrize("exponent", [0.45, 0.7, 1.0])
+def test_the_response_is_found(exponent):
+    model = LambertianModel.fit(gamma_coded(exponent))
+    assert model.response == pytest.approx(exponent, abs=1e-3)
+    np.testing.assert_allclose(model.lights, SCALED, atol=1e-3)
+
+
+def test_a_given_response_is_taken():
+    model = LambertianModel.fit(gamma_coded(0.7), response=0.7)
+    assert model.response == 0.7
+    np.testing.assert_allclose(model.lights, SCALED, atol=1e-5)
+    with pytest.raises(ValueError, match="response > 0"):
+        LambertianModel.fit(gamma_coded(0.7), response=-1)
+
+
+def test_crosstalk_is_held_by_the_lights():
+    mixture = np.array([[0.8, 0.15, 0.05], [0.1, 0.7, 0.2], [0.0, 0.2, 0.8]])
+    samples = gamma_coded(0.7, mixture)
+    model = LambertianModel.fit(samples)
+    np.testing.assert_allclose(model.lights, mixture @ SCALED, atol=2e-3)
+    found = model.gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    np.testing.assert_allclose(found, samples.gradients, atol=5e-3)
+
+
+def test_linear_light_undoes_the_response():
+    change = np.array([-0.5, 0.0, 0.5, -1.0])
+    np.testing.assert_allclose(linear_change((1 + change) ** 0.45 - 1, 0.45), change, atol=1e-12)
+    assert linear_change(change.astype(np.float32), 0.45).dtype == np.float32
+
+
+def test_calibrations_from_before_the_response_are_read():
+    model = LambertianModel.from_arrays({"lights": SCALED}, {})
+    assert model.response == 1

@@ -1,0 +1,88 @@
+"""Near lights: the simulator's LEDs are found again; frames equal pixels; crosstalk and response come back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.color_models import NearLightModel, Samples
+from gelform.simulate import Ball, SimulatedSensor, simulate_background, simulate_press
+from gelform.simulate.sensor import Led
+
+MM_PER_PX = 0.1
+LEDS = np.array([[9.0, 1.0, 4.0], [-6.0, 7.5, 5.0], [-4.0, -8.0, 4.5]])
+SHAPE = (96, 128)
+MIXTURE = np.array([[1.0, 0.15, 0.05], [0.1, 1.0, 0.2], [0.0, 0.12, 1.0]])
+
+
+def samples_of(mixture=None, response=1.0, count=4000, seed=0, slope=0.4):
+    """Color changes by the inverse square and cosine laws, written out light by light."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, SHAPE[1] - 1, count), rng.uniform(0, SHAPE[0] - 1, count)
+    gradients = rng.uniform(-slope, slope, (count, 2))
+    place = np.stack([x - (SHAPE[1] - 1) / 2, y - (SHAPE[0] - 1) / 2, 0 * x], axis=1) * MM_PER_PX
+    normals = np.concatenate([-gradients, np.ones((count, 1))], axis=1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    light, rest = [], []
+    for led in LEDS:
+        way = led - place
+        distance = np.linalg.norm(way, axis=1)
+        strength = np.linalg.norm(led) ** 2
+        light.append(strength * np.maximum(np.sum(way * normals, axis=1), 0) / distance**3)
+        rest.append(strength * way[:, 2] / distance**3)
+    mix = np.eye(3) if mixture is None else mixture
+    ratio = (np.array(light).T @ mix.T) / (np.array(rest).T @ mix.T)
+    return Samples(ratio**response - 1, x, y, gradients, np.ones(count), SHAPE)
+
+
+def test_led_positions_come_back_in_mm():
+    model = NearLightModel.fit(samples_of())
+    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.02)
+    assert model.response == pytest.approx(1, abs=1e-3)
+
+
+def test_crosstalk_and_response_come_back_too():
+    model = NearLightModel.fit(samples_of(MIXTURE, response=0.6))
+    assert model.response == pytest.approx(0.6, abs=0.01)
+    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.3)
+    np.testing.assert_allclose(model.mixture, MIXTURE, atol=0.03)
+
+
+def test_gradients_of_unseen_pixels_are_exact_where_all_lights_shine():
+    model = NearLightModel.fit(samples_of(MIXTURE))
+    unseen = samples_of(MIXTURE, seed=1, slope=0.15)
+    found = model.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
+    np.testing.assert_allclose(found, unseen.gradients, atol=5e-3)
+
+
+def test_outliers_are_outvoted():
+    samples = samples_of()
+    spoilt = np.array(samples.color_change)
+    spoilt[::10] = np.random.default_rng(2).uniform(-0.5, 0.5, spoilt[::10].shape)
+    model = NearLightModel.fit(replace(samples, color_change=spoilt), response=1.0)
+    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.5)
+
+
+def test_the_simulators_leds_are_found_within_a_tenth_of_a_millimetre():
+    """Its depth, which the model leaves out, is 0.12 mm of the lights' 4-5 mm; the response is given."""
+    leds = tuple(Led(tuple(position), tuple(6000.0 * np.eye(3)[k])) for k, position in enumerate(LEDS))
+    sensor = SimulatedSensor(shape=SHAPE, mm_per_px=MM_PER_PX, leds=leds)
+    parts, untouched = [], simulate_background(sensor, None, quantise=False)
+    for cx in (-4.0, 0.0, 4.0):
+        for cy in (-2.8, 0.0, 2.8):
+            press = simulate_press(
+                sensor, Ball(2.5), depth_mm=0.12, center_mm=(cx, cy), rng=None, quantise=False
+            )
+            rows, cols = np.nonzero(press.contact & ~press.shadowed)
+            change = press.image[rows, cols] / untouched[rows, cols] - 1
+            parts.append((change, cols, rows, press.gradients[rows, cols]))
+    change, x, y, gradients = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    model = NearLightModel.fit(Samples(change, x, y, gradients, np.ones(len(x)), SHAPE), response=1.0)
+    np.testing.assert_allclose(model.positions_mm(MM_PER_PX), LEDS, atol=0.1)
+
+
+def test_too_few_samples_and_other_sizes_are_refused():
+    with pytest.raises(ValueError, match="at least 30"):
+        NearLightModel.fit(samples_of(count=10))
+    with pytest.raises(ValueError, match="as calibrated, got 10x10"):
+        NearLightModel.fit(samples_of()).prepare(np.zeros((10, 10, 3)), (10, 10))
