@@ -21,6 +21,7 @@ from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
+from gelform.calibration.residuals import HeldOutSample, held_out_sample
 from gelform.calibration.samples import PreparedPress, contact_samples
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
@@ -78,9 +79,10 @@ def calibrate(
     able = _able(candidates, by_offset)
     selection = select(able, by_offset, found, folds, sizes, progress=progress)
     draft = _draft(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
-    errors, sigma = _held_out(draft, presses, by_offset, found, folds, selection, progress)
+    errors, sigma, samples = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
     report = _report(presses, refined, errors, selection, left_out, time.monotonic() - started)
+    report = replace(report, samples=tuple(samples))
     return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
 
 
@@ -209,13 +211,14 @@ def _held_out(
     folds: Sequence[Fold],
     selection: Selection,
     progress: Progress,
-) -> tuple[dict[int, PressErrors], SlopeSigma]:
+) -> tuple[dict[int, PressErrors], SlopeSigma, list[HeldOutSample]]:
     """Errors of every usable press through the whole path, with what was chosen and fitted without it.
 
     The slopes' spread is that of the chosen candidate: it becomes the calibration's.
     """
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
+    samples: list[HeldOutSample] = []
     prepared = by_offset[selection.chosen.change_offset]
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
         suited = by_offset[candidate.change_offset]
@@ -225,11 +228,12 @@ def _held_out(
         for i in fold.held_out:
             circle = _free_circle(suited[i], found[i], model, candidate.zone)
             errors[i] = errors_of(presses.presses[i], circle, reconstruct)
+            samples.append(held_out_sample(i, presses.presses[i], circle, reconstruct))
         if candidate != selection.chosen:
             model = selection.chosen.fit([prepared[i] for i in fold.training], fold.contacts)
         models.append(model)
         progress(done + 1, len(folds), "measuring on held-out presses")
-    return errors, slope_sigma_from_folds(models, folds, prepared, found)
+    return errors, slope_sigma_from_folds(models, folds, prepared, found), samples
 
 
 def _free_circle(
