@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.learning import (
+    _with_expectation,
     candidates_of,
     floor_and_slope,
     held_out_count,
@@ -39,8 +40,35 @@ def test_more_presses_are_better_and_said_so(learning, calibration):
     assert expected["presses_now"] == accepted
     assert expected["floor_deg"] <= expected["more_deg"] <= expected["now_deg"]
     assert f"{expected['now_deg']:.2f}° to {expected['more_deg']:.2f}°" in learning["sentence"]
-    assert ("would help:" in learning["sentence"]) == expected["more_would_help"]
+    assert learning["sentence"].startswith(f"More presses {expected['help']}: ")
+    low, high = expected["more_deg_range"]
+    assert low <= high
     json.dumps(learning)
+
+
+def points(*rows):
+    return [
+        {"presses": n, "draws_deg": draws, "mean_deg": float(np.mean(draws)), "model": "m"}
+        for n, draws in rows
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (((5, [8.0, 9.0, 8.5]), (10, [6.0, 6.5, 6.2]), (15, [4.5, 5.0, 5.0])), "would help"),
+        (((5, [3.0, 3.1, 3.0]), (10, [3.0, 3.0, 3.1]), (15, [3.0, 3.1, 3.0])), "would not help much"),
+        (((5, [5.7, 13.0, 6.8]), (10, [3.6, 11.6, 3.3]), (15, [3.8, 6.0, 3.2])), "would help"),
+        (((5, [3.0, 6.0, 3.0]), (10, [3.0, 3.0, 3.0]), (15, [3.0, 3.0, 3.0])), "may help"),
+    ],
+)
+def test_one_draw_alone_convinces_nobody(rows, said):
+    """A hard draw moves the whole curve: a falling mean is not taken for a flat one, nor one draw for all."""
+    assert _with_expectation(points(*rows), 20)["expected"]["help"] == said
+
+
+def test_one_point_tells_nothing():
+    assert _with_expectation(points((5, [3.0, 3.0, 3.0])), 8) is None
 
 
 def test_the_same_presses_give_the_same_curve(presses, calibration, learning):

@@ -31,12 +31,14 @@ def test_the_worse_of_normals_and_radius_is_the_level():
     assert verdict_of(checks_of({**GOOD, "covered_percent": 1.0}))["level"] == "good"
 
 
-def test_what_is_poor_is_mended_before_what_is_fair():
-    checks = checks_of({**GOOD, "presses_used": 20.0, "ball_sizes": 0.0})
-    verdict = verdict_of(checks)
-    assert "second ball" in verdict["next"]
-    assert verdict["because"] == "ball sizes: 0, poor"
-    assert "30 presses" in verdict_of(checks_of({**GOOD, "presses_used": 20.0}))["next"]
+def test_causes_are_mended_before_their_effects():
+    """Few presses are the reason of poor normals: more of them come first, though they are only fair."""
+    verdict = verdict_of(checks_of({**GOOD, "presses_used": 20.0, "normal_free_deg": 9.0}))
+    assert "30 presses" in verdict["next"]
+    assert verdict["because"] == "presses used: 20, fair"
+    assert verdict["level"] == "poor"
+    alone = verdict_of(checks_of({**GOOD, "normal_free_deg": 9.0}))
+    assert alone["because"] == "normals, held out: 9°, poor"
 
 
 def test_what_is_not_known_is_said():

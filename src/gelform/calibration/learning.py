@@ -159,15 +159,14 @@ def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple
 
 
 def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, Any] | None:
-    """The curve with what `MORE` presses are expected to bring; it is fitted from 10 presses on where it can."""
+    """The curve with what `MORE` presses are expected to bring; None where two points cannot tell."""
     late = [p for p in points if p["presses"] >= 10]
-    used = late if len(late) >= 2 else points
+    used = late if len(late) >= 3 else points
     if len(used) < 2:
         return None
-    pairs = [(p["presses"], value) for p in used for value in p["draws_deg"]]
-    floor, slope = floor_and_slope([n for n, _ in pairs], [value for _, value in pairs])
-    now, later = (float(np.sqrt(floor + slope / n)) for n in (accepted, accepted + MORE))
-    helps = now - later > WORTH_IT * now
+    now, later, (floor, slope) = _expected(used, accepted, None)
+    without = [_expected(used, accepted, draw) for draw in range(DRAWS)]
+    gains = [1 - late / soon for soon, late, _ in without]
     return {
         "points": points,
         "held_out_presses": held_out_count(accepted),
@@ -176,10 +175,34 @@ def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, 
             "now_deg": now,
             "presses_more": MORE,
             "more_deg": later,
+            "more_deg_range": [min(one[1] for one in without), max(one[1] for one in without)],
             "floor_deg": float(np.sqrt(floor)),
             "square_slope_deg2": slope,
-            "more_would_help": bool(helps),
+            "help": _help(gains),
         },
-        "sentence": f"More presses would {'help' if helps else 'not help much'}: "
-        f"+{MORE} presses are expected to take {now:.2f}° to {later:.2f}°.",
+        "sentence": f"More presses {_help(gains)}: +{MORE} presses are expected to take {now:.2f}° to {later:.2f}°.",
     }
+
+
+def _expected(
+    points: Sequence[dict[str, Any]], accepted: int, without: int | None
+) -> tuple[float, float, tuple[float, float]]:
+    """Errors now and with `MORE` presses by the law of the draws' means, one draw left out or none.
+
+    The means are fitted, not the draws: all sizes of a draw are tested on the same presses, so an easy or a
+    hard draw moves the whole curve and cancels.
+    """
+    means = []
+    for p in points:
+        kept = [value for draw, value in enumerate(p["draws_deg"]) if draw != without]
+        means.append(float(np.mean(kept or p["draws_deg"])))
+    floor, slope = floor_and_slope([p["presses"] for p in points], means)
+    now, later = (float(np.sqrt(floor + slope / n)) for n in (accepted, accepted + MORE))
+    return now, later, (floor, slope)
+
+
+def _help(gains: Sequence[float]) -> str:
+    """What more presses do, if one believes it only where leaving out any draw says the same."""
+    if min(gains) > WORTH_IT:
+        return "would help"
+    return "would not help much" if max(gains) <= WORTH_IT else "may help"

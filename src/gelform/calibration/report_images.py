@@ -40,7 +40,7 @@ def cap_scale_um(maps: Sequence[NDArray[np.float32]]) -> float:
     """The depth error that all the tiles show in full colour: a round figure that few pixels exceed."""
     typical = float(np.nanquantile(np.abs(np.concatenate([one[::2, ::2].ravel() for one in maps])), 0.97))
     power = 10.0 ** np.floor(np.log10(max(typical, 1e-3)))
-    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= typical))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= typical))
 
 
 def cap_url(error_um: NDArray[np.float32], scale_um: float) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gelform.calibration.report_charts import gain_chart, learning_chart, limit_bar, range_bar, sigma_chart
 from gelform.calibration.report_images import jpeg_url
 from gelform.calibration.report_maps import coverage_map, scale_of_errors, share_map, slope_error_map
+from gelform.calibration.report_verdict import shown
 
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
@@ -66,11 +67,10 @@ def digits(value: float) -> str:
 
 
 def _check_row(check: dict[str, Any]) -> str:
-    value, side = check["value"], "≥" if check["rising"] else "≤"
-    shown = "not known" if value is None else f"{value:.3g} {check['unit']}".replace(" °", "°")
+    side = "≥" if check["rising"] else "≤"
     action = "" if check["level"] == "good" else f'<span class="do">{escape(check["action"])}</span>'
     return (
-        f"<tr><td>{escape(check['label'])}{action}</td><td>{shown}</td>"
+        f"<tr><td>{escape(check['label'])}{action}</td><td>{shown(check)}</td>"
         f'<td class="text"><span class="tag {check["level"]}">{check["level"]}</span></td>'
         f'<td class="limit">{side} {check["good"]:g}</td><td class="limit">{side} {check["fair"]:g}</td></tr>'
     )
@@ -214,6 +214,7 @@ def learning_section(content: dict[str, Any]) -> str:
             '<section id="learning"><h2>How many presses?</h2>'
             "<p>There is no learning curve: with so few presses none can be held out of it.</p></section>"
         )
+    low, high = learning["expected"]["more_deg_range"]
     points = "".join(
         f"<tr><td>{p['presses']}</td><td>{p['mean_deg']:.2f}°</td><td>{min(p['draws_deg']):.2f} – "
         f'{max(p["draws_deg"]):.2f}°</td><td class="text">{escape(p["model"])}</td></tr>'
@@ -223,9 +224,10 @@ def learning_section(content: dict[str, Any]) -> str:
         f'<section id="learning"><h2>How many presses?</h2><p><strong>{escape(learning["sentence"])}</strong></p>'
         f'<div class="two"><div>{learning_chart(learning)}</div><div><p class="muted">Each time '
         f"{learning['held_out_presses']} presses are held out and some of the others train, their circles refined by "
-        "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law is error² = a + b/n, "
-        "fitted to them; rings mark what it expects of all presses now, and of ten more. (The figures at the top "
-        "are of models that trained on four fifths of the presses.)</p>"
+        "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
+        "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
+        f"other: {low:.2f} – {high:.2f}°). “May” is said where a single draw would change the answer. The figures at "
+        "the top are of models that trained on four fifths of the presses.</p>"
         '<div class="scroll"><table><thead><tr><th>presses</th><th>normals</th><th>draws</th><th class="text">model</th>'
         f"</tr></thead><tbody>{points}</tbody></table></div></div></div></section>"
     )

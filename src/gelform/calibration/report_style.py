@@ -49,7 +49,7 @@ white-space:nowrap}
 .tag.poor{color:var(--poor);background:var(--tint-poor)}
 .two{display:grid;grid-template-columns:repeat(auto-fit,minmax(310px,1fr));gap:18px 28px;align-items:start}
 svg{display:block;max-width:100%;height:auto}
-.chart{width:100%;max-width:520px}.map{width:100%;max-width:600px}.range{width:166px;min-width:120px}
+.chart{width:100%;max-width:520px}.map{width:100%;max-width:600px;max-height:540px}.range{width:166px;min-width:120px}
 .limits{width:206px;margin:6px 0 4px;overflow:visible}
 svg text{font:12px system-ui,-apple-system,"Segoe UI",Roboto,sans-serif;fill:var(--ink)}
 svg .tick{fill:var(--muted);font-size:11px}svg .label{fill:var(--muted);font-size:12px}

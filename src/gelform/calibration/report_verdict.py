@@ -32,12 +32,12 @@ class Limit:
 
 
 LIMITS = (
-    Limit("rejected_percent", "presses rejected", "%", 10, 30, False,
+    Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses: their reasons say what to press or to write down differently."),
     Limit("presses_used", "presses used", "", 30, 10, True,
           "Press the ball at more places: 30 presses or more, the ones marked 1, 2, 3 first."),
     Limit("normal_free_deg", "normals, held out", "°", 3, 5, False,
-          "Press at the places marked 1, 2, 3; then check that exposure, white balance and light did not change."),
+          "Press at the places marked 1, 2, 3; check that exposure and light did not change, and look for cast shadows."),
     Limit("radius_percent", "ball's radius, held out", "%", 3, 6, False,
           "Check ball_diameter_mm and mm_per_px, and add presses of a second ball of another size."),
     Limit("covered_percent", "places and slope directions seen", "%", 80, 60, True,
@@ -69,7 +69,7 @@ def level_of(limit: Limit, value: float | None) -> str:
 
 
 def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
-    """Every check with its figure, its level and its limits, in the order in which they are to be mended."""
+    """Every check with its figure, its level and its limits, causes before their effects."""
     return [
         {
             **asdict(limit),
@@ -83,12 +83,12 @@ def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
 def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
     """The headline: the worse of normals and radius in words, and one sentence on what to do next.
 
-    The next step is the first of the poor checks, else of the fair ones; where all is good, what keeps it so.
+    The next step is that of the first check that is not good: causes stand before their effects. Where all is
+    good, it is what keeps it so.
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
-    worst = max((check["level"] for check in checks), key=LEVELS.index)
-    first = next(check for check in checks if check["level"] == worst)
+    first = next((check for check in checks if check["level"] != "good"), None)
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
     figures = (
         f"normals {named['normal_free_deg']['value']:.1f}°, radius {named['radius_percent']['value']:.1f} %"
@@ -96,13 +96,17 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     return {
         "level": level,
         "headline": f"{level.capitalize()}: {figures}, held out",
-        "next": done if worst == "good" else first["action"],
-        "because": None if worst == "good" else f"{first['label']}: {_shown(first)}, {worst}",
+        "next": first["action"] if first else done,
+        "because": f"{first['label']}: {shown(first)}, {first['level']}" if first else None,
         "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
         "learning": learning_sentence,
     }
 
 
-def _shown(check: dict[str, Any]) -> str:
+def shown(check: dict[str, Any]) -> str:
     """A check's figure with its unit."""
-    return "not known" if check["value"] is None else f"{check['value']:.3g} {check['unit']}".strip()
+    return (
+        "not known"
+        if check["value"] is None
+        else f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()
+    )
