@@ -67,6 +67,12 @@ def test_one_draw_alone_convinces_nobody(rows, said):
     assert _with_expectation(points(*rows), 20)["expected"]["help"] == said
 
 
+def test_the_range_is_what_two_draws_of_three_say():
+    expected = _with_expectation(points(*((n, [3.0, 2.0, 3.0]) for n in (10, 15, 20))), 25)["expected"]
+    assert expected["more_deg_range"] == pytest.approx([2.5, 3.0])
+    assert expected["more_deg"] == pytest.approx(8 / 3)
+
+
 def test_one_point_tells_nothing():
     assert _with_expectation(points((5, [3.0, 3.0, 3.0])), 8) is None
 

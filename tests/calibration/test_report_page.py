@@ -131,4 +131,20 @@ def test_a_real_browser_shows_it_without_a_word_or_a_request(page, tmp_path):
             press.click()
             assert press.locator("svg").bounding_box()["width"] == small
             tab.close()
+        paper = browser.new_page(color_scheme="dark")
+        paper.goto(path.as_uri())
+        paper.emulate_media(media="print", color_scheme="dark")
+        assert paper.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
+        assert min(backgrounds_behind_text(paper)) > 150, (
+            "dark ink on a dark ground: it was printed from a dark screen"
+        )
         browser.close()
+
+
+def backgrounds_behind_text(tab):
+    """Darkest channel of every ground that is painted behind text, 0-255."""
+    colors = tab.evaluate(
+        "[...document.querySelectorAll('section,.tag,td,body')].map(e => getComputedStyle(e).backgroundColor)"
+    )
+    painted = [re.findall(r"[\d.]+", color) for color in colors]
+    return [min(float(v) for v in one[:3]) for one in painted if len(one) == 3]

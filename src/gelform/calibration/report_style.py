@@ -4,7 +4,7 @@ STYLE = """
 :root{color-scheme:light dark;--bg:#f7f7f5;--card:#fff;--ink:#1a1d21;--muted:#5f6670;--line:#e2e3e6;
 --accent:#0a66c2;--second:#a35200;--good:#177245;--fair:#9a5b00;--poor:#c0272d;--tint-good:#e3f4ea;--tint-fair:#fdf0d9;
 --tint-poor:#fde5e4}
-@media (prefers-color-scheme:dark){:root{--bg:#121416;--card:#1a1d20;--ink:#eceef0;--muted:#9aa3ad;--line:#2c3136;
+@media screen and (prefers-color-scheme:dark){:root{--bg:#121416;--card:#1a1d20;--ink:#eceef0;--muted:#9aa3ad;--line:#2c3136;
 --accent:#58a9ff;--second:#ffab5e;--good:#46cf8b;--fair:#ffbf47;--poor:#ff7570;--tint-good:#11291d;--tint-fair:#2e2410;
 --tint-poor:#351817}}
 *{box-sizing:border-box}
@@ -108,7 +108,10 @@ section{padding:16px 14px;border-radius:10px}
 dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:8px}.presses{grid-template-columns:repeat(auto-fill,minmax(104px,1fr))}}
 @media print{:root{--bg:#fff;--card:#fff;--ink:#000;--muted:#444;--line:#bbb}body{font-size:11px}
 main{max-width:none;padding:0}
-nav{display:none}section{border:0;border-top:1px solid #bbb;border-radius:0;padding:10px 0;margin:8px 0}
+nav{display:none}.verdict h2{font-size:20px}.verdict{padding:10px 14px}.card b{font-size:18px}
+section{border:0;border-top:1px solid #bbb;border-radius:0;padding:10px 0;margin:8px 0}
 figure,tr,.press,svg,.card{break-inside:avoid}h2,h3{break-after:avoid}.presses{grid-template-columns:repeat(7,1fr)}
-.caps{grid-template-columns:repeat(12,1fr)}*{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
+.caps{grid-template-columns:repeat(10,1fr)}.cards{grid-template-columns:repeat(4,1fr);gap:10px}.limits{width:150px}
+table,.key,dl,.card .muted,.do,.press,th{font-size:10.5px}th,td{padding:3px 6px}h2{font-size:15px}h3{font-size:12px}
+*{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 """
