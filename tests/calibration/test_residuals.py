@@ -13,7 +13,7 @@ from gelform.calibration.residuals import (
     gain_curve,
     held_out_sample,
     share_within_sigma,
-    sigma_of_sample,
+    stated_sigma,
 )
 from gelform.metrics import ball_gradients
 from gelform.reconstruct import Reconstructor
@@ -128,16 +128,16 @@ def test_a_right_sigma_holds_68_percent_everywhere():
     assert halved["all"] == pytest.approx(0.383, abs=0.01)
 
 
-def test_sigma_is_the_calibrations_and_wide_where_clipped(calibration, presses):
-    one = calibration.report.samples[0]
+def test_sigma_is_what_users_are_told_and_wide_where_clipped(calibration, presses):
+    one, reconstruct = calibration.report.samples[0], Reconstructor(calibration)
     image = presses.presses[one.index].image
-    sigma = sigma_of_sample(calibration, image, one)
+    sigma = stated_sigma(reconstruct, image, one)
     assert sigma.shape == one.gradients.shape
+    row, column = int(one.y_px[0]), int(one.x_px[0])
+    np.testing.assert_array_equal(sigma[0], reconstruct(image).gradients_sigma[row, column])
     clipped = image.copy()
-    clipped[int(one.y_px[0]), int(one.x_px[0])] = 255
-    wide = sigma_of_sample(calibration, clipped, one)
-    assert wide[0, 0] > sigma[0, 0]
-    np.testing.assert_array_equal(wide[1:], sigma[1:])
+    clipped[row, column] = 255
+    assert stated_sigma(reconstruct, clipped, one)[0, 0] > 2 * sigma[0, 0]
 
 
 def test_a_ball_outside_the_frame_has_no_cap(calibration, presses):

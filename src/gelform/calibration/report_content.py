@@ -18,8 +18,10 @@ from gelform.calibration.residuals import (
     error_map,
     gain_curve,
     share_within_sigma,
-    sigma_of_sample,
+    stated_sigma,
 )
+from gelform.calibration.spread import ZONE
+from gelform.reconstruct import Reconstructor
 from gelform.record import Calibration
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 1
@@ -74,7 +76,9 @@ def report_content(
         )
     samples: tuple[HeldOutSample, ...] = report.samples
     zone = float(calibration.settings["zone"])
-    sigmas = [sigma_of_sample(calibration, presses.presses[one.index].image, one) for one in samples]
+    inner = [one.within(ZONE) for one in samples]
+    reconstruct = Reconstructor(calibration)
+    sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in inner]
     shape = calibration.image_shape
     content = {
         "format": FORMAT,
@@ -90,7 +94,7 @@ def report_content(
             "training_zone": gain_curve([one.within(zone) for one in samples], rng),
         },
         "error_map": error_map(samples, shape, grid_of(shape, ERROR_COLUMNS)),
-        "sigma": share_within_sigma(samples, sigmas, shape, grid_of(shape, PLACE_COLUMNS)),
+        "sigma": share_within_sigma(inner, sigmas, shape, grid_of(shape, PLACE_COLUMNS)),
         "learning": learning,
     }
     checks = checks_of(_checked_figures(content))

@@ -13,6 +13,7 @@ from gelform.calibration.report_charts import gain_chart, learning_chart, limit_
 from gelform.calibration.report_images import jpeg_url
 from gelform.calibration.report_maps import coverage_map, scale_of_errors, share_map, slope_error_map
 from gelform.calibration.report_verdict import shown
+from gelform.calibration.spread import ZONE
 
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
@@ -240,7 +241,9 @@ def sigma_section(content: dict[str, Any]) -> str:
         '<section id="sigma"><h2>Is the stated uncertainty right?</h2>'
         "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
         "60–76 % is good. Less means that the calibration promises too much there, more that it is too careful. "
-        f"Overall {100 * sigma['all']:.0f} %. The uncertainty was fitted on the same held-out slopes.</p>"
+        f"Overall {100 * sigma['all']:.0f} %. Beyond {ZONE:g} of the contact radius the gel has left the ball, and nothing "
+        "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
+        "worse.</p>"
         f'<div class="two"><div>{sigma_chart(sigma)}</div><div>{share_map(sigma, shape)}'
         "<p class='muted'>The same by place.</p></div></div></section>"
     )

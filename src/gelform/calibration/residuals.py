@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from gelform.calibration.folder import Press
 from gelform.metrics import STEEPEST_FRACTION, angle_deg, ball_center, ball_gradients
 from gelform.reconstruct import Reconstructor
-from gelform.record import Calibration
 
 MAX_PIXELS = 2000
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
@@ -205,14 +204,14 @@ def error_map(
     return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count.tolist()}
 
 
-def sigma_of_sample(
-    calibration: Calibration, image: NDArray[Any], sample: HeldOutSample
+def stated_sigma(
+    reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
 ) -> NDArray[np.float32]:
-    """(N, 2) standard deviation that the calibration states for a sample's slopes."""
-    gradients = np.zeros((*calibration.image_shape, 2), dtype=np.float32)
+    """(N, 2) standard deviation that users of the calibration are told for the pixels of a sample."""
+    sigma = reconstruct(image).gradients_sigma
+    if sigma is None:
+        raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
     rows, cols = sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)
-    gradients[rows, cols] = sample.gradients
-    sigma, _ = calibration.slope_sigma.at(gradients, image)
     stated: NDArray[np.float32] = sigma[rows, cols]
     return stated
 
