@@ -1,5 +1,7 @@
 """Every press in the page: its circle in image pixels, its reason where it is rejected."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -44,5 +46,8 @@ def test_rejected_presses_come_first_with_their_reasons(content, presses):
 
 def test_every_held_out_press_has_its_depth_picture(content, calibration):
     drawn = caps_section(content, calibration.report.samples)
-    assert drawn.count("<img") == len(calibration.report.samples)
+    rows = content["presses"]
+    assert re.findall(r"<figcaption>(\d+) µm", drawn) == [
+        f"{row['errors']['cap_free_um']:.0f}" for row in rows if row["errors"]
+    ]
     assert caps_section(content, []) == ""

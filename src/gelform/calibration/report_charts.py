@@ -153,12 +153,13 @@ def sigma_chart(sigma: dict[str, Any]) -> str:
         left, right, share = axes.x(one["slope_from"]) + 2, axes.x(one["slope_to"]) - 2, 100 * one["share"]
         kind = "bar" if 60 <= share <= 76 else "bar off" if 45 <= share <= 90 else "bar far"
         y = axes.y(share)
+        label = y + 15 if share > 10 else y - 4
         parts.append(
             f'<rect class="{kind}" x="{left:.1f}" y="{y:.1f}" width="{right - left:.1f}" '
             f'height="{axes.y(0) - y:.1f}" rx="2"/>'
         )
         parts.append(
-            f'<text class="tick" x="{(left + right) / 2:.1f}" y="{y - 4:.1f}" text-anchor="middle">{share:.0f}</text>'
+            f'<text class="on-bar" x="{(left + right) / 2:.1f}" y="{label:.1f}" text-anchor="middle">{share:.0f}</text>'
         )
     parts.append(axes.line(axes.x_range, (68, 68), "one"))
     return svg(

@@ -100,7 +100,7 @@ def short_names(names: Sequence[str], length: int = 28) -> list[str]:
 
 def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> str:
     """Depth minus the ball's cap of every held-out press, on one scale."""
-    shown = [one for one in samples if one.cap_error_um.size]
+    shown = sorted((one for one in samples if one.cap_error_um.size), key=lambda one: one.index)
     if not shown:
         return ""
     scale = cap_scale_um([one.cap_error_um for one in shown])
