@@ -48,6 +48,8 @@ def test_every_figure_of_a_candidate_is_rendered():
     assert re.search(r'<tr class="chosen"><td>b ← chosen', drawn)
     rows[0]["chosen"], rows[1]["chosen"] = True, False
     assert "the simpler" in models_section({"candidates": rows})
+    rows[0]["cap_free_um"], rows[1]["cap_free_um"] = 14.0, None
+    assert "The simplest one was chosen" in models_section({"candidates": rows})
     assert "Only one was tried" in models_section({"candidates": rows[:1]})
 
 

@@ -12,10 +12,10 @@ from scipy.optimize import nnls
 
 from gelform.calibration.fit import prepare
 from gelform.calibration.folder import Presses
+from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.presses import Contact, find_contact, scale_of
 from gelform.calibration.refine import refine
 from gelform.calibration.samples import PreparedPress
-from gelform.calibration.select import Candidate, candidates_for
 from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.metrics import angle_deg, ball_center, ball_gradients
 from gelform.progress import Progress, no_progress

@@ -23,6 +23,7 @@ CARDS = (
 )
 COLUMNS = {
     "normal_free_deg": ("normals", "°"),
+    "normal_free_deg_other_size": ("normals, other ball size", "°"),
     "cap_free_um": ("depth in contact", "µm"),
     "radius_percent": ("radius", "%"),
     "off_contact_um": ("off contact", "µm"),
@@ -144,6 +145,13 @@ def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
         return said + "Only one was tried, as asked for."
     figures = [row["normal_free_deg"] for row in rows]
     chosen = next(row for row in rows if row["chosen"])
+    if chosen.get("cap_free_um") is not None and any(
+        "cap_free_um" in row for row in rows if row is not chosen
+    ):
+        return said + (
+            "The simplest one was chosen whose depth error in the contact, as expected of it with all presses, is "
+            "within one standard error of the smallest."
+        )
     if chosen["normal_free_deg"] <= min(figures):
         return said + "The one with the smallest held-out error was chosen."
     return (
