@@ -132,7 +132,7 @@ def _facts(presses: Presses, calibration: Calibration) -> dict[str, Any]:
         "serial": calibration.serial,
         "gel_id": calibration.gel_id,
         "image_shape": list(calibration.image_shape),
-        "mm_per_px": calibration.mm_per_px,
+        "mm_per_px": calibration.known_mm_per_px,
         "mm_per_px_sigma": calibration.mm_per_px_sigma,
         "ball_diameters_mm": sorted({press.ball_diameter_mm for press in presses.presses}),
         "color_model": calibration.color_model.name,
@@ -158,7 +158,7 @@ def _coverage(rows: Sequence[PressReport], calibration: Calibration, zone: float
     used = [row for row in rows if row.accepted]
     return coverage(
         [(row.center_x_px, row.center_y_px, row.contact_radius_px) for row in used],
-        [row.ball_diameter_mm / 2 / calibration.mm_per_px for row in used],
+        [row.ball_diameter_mm / 2 / calibration.known_mm_per_px for row in used],
         zone,
         calibration.report.samples,
         calibration.image_shape,

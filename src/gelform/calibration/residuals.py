@@ -89,7 +89,7 @@ def held_out_sample(
     The region and the free centres are those of `gelform.metrics.press_errors`.
     """
     result = reconstruct(press.image)
-    mm_per_px = reconstruct.calibration.mm_per_px
+    mm_per_px = reconstruct.calibration.known_mm_per_px
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
     reach = min(circle_px[2] - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
