@@ -5,7 +5,6 @@ Needs matplotlib, the extra `plots`. Figures are drawn off screen; matplotlib's 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -19,9 +18,8 @@ from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
 DPI, WIDTH = 110, 13.0
-ACCEPTED, REJECTED, INK, FAINT = "#1a9850", "#d73027", "#222222", "#8a8a8a"
+INK, FAINT = "#222222", "#8a8a8a"
 ALONG_X, ALONG_Y = "#f4731c", "#29a3e0"
-TILE_PX, CAPTION_PX, MAX_COLUMNS = 230, 44, 8
 
 
 def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[np.uint8]:
@@ -58,65 +56,6 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
     return pixels_of(figure)
 
 
-def contact_sheet(
-    images: Sequence[ArrayLike],
-    circles_px: Sequence[tuple[float, float, float] | None],
-    captions: Sequence[str],
-    reasons: Sequence[str | None],
-) -> NDArray[np.uint8]:
-    """Every press with the circle that was found on it: green where used, red with the reason where not.
-
-    Parameters
-    ----------
-    images : N times (H, W, 3) RGB, all of one size
-    circles_px : N times (centre x, centre y, contact radius) in px, or None
-    captions : N names, such as "6.310mm/0/gelsight.png, 6.31 mm"
-    reasons : why a press is not used, None where it is
-
-    Returns
-    -------
-    sheet : (h, w, 3) uint8, RGB
-    """
-    if not images or not len(images) == len(circles_px) == len(captions) == len(reasons):
-        raise ValueError(f"Expected as many images as circles, captions and reasons, got {len(images)}.")
-    tiles, scale = _tiles(images)
-    columns = min(MAX_COLUMNS, int(np.ceil(np.sqrt(1.4 * len(tiles)))))
-    height, width = tiles[0].shape[0] + CAPTION_PX, tiles[0].shape[1] + 8
-    rows = -(-len(tiles) // columns)
-    figure = canvas((columns * width + 8) / DPI, (rows * height + 8) / DPI, layout=None)
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, columns * width + 8), ylim=(rows * height + 8, 0))
-    axes.set_axis_off()
-    for k, tile in enumerate(tiles):
-        corner = (8 + k % columns * width, 8 + k // columns * height)
-        _draw_press(axes, tile, corner, circles_px[k], scale, captions[k], reasons[k])
-    return pixels_of(figure)
-
-
-def error_charts(
-    balls_mm: Sequence[float], errors: Sequence[Mapping[str, float]], *, title: str = "Errors"
-) -> NDArray[np.uint8]:
-    """Errors of presses by ball, one point each, with their mean; the median where a sphere is fitted.
-
-    Parameters
-    ----------
-    balls_mm : N ball diameters, mm
-    errors : N times the fields of `PressErrors`; NaN where a figure does not exist
-    title : str
-
-    Returns
-    -------
-    charts : (h, w, 3) uint8, RGB
-    """
-    if not errors or len(errors) != len(balls_mm):
-        raise ValueError(f"Expected a ball for each of the errors, got {len(balls_mm)} and {len(errors)}.")
-    figure = canvas(WIDTH, 4.2)
-    for axes, (name, label, middle) in zip(figure.subplots(1, len(_CHARTS)), _CHARTS):
-        values = np.abs(np.array([one[name] for one in errors], dtype=np.float64))
-        _draw_strip(axes, np.asarray(balls_mm, dtype=np.float64), values, label, middle)
-    figure.suptitle(f"{title} ({len(errors)} presses)", x=0.012, ha="left", fontsize=11, color=INK)
-    return pixels_of(figure)
-
-
 def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bool = False) -> None:
     """Write an RGB picture (h, w, 3) uint8 as PNG, whole or not at all.
 
@@ -139,14 +78,6 @@ def check_matplotlib() -> None:
         import matplotlib  # noqa: F401
     except ImportError as problem:
         raise GelformError("Pictures need matplotlib. Install it: pip install 'gelform[plots]'.") from problem
-
-
-_CHARTS = (
-    ("normal_free_deg", "normal, centre free (deg), mean", np.mean),
-    ("cap_free_um", "cap, centre free (um), mean", np.mean),
-    ("radius_percent", "radius of the fitted sphere (%), median", np.median),
-    ("off_contact_um", "off contact (um), mean", np.mean),
-)
 
 
 def canvas(width: float, height: float, *, layout: Any = "constrained") -> Any:
@@ -300,82 +231,6 @@ def _round_length(length: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is not longer."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)) * power)
-
-
-def _tiles(images: Sequence[ArrayLike]) -> tuple[list[NDArray[np.uint8]], float]:
-    """Thumbnails of one size, and their scale."""
-    first = check_image(images[0])
-    scale = TILE_PX / first.shape[1]
-    size = (TILE_PX, max(1, round(first.shape[0] * scale)))
-    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    shape = (first.shape[0], first.shape[1])
-    return [
-        np.asarray(cv2.resize(check_image(one, shape=shape).astype(np.uint8), size, interpolation=method))
-        for one in images
-    ], scale
-
-
-def _draw_press(
-    axes: Any,
-    tile: NDArray[np.uint8],
-    corner: tuple[float, float],
-    circle_px: tuple[float, float, float] | None,
-    scale: float,
-    caption: str,
-    reason: str | None,
-) -> None:
-    from matplotlib.patches import Circle, Rectangle
-
-    left, top = corner
-    height, width = tile.shape[:2]
-    color = ACCEPTED if reason is None else REJECTED
-    axes.imshow(tile, extent=(left, left + width, top + height, top), interpolation="nearest", aspect="auto")
-    frame = Rectangle((left, top), width, height, fill=False, edgecolor=color, linewidth=1.2)
-    axes.add_patch(frame)
-    if circle_px is not None:
-        x, y, radius = (
-            left + (circle_px[0] + 0.5) * scale,
-            top + (circle_px[1] + 0.5) * scale,
-            circle_px[2] * scale,
-        )
-        for line, paint in ((2.6, "black"), (1.4, "#5dff8f" if reason is None else "#ff6b5e")):
-            circle = Circle((x, y), radius, fill=False, edgecolor=paint, linewidth=line)
-            axes.add_patch(circle)
-            circle.set_clip_path(frame)
-        mark = axes.plot(x, y, "+", color="white", markersize=6, markeredgewidth=1)[0]
-        mark.set_clip_path(frame)
-    axes.text(left + 1, top + height + 3, _fitted(caption, 38), va="top", fontsize=6.6, color=INK)
-    if reason is not None:
-        axes.text(
-            left + 1, top + height + 16, _fitted(reason, 88, wrap=44), va="top", fontsize=5.8, color=REJECTED
-        )
-
-
-def _fitted(text: str, length: int, *, wrap: int | None = None) -> str:
-    """Text of at most `length` characters, the middle left out, on lines of `wrap`."""
-    import textwrap
-
-    if len(text) > length:
-        text = f"{text[: length // 2 - 1]}…{text[len(text) - length // 2 :]}"
-    return "\n".join(textwrap.wrap(text, wrap)) if wrap else text
-
-
-def _draw_strip(axes: Any, balls_mm: NDArray[Any], values: NDArray[Any], label: str, middle: Any) -> None:
-    sizes = sorted(set(balls_mm.tolist()))
-    for k, ball in enumerate(sizes):
-        own = values[(balls_mm == ball) & np.isfinite(values)]
-        if own.size == 0:
-            continue
-        spread = (np.arange(own.size) - (own.size - 1) / 2) / max(own.size, 8) * 0.6
-        axes.scatter(k + spread, own, s=16, color=ALONG_Y, alpha=0.8, linewidths=0)
-        level = float(middle(own))
-        axes.plot([k - 0.38, k + 0.38], [level, level], color=ALONG_X, linewidth=2.2)
-        axes.annotate(f"{level:.3g}", (k + 0.4, level), va="center", fontsize=9, color=INK)
-    axes.set_ylim(bottom=0)
-    axes.set_xlim(-0.6, len(sizes) - 0.2)
-    axes.set_xticks(range(len(sizes)), [f"{ball:g} mm" for ball in sizes])
-    axes.set_title(label, fontsize=10, color=INK)
-    _quiet(axes, "y")
 
 
 def _quiet(axes: Any, grid: str) -> None:

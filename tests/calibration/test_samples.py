@@ -9,7 +9,7 @@ from gelform.calibration.samples import PreparedPress, contact_samples, with_res
 def test_samples_carry_the_balls_slopes_and_the_untouched_image():
     background = np.full((60, 80, 3), 90, np.float32)
     change = np.zeros((60, 80, 3), np.float32)
-    press = PreparedPress("one", change, change[..., 0], 40.0, background)
+    press = PreparedPress("one", change, change[..., 0], 40.0, background=background)
     contact = Contact(40.0, 30.0, 15.0, 1.0, 9.0)
     samples = contact_samples([press], [contact], 0.8)
     assert samples.background is background

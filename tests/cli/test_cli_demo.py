@@ -17,8 +17,8 @@ def test_the_whole_path_and_its_errors(run_json, fails, monkeypatch, tmp_path):
     monkeypatch.setattr(demo, "LAYOUT", "small")
     monkeypatch.setattr(demo, "PRESSES", 12)
     said = run_json("demo", "-o", tmp_path / "d")
-    names = {path.relative_to(tmp_path / "d").as_posix() for path in (tmp_path / "d").rglob("*.png")}
-    assert {"ball.png", "coin.png", "screw.png", "border.png", "report/contact_sheet.png"} <= names
+    names = {path.relative_to(tmp_path / "d").as_posix() for path in (tmp_path / "d").rglob("*.*")}
+    assert {"ball.png", "coin.png", "screw.png", "border.png", "report/report.html"} <= names
     assert json.loads((tmp_path / "d" / "errors.json").read_text()) == said["errors"]
     assert abs(said["errors"]["ball"]["peak_ratio"] - 1) < 0.15
     assert said["errors"]["ball"]["rmse_um"] < 40

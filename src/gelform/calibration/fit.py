@@ -26,6 +26,7 @@ from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
 from gelform.calibration.report import CalibrationReport, PressReport, summary
+from gelform.calibration.residuals import HeldOutSample, held_out_sample
 from gelform.calibration.samples import PreparedPress
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
@@ -84,12 +85,12 @@ def calibrate(
     able = _able(candidates, by_offset)
     selection = select(able, by_offset, found, folds, sizes, progress=progress)
     draft = _draft(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
-    errors, sigma = _held_out(draft, presses, by_offset, found, folds, selection, progress)
+    errors, sigma, samples = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
     report = _report(presses, refined, errors, selection, left_out, time.monotonic() - started)
     used = refined.accepted
     notes = input_notes(presses, [prepared[i] for i in used], [refined.contacts[i] for i in used])
-    report = replace(report, notes=(*report.notes, *notes))
+    report = replace(report, notes=(*report.notes, *notes), samples=tuple(samples))
     return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report)
 
 
@@ -230,13 +231,14 @@ def _held_out(
     folds: Sequence[Fold],
     selection: Selection,
     progress: Progress,
-) -> tuple[dict[int, PressErrors], SlopeSigma]:
+) -> tuple[dict[int, PressErrors], SlopeSigma, list[HeldOutSample]]:
     """Errors of every usable press through the whole path, with what was chosen and fitted without it.
 
     The slopes' spread is that of the chosen candidate: it becomes the calibration's.
     """
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
+    samples: list[HeldOutSample] = []
     prepared = by_offset[selection.chosen.change_offset]
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
         suited = by_offset[candidate.change_offset]
@@ -246,11 +248,12 @@ def _held_out(
         for i in fold.held_out:
             circle = _free_circle(suited[i], found[i], model, candidate.zone)
             errors[i] = errors_of(presses.presses[i], circle, reconstruct)
+            samples.append(held_out_sample(i, presses.presses[i], circle, reconstruct))
         if candidate != selection.chosen:
             model = selection.chosen.fit([prepared[i] for i in fold.training], fold.contacts)
         models.append(model)
         progress(done + 1, len(folds), "measuring on held-out presses")
-    return errors, slope_sigma_from_folds(models, folds, prepared, found)
+    return errors, slope_sigma_from_folds(models, folds, prepared, found), samples
 
 
 def _free_circle(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from gelform.calibration.residuals import HeldOutSample
 from gelform.metrics import PressErrors
 
 
@@ -45,6 +46,7 @@ class CalibrationReport:
     held_out : errors over the presses, each from a model that has not seen it (centre free)
     seconds : how long it took
     notes : what a reader should know
+    samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
     """
 
     presses: tuple[PressReport, ...]
@@ -52,10 +54,13 @@ class CalibrationReport:
     held_out: dict[str, float]
     seconds: float
     notes: tuple[str, ...] = ()
+    samples: tuple[HeldOutSample, ...] = field(default=(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON can hold it."""
-        return asdict(self)
+        """The report as JSON can hold it, without the samples."""
+        content = asdict(replace(self, samples=()))
+        del content["samples"]
+        return content
 
 
 def summary(errors: list[PressErrors]) -> dict[str, float]:

@@ -16,6 +16,7 @@ from gelform.cli.console import (
     Json,
     MmPerPx,
     Overwrite,
+    Progress,
     Quiet,
     Sensor,
     figure,
@@ -46,7 +47,8 @@ if TYPE_CHECKING:
     from gelform.calibration.folder import Presses
     from gelform.record import Calibration
 
-REPORT_FILES = ("report.json", "circles.csv", "contact_sheet.png", "errors.png")
+REPORT_FILES = ("report.html", "report.json", "circles.csv")
+REPORT_SEED = 0
 
 
 def calibrate(
@@ -69,7 +71,8 @@ def calibrate(
     grid: Grid = None,
     pitch_mm: PitchMm = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for pictures of the circles found, and errors.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for a page that says how good it is and what to do next."),
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -125,40 +128,35 @@ def calibrate(
         calibration = calibrate_presses(found, color_model=model, progress=progress)
         calibration.save(output, overwrite=overwrite)
         if report is not None:
-            progress(0, 1, "drawing the report")
-            write_report(found, calibration, report, overwrite=overwrite)
-            progress(1, 1, "drawing the report")
+            write_report(found, calibration, report, overwrite=overwrite, progress=progress)
     _show(calibration, quiet or as_json)
-    say(f"Wrote {output}{f' and {report}' if report else ''}.", quiet)
+    say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.", quiet)
     if as_json:
         print_json({"calibration": str(output), **calibration.report.to_dict()})
 
 
-def write_report(presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool) -> None:
-    """Write what `--report` promises: the circles drawn and listed, the errors drawn and listed."""
-    from gelform.npz_files import written_file
-    from gelform.plots import contact_sheet, error_charts, save_picture
+def write_report(
+    presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool, progress: Progress
+) -> None:
+    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table."""
+    import numpy as np
 
-    rows = calibration.report.presses
+    from gelform.calibration.learning import learning_curve
+    from gelform.calibration.report_content import report_content
+    from gelform.calibration.report_page import report_page
+    from gelform.npz_files import written_file
+
+    rng = np.random.default_rng(REPORT_SEED)
+    learning = learning_curve(presses, calibration, rng=rng, progress=progress)
+    progress(0, 1, "drawing the report")
+    content = report_content(presses, calibration, rng=rng, learning=learning)
+    page = report_page(content, presses, calibration)
     make_folder(folder)
-    with written_file(folder / "report.json", overwrite=overwrite) as file:
-        file.write(json_bytes(calibration.report.to_dict()))
-    with written_file(folder / "circles.csv", overwrite=overwrite) as file:
-        file.write(_circles_csv(rows))
-    sheet = contact_sheet(
-        [press.image for press in presses.presses],
-        [(row.center_x_px, row.center_y_px, row.contact_radius_px) for row in rows],
-        [f"{row.name}, {row.ball_diameter_mm:g} mm" for row in rows],
-        [row.reason for row in rows],
-    )
-    save_picture(folder / "contact_sheet.png", sheet, overwrite=overwrite)
-    scored = [row for row in rows if row.errors]
-    charts = error_charts(
-        [row.ball_diameter_mm for row in scored],
-        [row.errors for row in scored],
-        title=f"{calibration.sensor_name}: errors on held-out presses",
-    )
-    save_picture(folder / "errors.png", charts, overwrite=overwrite)
+    files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
+    for name, data in zip(REPORT_FILES, files):
+        with written_file(folder / name, overwrite=overwrite) as file:
+            file.write(data)
+    progress(1, 1, "drawing the report")
 
 
 def _check_model(model: str) -> None:
@@ -190,9 +188,6 @@ def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:
     check_free(output, overwrite=overwrite, error=CalibrationError)
     if report is None:
         return
-    from gelform.plots import check_matplotlib
-
-    check_matplotlib()
     make_folder(report)
     there = [name for name in REPORT_FILES if (report / name).exists()]
     if there and not overwrite:

@@ -1,0 +1,112 @@
+"""From figures to words: which part of a calibration is good, fair or poor, and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+LEVELS = ("good", "fair", "poor")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What a check measures, and where good and fair end.
+
+    Attributes
+    ----------
+    name, label, unit : of the figure
+    good, fair : good and fair up to here; from here on where `rising`
+    rising : a larger figure is better
+    action : what to do where it is not good
+    """
+
+    name: str
+    label: str
+    unit: str
+    good: float
+    fair: float
+    rising: bool
+    action: str
+
+
+LIMITS = (
+    Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
+          "Look at the rejected presses: their reasons say what to press or to write down differently."),
+    Limit("presses_used", "presses used", "", 30, 10, True,
+          "Press the ball at more places: 30 presses or more, the ones marked 1, 2, 3 first."),
+    Limit("normal_free_deg", "normals, held out", "°", 3, 5, False,
+          "Press at the places marked 1, 2, 3; check that exposure and light did not change, and look for cast shadows."),
+    Limit("radius_percent", "ball's radius, held out", "%", 3, 6, False,
+          "Check ball_diameter_mm and mm_per_px, and add presses of a second ball of another size."),
+    Limit("covered_percent", "places and slope directions seen", "%", 80, 60, True,
+          "Press at the places marked 1, 2, 3: there the gel has not yet been seen from all sides."),
+    Limit("gain_percent", "slope gain off 1, at worst", "%", 5, 12, False,
+          "Press a little deeper, or a smaller ball too: such slopes have been seen too seldom to be read right."),
+    Limit("cap_free_um", "depth in the contact, held out", "µm", 20, 40, False,
+          "Press at the places marked 1, 2, 3, and look for a pattern in the depth pictures: dust, a shadow, a scratch."),
+    Limit("off_contact_um", "depth off the contact, held out", "µm", 30, 80, False,
+          "Take a new background in the same minute as the presses, with exposure and white balance fixed."),
+    Limit("sigma_percent", "stated uncertainty off 68 %, at worst", "%", 10, 23, False,
+          "Press where the share is far off 68 %, first at the places marked 1, 2, 3; until then take it as rough."),
+    Limit("ball_sizes", "ball sizes", "", 2, 1, True,
+          "Add presses of a second ball of another size: one size alone cannot show a wrong slope scale."),
+    Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
+          "Measure mm_per_px on an object of known size and write it with mm_per_px_sigma into sensor.toml."),
+)  # fmt: skip
+HEADLINE = ("normal_free_deg", "radius_percent")
+
+
+def level_of(limit: Limit, value: float | None) -> str:
+    """good, fair or poor; what is not known is fair."""
+    if value is None or not math.isfinite(value):
+        return "fair"
+    sign = -1 if limit.rising else 1
+    if sign * value <= sign * limit.good:
+        return "good"
+    return "fair" if sign * value <= sign * limit.fair else "poor"
+
+
+def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
+    """Every check with its figure, its level and its limits, causes before their effects."""
+    return [
+        {
+            **asdict(limit),
+            "value": figures.get(limit.name),
+            "level": level_of(limit, figures.get(limit.name)),
+        }
+        for limit in LIMITS
+    ]
+
+
+def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
+    """The headline: the worse of normals and radius in words, and one sentence on what to do next.
+
+    The next step is that of the first check that is not good: causes stand before their effects. Where all is
+    good, it is what keeps it so.
+    """
+    named = {check["name"]: check for check in checks}
+    level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
+    first = next((check for check in checks if check["level"] != "good"), None)
+    done = "Use it. Calibrate again after a new gel, another light or another camera setting."
+    figures = (
+        f"normals {named['normal_free_deg']['value']:.1f}°, radius {named['radius_percent']['value']:.1f} %"
+    )
+    return {
+        "level": level,
+        "headline": f"{level.capitalize()}: {figures}, held out",
+        "next": first["action"] if first else done,
+        "because": f"{first['label']}: {shown(first)}, {first['level']}" if first else None,
+        "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
+        "learning": learning_sentence,
+    }
+
+
+def shown(check: dict[str, Any]) -> str:
+    """A check's figure with its unit."""
+    return (
+        "not known"
+        if check["value"] is None
+        else f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()
+    )
