@@ -59,7 +59,8 @@ def test_one_model_can_be_asked_for(presses, model):
 
 def test_same_folder_same_calibration(presses, calibration):
     again = gelform.calibrate(presses)
-    np.testing.assert_array_equal(again.color_model.coefficients, calibration.color_model.coefficients)
+    first, second = (replace(c, created_utc="").digest for c in (calibration, again))
+    assert first == second
 
 
 def test_progress_is_reported_in_words(presses):

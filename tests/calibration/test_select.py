@@ -8,14 +8,18 @@ from gelform.calibration.folds import make_folds, size_folds
 from gelform.calibration.ladder import Candidate, candidates_for
 from gelform.calibration.presses import find_contact
 from gelform.calibration.select import (
+    SELECTION_SAMPLES,
     PressScore,
     Trial,
+    not_out_of_reach,
     press_score,
     select,
     simplest_within_one_error,
     try_candidate,
+    with_pairs,
     zone_within_one_error,
 )
+from gelform.color_models import COLOR_MODELS
 
 
 @pytest.fixture(scope="module")
@@ -73,15 +77,18 @@ def test_two_folds_left_out(folds):
 
 def test_scores_are_those_of_models_that_have_not_seen_the_press(folds, sizes, prepared, found):
     candidate = Candidate("polynomial", 0.8, (("position_degrees", (2, 1)),))
-    trial = try_candidate(candidate, {10.0: prepared}, found, folds, sizes, pairs=True)
-    model = candidate.fit([prepared[i] for i in folds[0].training], folds[0].contacts, total=8_000)
+    trial = try_candidate(candidate, {10.0: prepared}, found, folds, sizes)
+    trial = with_pairs(trial, {10.0: prepared}, found, folds)
+    model = candidate.fit(
+        [prepared[i] for i in folds[0].training], folds[0].contacts, total=SELECTION_SAMPLES
+    )
     for i in folds[0].held_out:
         assert trial.by_fold[i] == press_score(prepared[i], found[i], model)
     assert set(trial.by_fold) == set(trial.by_size) == set(range(len(prepared)))
     for f, fold in enumerate(folds):
         assert set(trial.by_pair[f]) == set(range(len(prepared))) - set(fold.held_out)
     pair = folds[2].without(folds[0].held_out)
-    model = candidate.fit([prepared[i] for i in pair.training], pair.contacts, total=8_000)
+    model = candidate.fit([prepared[i] for i in pair.training], pair.contacts, total=SELECTION_SAMPLES)
     for i in folds[0].held_out:
         assert trial.by_pair[2][i] == press_score(prepared[i], found[i], model)
 
@@ -92,7 +99,7 @@ def test_a_model_that_saw_the_press_flatters_itself(folds, prepared, found):
     fold = folds[0]
     model = candidate.fit([prepared[i] for i in fold.training], fold.contacts)
     seen = np.median([press_score(prepared[i], found[i], model).normal_deg for i in fold.training])
-    trial = try_candidate(candidate, {10.0: prepared}, found, folds, [], pairs=False)
+    trial = try_candidate(candidate, {10.0: prepared}, found, folds, [])
     assert seen < np.median([score.normal_deg for score in trial.by_fold.values()])
 
 
@@ -180,13 +187,24 @@ def test_folds_choose_without_their_own_presses(prepared, found, folds, sizes):
     assert selection.chosen in [trial.candidate for trial in selection.trials]
 
 
+def test_what_is_far_behind_is_not_tried_further():
+    noise = np.tile([-0.3, 0.3], 10)
+    best, near = made_up("best", lambda i: 1.0 + noise[i]), made_up("near", lambda i: 1.05)
+    far = made_up("far", lambda i: 2.0 + noise[i])
+    assert [t.candidate.model for t in not_out_of_reach([far, near, best])] == ["near", "best"]
+    lucky = made_up("lucky", lambda i: 0.1 if i % 5 == 0 else 3.0)
+    assert lucky not in not_out_of_reach([lucky, best], without=[0, 5, 10, 15])
+
+
 def test_few_presses_try_few_terms():
-    assert [c.describe() for c in candidates_for("auto", 6)] == [
+    few = [c.describe() for c in candidates_for("auto", 6)]
+    assert few == [
         "lambertian, zone 0.8",
         "polynomial 1, zone 0.8",
-        "polynomial 2-1, zone 0.8",
         "hierarchical ridge 0.001, zone 0.8",
         "hierarchical ridge 0.0003, zone 0.8",
-        "hierarchical ridge 0.0001, zone 0.8",
     ]
     assert candidates_for("polynomial", 40)[-1].describe() == "polynomial 5-4-3, zone 0.8"
+    assert {c.model for c in candidates_for("auto", 60)} == set(COLOR_MODELS) - {"mlp"}
+    for name in COLOR_MODELS:
+        assert candidates_for(name, 12)

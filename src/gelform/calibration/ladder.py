@@ -13,6 +13,10 @@ from gelform.color_models import COLOR_MODELS, ColorModel, Samples
 ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
 DEFAULT_ZONE = 0.8
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
+ENOUGH = 18  # presses
+MANY = 30
+RIDGES = (3e-4, 1e-4)
+FEW_RIDGES = (1e-3, 3e-4)
 
 
 @dataclass(frozen=True)
@@ -62,23 +66,37 @@ class Candidate:
 
 
 def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried, simplest first, at the default zone."""
+    """What is tried, simplest first, at the default zone.
+
+    "auto" leaves the polynomials between the plainest and the largest to `hierarchical`, which is stiff where they
+    have few terms; models that no sensor has chosen yet are tried where there are presses enough to tell. `mlp`
+    is tried only by name: it needs torch, and a result must not depend on what else is installed.
+    """
     polynomials = [
         Candidate("polynomial", DEFAULT_ZONE, (("position_degrees", degrees),))
         for degrees, needed in DEGREES
         if presses >= needed
     ]
+    ridges = RIDGES if presses >= ENOUGH else FEW_RIDGES
     known: dict[str, list[Candidate]] = {
         "lambertian": [Candidate("lambertian", DEFAULT_ZONE)],
-        "polynomial": polynomials,
         "near_light": [Candidate("near_light", DEFAULT_ZONE)],
+        "polynomial": polynomials,
+        "hierarchical": [Candidate("hierarchical", DEFAULT_ZONE, (("ridge", r),)) for r in ridges],
         "interpolation": [Candidate("interpolation", DEFAULT_ZONE)],
-        "hierarchical": [
-            Candidate("hierarchical", DEFAULT_ZONE, (("ridge", r),)) for r in (1e-3, 3e-4, 1e-4)
-        ],
+        "lookup": [Candidate("lookup", DEFAULT_ZONE)],
+        "mlp": [Candidate("mlp", DEFAULT_ZONE)],
     }
     if color_model == "auto":
-        return known["lambertian"] + polynomials + known["hierarchical"]
+        others = known["near_light"] if presses >= MANY else []
+        dear = known["lookup"] + known["interpolation"] if presses >= MANY else []
+        largest = polynomials[-1:] if presses >= ENOUGH else []
+        return known["lambertian"] + others + polynomials[:1] + known["hierarchical"] + largest + dear
     if color_model not in known:
         raise ValueError(f"Expected color_model among auto, {', '.join(known)}, got {color_model!r}.")
     return known[color_model]
+
+
+def zone_judge(presses: int) -> Candidate:
+    """What the training zone is judged by: quick to fit, and fine enough to see the rim."""
+    return candidates_for("polynomial", min(presses, ENOUGH))[-1]

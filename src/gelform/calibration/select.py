@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.folds import Fold
-from gelform.calibration.ladder import DEFAULT_ZONE, ZONES, Candidate
+from gelform.calibration.ladder import DEFAULT_ZONE, ZONES, Candidate, zone_judge
 from gelform.calibration.presses import Contact, scale_of
 from gelform.calibration.samples import PreparedPress
 from gelform.color_models import ColorModel
@@ -33,7 +33,7 @@ from gelform.progress import Progress, no_progress
 INSET_PX = 3.0  # of the contact's rim, at 240 rows: as `metrics.press_errors` has it
 SCORED_PIXELS = 500
 PATCH = 24  # samples across the contact that are integrated to score the depth
-SELECTION_SAMPLES = 8_000
+SELECTION_SAMPLES = 5_000
 SIZE_FACTOR = 1.5  # worse by size than the others, each measured by itself: it has learnt the ball
 MIN_FOLDS = 4
 
@@ -121,7 +121,7 @@ def select(
     *,
     progress: Progress = no_progress,
 ) -> Selection:
-    """The training zone, judged by the last candidate, then the candidate.
+    """The training zone, judged by a polynomial, then the candidate.
 
     Parameters
     ----------
@@ -130,20 +130,24 @@ def select(
     found : the circles found in single images
     folds, sizes : from `make_folds` and `size_folds`
     """
-    known: dict[tuple[Candidate, bool], Trial] = {}
+    known: dict[Candidate, Trial] = {}
     expected = len(ZONES) + len(candidates)
 
     def tried(candidate: Candidate, pairs: bool) -> Trial:
-        if (candidate, pairs) not in known:
-            known[candidate, pairs] = try_candidate(candidate, presses, found, folds, sizes, pairs=pairs)
+        if candidate not in known:
+            known[candidate] = try_candidate(candidate, presses, found, folds, sizes)
             progress(len(known), max(expected, len(known)), f"trying {candidate.describe()}")
-        return known[candidate, pairs]
+        if pairs and not known[candidate].by_pair:
+            known[candidate] = with_pairs(known[candidate], presses, found, folds)
+        return known[candidate]
 
-    zoned = [tried(replace(candidates[-1], zone=zone), pairs=False) for zone in ZONES]
+    judge = zone_judge(min(len(fold.training) for fold in folds))
+    zoned = [tried(replace(judge, zone=zone), pairs=False) for zone in ZONES]
 
     def ladder(without: Sequence[int] = ()) -> list[Trial]:
         zone = zone_within_one_error(zoned, without)
-        return [tried(replace(c, zone=zone), pairs=True) for c in candidates]
+        once = [tried(replace(c, zone=zone), pairs=False) for c in candidates]
+        return [tried(trial.candidate, pairs=True) for trial in not_out_of_reach(once, without)]
 
     steps = ladder()
     chosen = simplest_within_one_error(steps, [t.expected_losses() for t in steps])
@@ -152,10 +156,16 @@ def select(
         steps_without = ladder(fold.held_out)
         losses = [t.losses_without(f) for t in steps_without]
         by_fold.append(simplest_within_one_error(steps_without, losses, f) if losses[0].size else chosen)
-    others = [t for (c, pairs), t in known.items() if not pairs and (c, True) not in known]
-    return Selection(
-        chosen, tuple(by_fold), tuple(t for (_, pairs), t in known.items() if pairs) + tuple(others)
-    )
+    return Selection(chosen, tuple(by_fold), tuple(known.values()))
+
+
+def not_out_of_reach(ladder: Sequence[Trial], without: Sequence[int] = ()) -> list[Trial]:
+    """The trials within two standard errors of the best on folds: what pairs of folds are then fitted for."""
+    losses = [
+        np.array([score.cap_px for i, score in sorted(t.by_fold.items()) if i not in without]) for t in ladder
+    ]
+    best = min(losses, key=lambda loss: float(loss.mean()))
+    return [t for t, loss in zip(ladder, losses) if (loss - best).mean() <= 2 * standard_error(loss - best)]
 
 
 def zone_within_one_error(zoned: Sequence[Trial], without: Sequence[int] = ()) -> float:
@@ -195,30 +205,38 @@ def try_candidate(
     found: Sequence[Contact],
     folds: Sequence[Fold],
     sizes: Sequence[Fold],
-    *,
-    pairs: bool,
 ) -> Trial:
-    """Fit a candidate on every fold, every size that can be left out, and pairs of folds; score what was left out."""
+    """Fit a candidate on every fold and every size that can be left out; score what was left out."""
     suited = presses[candidate.change_offset]
-
-    def scores(some: Sequence[Fold]) -> dict[int, PressScore]:
-        left_out = {}
-        for fold in some:
-            if fold.training:
-                training = [suited[i] for i in fold.training]
-                model = candidate.fit(training, fold.contacts, total=SELECTION_SAMPLES)
-                left_out.update({i: press_score(suited[i], found[i], model) for i in fold.held_out})
-        return left_out
-
-    by_pair = (
-        {}
-        if not pairs
-        else {
-            f: scores([fold.without(other.held_out) for g, other in enumerate(folds) if g != f])
-            for f, fold in enumerate(folds)
-        }
+    return Trial(
+        candidate, _scores(candidate, suited, found, folds), _scores(candidate, suited, found, sizes), {}
     )
-    return Trial(candidate, scores(folds), scores(sizes), by_pair)
+
+
+def with_pairs(trial: Trial, presses: Presses, found: Sequence[Contact], folds: Sequence[Fold]) -> Trial:
+    """The trial with its scores where two folds are left out."""
+    suited = presses[trial.candidate.change_offset]
+    by_pair = {
+        f: _scores(
+            trial.candidate,
+            suited,
+            found,
+            [fold.without(other.held_out) for g, other in enumerate(folds) if g != f],
+        )
+        for f, fold in enumerate(folds)
+    }
+    return replace(trial, by_pair=by_pair)
+
+
+def _scores(
+    candidate: Candidate, presses: Sequence[PreparedPress], found: Sequence[Contact], folds: Sequence[Fold]
+) -> dict[int, PressScore]:
+    left_out: dict[int, PressScore] = {}
+    for fold in folds:
+        if fold.training:
+            model = candidate.fit([presses[i] for i in fold.training], fold.contacts, total=SELECTION_SAMPLES)
+            left_out.update({i: press_score(presses[i], found[i], model) for i in fold.held_out})
+    return left_out
 
 
 def press_score(press: PreparedPress, found: Contact, model: ColorModel) -> PressScore:

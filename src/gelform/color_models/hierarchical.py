@@ -67,15 +67,18 @@ class HierarchicalModel:
             )
         samples = _thinned(samples)
         terms = monomials(3, len(position_degrees))
-        places, penalties = zip(
-            *(_places(len(t), position_degrees, samples.shape, samples.background) for t in terms)
-        )
+        orders = [
+            _places(order, position_degrees, samples.shape, samples.background)
+            for order in range(1, len(position_degrees) + 1)
+        ]
+        places, penalties = zip(*(orders[len(term) - 1] for term in terms))
         change = np.asarray(samples.color_change, dtype=np.float64)
         scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
         at = _interpolation(samples.x_px, samples.y_px, samples.shape)
         products = _products(change / scale, terms)
+        there = [_at_pixels(place, *at) for place, _ in orders]
         design = np.concatenate(
-            [_at_pixels(place, *at) * product[:, None] for place, product in zip(places, products)], axis=1
+            [there[len(term) - 1] * product[:, None] for term, product in zip(terms, products)], axis=1
         )
         found = penalised_huber(
             design, samples.gradients, samples.weight, ridge * np.concatenate(penalties), huber=HUBER_SLOPE

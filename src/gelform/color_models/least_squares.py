@@ -97,10 +97,13 @@ def penalised_huber(
     Reweighted by Huber's loss of the residual's length; the columns are taken as they are.
     """
     prior = np.diag(penalties * float(weight.sum()))
+    columns = np.asarray(design, dtype=np.float32)  # sums of squares; the ridge is far above their rounding
     current = weight
     for _ in range(rounds):
-        weighted = design * current[:, None]
-        coefficients = np.linalg.solve(weighted.T @ design + prior, weighted.T @ target)
-        residual = np.linalg.norm(design @ coefficients - target, axis=1)
+        root = np.sqrt(current).astype(np.float32)[:, None]
+        scaled = columns * root
+        normal = (scaled.T @ scaled).astype(np.float64)  # of an array with itself: half the work
+        coefficients = np.linalg.solve(normal + prior, scaled.T @ (root * target))
+        residual = np.linalg.norm(columns @ coefficients.astype(np.float32) - target, axis=1)
         current = weight * np.minimum(1, huber / np.maximum(residual, 1e-12))
     return np.asarray(coefficients, dtype=np.float64)
