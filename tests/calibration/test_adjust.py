@@ -26,15 +26,17 @@ def presses_of(sensor, tmp_path, count=10):
     return made, gelform.read_presses(tmp_path / "presses")
 
 
-def test_linear_light_is_better_for_lambertian(tmp_path):
-    """Far lights, a camera of gamma 2.2: with its response in sensor.toml the held-out error falls."""
+def test_a_known_response_is_undone(tmp_path):
+    """Far lights, a camera of gamma 2.2: told, `lambertian` sees linear light; not told, it finds that out."""
     far = replace(LAYOUTS["ring-120"], shape=(120, 160), mm_per_px=0.1268)
     coded = exposed(replace(far, optics=Optics(response_gamma=GAMMA)), 110)
     _, presses = presses_of(coded, tmp_path)
     known = replace(presses, response=1 / GAMMA)
     plain, linear = (gelform.calibrate(one, color_model="lambertian") for one in (presses, known))
     assert linear.change.response == pytest.approx(1 / GAMMA)
-    assert linear.held_out["normal_free_deg"] < 0.8 * plain.held_out["normal_free_deg"]
+    assert linear.color_model.response == pytest.approx(1, abs=0.15)
+    assert plain.color_model.response == pytest.approx(1 / GAMMA, abs=0.2)
+    assert linear.held_out["normal_free_deg"] < 1.2 * plain.held_out["normal_free_deg"] < 3.5
     assert any("is undone before the color model" in note for note in linear.report.notes)
     linear.save(tmp_path / "cal.npz")
     again = gelform.load_calibration(tmp_path / "cal.npz")

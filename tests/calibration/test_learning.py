@@ -14,6 +14,7 @@ from gelform.calibration.learning import (
     learning_curve,
     sizes_for,
 )
+from gelform.color_models import PolynomialModel
 
 
 @pytest.mark.parametrize(("floor", "slope"), [(4.0, 100.0), (0.0, 50.0), (6.25, 0.0)])
@@ -96,8 +97,14 @@ def test_too_few_presses_have_no_curve(presses, calibration):
 
 
 def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
-    chosen = {key: calibration.settings[key] for key in calibration.settings if key == "position_degrees"}
-    many = candidates_of(calibration, 10_000)
-    assert len(many) == 1
-    assert dict(many[0].settings) == chosen
+    (chosen,) = candidates_of(calibration, 10_000)
+    assert chosen.settings
+    assert dict(chosen.settings).items() <= calibration.settings.items()
+    polynomial = replace(
+        calibration,
+        color_model=PolynomialModel(np.zeros((9, 2)), (2, 1), (8, 8)),
+        settings={"zone": 0.8, "position_degrees": (2, 1)},
+    )
+    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20)] == [(1,), (2, 1)]
+    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40)] == [(2, 1)]
     assert {c.zone for c in candidates_of(calibration, 6)} == {calibration.settings["zone"]}

@@ -21,7 +21,7 @@ from gelform.calibration.folder import Presses
 from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.inputs import check_inputs, input_notes
-from gelform.calibration.ladder import Candidate, candidates_for
+from gelform.calibration.ladder import DEFAULT_ZONE, ZONES, Candidate, Start, candidates_for, candidates_from
 from gelform.calibration.marked import change_without_markers
 from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.refine import Refined, refine
@@ -30,7 +30,7 @@ from gelform.calibration.residuals import HeldOutSample, held_out_sample
 from gelform.calibration.samples import PreparedPress
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
-from gelform.color_models import COLOR_MODELS, ColorModel
+from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
@@ -47,7 +47,11 @@ FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clea
 
 
 def calibrate(
-    presses: Presses, *, color_model: str = "auto", progress: Progress = no_progress
+    presses: Presses,
+    *,
+    color_model: str = "auto",
+    start: Calibration | None = None,
+    progress: Progress = no_progress,
 ) -> Calibration:
     """Calibrate a sensor from presses of a ball.
 
@@ -58,6 +62,8 @@ def calibrate(
     ----------
     presses : from `read_presses`
     color_model : "auto" or a name in `gelform.color_models.COLOR_MODELS`
+    start : the calibration of another unit of the same sensor, color model `hierarchical`
+        What it learnt is kept where these presses say nothing else: five of them can do.
     progress : called with (done, total, what)
 
     Returns
@@ -70,20 +76,25 @@ def calibrate(
     CalibrationError
         Too few presses fit: the message says why each was rejected.
     ValueError
-        An unknown color model.
+        An unknown color model, or a start that cannot be one.
     """
     started = time.monotonic()
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     check_inputs(presses)
     prepared = prepare(presses, COLOR_MODELS["polynomial"].change_offset, progress=progress)
     found = [find_contact_of(press, progress, i, len(prepared)) for i, press in enumerate(prepared)]
-    refined, folds = _refined_and_folded(prepared, found, progress)
+    begin = None if start is None else start_from(start, presses, color_model)
+    refined, folds = _refined_and_folded(prepared, found, begin, progress)
     _check_enough(presses, refined)
+    zones: Sequence[float] = ZONES
     candidates = candidates_for(color_model, len(folds[0].training))
+    if start is not None and begin is not None:
+        zones = (start.settings.get("zone", DEFAULT_ZONE),)
+        candidates = candidates_from(begin, zones[0])
     by_offset = _by_offset(presses, prepared, candidates)
     sizes = size_folds(prepared, found, refined.accepted, progress=progress)
     able = _able(candidates, by_offset)
-    selection = select(able, by_offset, found, folds, sizes, progress=progress)
+    selection = select(able, by_offset, found, folds, sizes, zones=zones, progress=progress)
     draft = _draft(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
     errors, sigma, samples = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
@@ -126,16 +137,36 @@ def find_contact_of(press: PreparedPress, progress: Progress, index: int, count:
     return contact
 
 
+def start_from(start: Calibration, presses: Presses, color_model: str) -> Start:
+    """What a first unit's calibration gives a second one to begin with.
+
+    Raises
+    ------
+    ValueError
+        Its color model is none that can be started from, or its images are of another size.
+    """
+    model = start.color_model
+    if not isinstance(model, HierarchicalModel) or color_model not in ("auto", "hierarchical"):
+        wanted = color_model if isinstance(model, HierarchicalModel) else model.name
+        raise ValueError(
+            f"Expected a start with the color model hierarchical, which can be drawn to another, got {wanted}. "
+            "Calibrate the first unit with --model hierarchical."
+        )
+    model.check_like(model.degree, presses.image_shape)
+    return Start(model, start.digest)
+
+
 def _refined_and_folded(
-    prepared: list[PreparedPress], found: Sequence[Contact], progress: Progress
+    prepared: list[PreparedPress], found: Sequence[Contact], begin: Start | None, progress: Progress
 ) -> tuple[Refined, list[Fold]]:
     """Circles of the presses that fit, and the folds; what the folds contradict is left out of both."""
-    refined = refine(prepared, found, progress=progress)
-    folds = make_folds(prepared, found, refined.accepted, progress=progress)
+    model = None if begin is None else begin.model
+    refined = refine(prepared, found, start=model, progress=progress)
+    folds = make_folds(prepared, found, refined.accepted, start=model, progress=progress)
     odd = unlike_the_others(prepared, found, folds)
     if odd:
-        refined = refine(prepared, found, excluded=odd, progress=progress)
-        folds = make_folds(prepared, found, refined.accepted, progress=progress)
+        refined = refine(prepared, found, excluded=odd, start=model, progress=progress)
+        folds = make_folds(prepared, found, refined.accepted, start=model, progress=progress)
     return refined, folds
 
 
@@ -210,6 +241,7 @@ def _draft(
         settings={
             "zone": chosen.zone,
             **dict(chosen.settings),
+            **({} if chosen.start is None else {"start": chosen.start.digest}),
             "presses": len(used),
             "response": presses.response,
             **presses.geometry.settings(),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from gelform.calibration.presses import Contact
 from gelform.calibration.refine import agreement, fit_model, misfit_reasons, recentered, refine
 from gelform.calibration.samples import PreparedPress
+from gelform.color_models import HierarchicalModel
 from gelform.progress import Progress, no_progress
 
 FOLDS = 5
@@ -43,6 +44,7 @@ def make_folds(
     found: Sequence[Contact],
     usable: Sequence[int],
     *,
+    start: HierarchicalModel | None = None,
     progress: Progress = no_progress,
 ) -> list[Fold]:
     """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles."""
@@ -51,7 +53,7 @@ def make_folds(
     folds = []
     for f in range(count):
         held_out = tuple(i for k, i in enumerate(ordered) if k % count == f)
-        folds.append(_fold(presses, found, held_out, [i for i in ordered if i not in held_out]))
+        folds.append(_fold(presses, found, held_out, [i for i in ordered if i not in held_out], start))
         progress(f + 1, count, "holding presses out")
     return folds
 
@@ -84,8 +86,9 @@ def _fold(
     found: Sequence[Contact],
     held_out: tuple[int, ...],
     training: Sequence[int],
+    start: HierarchicalModel | None = None,
 ) -> Fold:
-    refined = refine([presses[i] for i in training], [found[i] for i in training])
+    refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
     return Fold(
         held_out=held_out,

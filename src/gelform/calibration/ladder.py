@@ -8,7 +8,7 @@ from typing import Any
 
 from gelform.calibration.presses import Contact
 from gelform.calibration.samples import TOTAL_SAMPLES, PreparedPress, contact_samples, with_rest_samples
-from gelform.color_models import COLOR_MODELS, ColorModel, Samples
+from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel, Samples
 
 ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
 DEFAULT_ZONE = 0.8
@@ -17,15 +17,25 @@ ENOUGH = 18  # presses
 MANY = 30
 RIDGES = (3e-4, 1e-4)
 FEW_RIDGES = (1e-3, 3e-4)
+START_RIDGES = (1e-1, 1e-2, 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What another unit of the same sensor taught: where the fit begins; equal to itself alone."""
+
+    model: HierarchicalModel
+    digest: str
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A color model with its settings and the zone of the contact radius that it trains on."""
+    """A color model with its settings, the zone of the contact radius that it trains on, and what it starts from."""
 
     model: str
     zone: float
     settings: tuple[tuple[str, Any], ...] = ()
+    start: Start | None = None
 
     @property
     def change_offset(self) -> float:
@@ -44,7 +54,8 @@ class Candidate:
 
     def fit_samples(self, samples: Samples) -> ColorModel:
         """The model, fitted on samples."""
-        model: ColorModel = COLOR_MODELS[self.model].fit(samples, **dict(self.settings))
+        start = {} if self.start is None else {"start": self.start.model}
+        model: ColorModel = COLOR_MODELS[self.model].fit(samples, **dict(self.settings), **start)
         return model
 
     def samples(
@@ -95,6 +106,11 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     if color_model not in known:
         raise ValueError(f"Expected color_model among auto, {', '.join(known)}, got {color_model!r}.")
     return known[color_model]
+
+
+def candidates_from(start: Start, zone: float) -> list[Candidate]:
+    """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
+    return [Candidate("hierarchical", zone, (("ridge", ridge),), start) for ridge in START_RIDGES]
 
 
 def zone_judge(presses: int) -> Candidate:

@@ -91,9 +91,11 @@ def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
     """The chosen color model with settings that so many presses can carry, simplest first."""
     zone = calibration.settings["zone"]
     options = [replace(c, zone=zone) for c in candidates_for(calibration.color_model.name, presses)]
-    chosen = [k for k, c in enumerate(options) if dict(c.settings).items() <= calibration.settings.items()]
-    known = options[: chosen[-1] + 1] if chosen else options
-    return known if presses < MANY else known[-1:]
+    own = tuple((key, calibration.settings[key]) for key, _ in options[0].settings)
+    chosen = Candidate(calibration.color_model.name, zone, own)
+    if presses >= MANY:
+        return [chosen]
+    return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
 
 
 def _one_draw(

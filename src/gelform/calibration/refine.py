@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.presses import Contact, moved, scale_of, why_no_contact
 from gelform.calibration.samples import PreparedPress, contact_samples, with_rest_samples
-from gelform.color_models import ColorModel, PolynomialModel
+from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel
 from gelform.metrics import STEEPEST_FRACTION, ball_center
 from gelform.progress import Progress, no_progress
 
@@ -27,6 +27,7 @@ REFINING_SAMPLES = 15_000
 MAX_MOVE_PX = 8.0
 MAX_RESIDUAL = 0.25
 RESIDUAL_OVER_MEDIAN = 3.0
+START_RIDGE = 1e-2
 GAIN_RANGE = (0.7, 1.45)
 
 
@@ -38,12 +39,12 @@ class Refined:
     ----------
     contacts : one per press, refined where it was accepted, as found where not
     reasons : why a press was rejected, or None
-    model : the polynomial that refined them
+    model : what refined them
     """
 
     contacts: tuple[Contact, ...]
     reasons: tuple[str | None, ...]
-    model: PolynomialModel | None
+    model: ColorModel | None
 
     @property
     def accepted(self) -> list[int]:
@@ -63,6 +64,7 @@ def refine(
     found: Sequence[Contact],
     *,
     excluded: Mapping[int, str] | None = None,
+    start: HierarchicalModel | None = None,
     progress: Progress = no_progress,
 ) -> Refined:
     """Move each circle to agree with a color model fitted on all of them; reject the presses that do not.
@@ -71,6 +73,7 @@ def refine(
     ----------
     presses, found : what was pressed and the circle found in each image
     excluded : presses that are rejected already, with the reason
+    start : what another unit of the same sensor taught
     """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     for i, reason in (excluded or {}).items():
@@ -78,9 +81,9 @@ def refine(
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
     whole = [i for i in candidates if _is_whole(presses[i], found[i])]
     contacts, fit_on = list(found), whole if len(whole) >= MIN_WHOLE else candidates
-    model: PolynomialModel | None = None
+    model: ColorModel | None = None
     for round_ in range(ROUNDS if len(candidates) > 1 else 0):
-        model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on])
+        model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
         for i in candidates:
             contacts[i] = recentered(presses[i], contacts[i], found[i], model)
         misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
@@ -104,10 +107,16 @@ def _is_whole(press: PreparedPress, contact: Contact) -> bool:
     return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
 
 
-def fit_model(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> PolynomialModel:
-    """The polynomial that circles are refined with."""
+def fit_model(
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[Contact],
+    start: HierarchicalModel | None = None,
+) -> ColorModel:
+    """What circles are refined with: a polynomial, or a start that is followed closely."""
     samples = contact_samples(presses, contacts, REFINING_ZONE, total=REFINING_SAMPLES)
     samples = with_rest_samples(samples, presses, contacts)
+    if start is not None:
+        return HierarchicalModel.fit(samples, ridge=START_RIDGE, start=start)
     return PolynomialModel.fit(samples, position_degrees=refining_degrees(len(presses)))
 
 

@@ -119,6 +119,7 @@ def select(
     folds: Sequence[Fold],
     sizes: Sequence[Fold],
     *,
+    zones: Sequence[float] = ZONES,
     progress: Progress = no_progress,
 ) -> Selection:
     """The training zone, judged by a polynomial, then the candidate.
@@ -129,9 +130,10 @@ def select(
     presses : prepared, by the `change_offset` that the candidates want
     found : the circles found in single images
     folds, sizes : from `make_folds` and `size_folds`
+    zones : what to choose the zone among; a single one is taken as it is
     """
     known: dict[Candidate, Trial] = {}
-    expected = len(ZONES) + len(candidates)
+    expected = len(zones) + len(candidates)
 
     def tried(candidate: Candidate, pairs: bool) -> Trial:
         if candidate not in known:
@@ -142,10 +144,10 @@ def select(
         return known[candidate]
 
     judge = zone_judge(min(len(fold.training) for fold in folds))
-    zoned = [tried(replace(judge, zone=zone), pairs=False) for zone in ZONES]
+    zoned = [tried(replace(judge, zone=zone), pairs=False) for zone in zones] if len(zones) > 1 else []
 
     def ladder(without: Sequence[int] = ()) -> list[Trial]:
-        zone = zone_within_one_error(zoned, without)
+        zone = zone_within_one_error(zoned, without) if zoned else zones[0]
         once = [tried(replace(c, zone=zone), pairs=False) for c in candidates]
         return [tried(trial.candidate, pairs=True) for trial in not_out_of_reach(once, without)]
 

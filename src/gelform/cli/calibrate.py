@@ -57,6 +57,12 @@ def calibrate(
         Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
     ],
     model: Annotated[str, typer.Option(help="Color model: auto, lambertian or polynomial.")] = "auto",
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CAL.npz", help="Calibration of another unit of this sensor to begin with: 5 presses do."
+        ),
+    ] = None,
     sensor: Sensor = None,
     mm_per_px: MmPerPx = None,
     ball_diameter_mm: BallDiameter = None,
@@ -93,6 +99,7 @@ def calibrate(
       gelform calibrate presses.avi -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
       gelform calibrate presses/ -o cal.npz --punch punch.png,5 --led-frames red.png green.png blue.png
+      gelform calibrate five_presses/ -o second.npz --start first.npz
       gelform calibrate presses/ -o cal.npz --lens-images grid.png --grid 9x6 --pitch-mm 1
     """
     _check_model(model)
@@ -104,6 +111,7 @@ def calibrate(
         raise typer.BadParameter("expected no other source of the scale beside it.", param_hint="--mm-per-px")
     from gelform.calibration.fit import calibrate as calibrate_presses
     from gelform.calibration.folder import read_presses
+    from gelform.record import load_calibration
 
     with progress_shown(quiet) as progress:
         warm(progress)
@@ -125,7 +133,8 @@ def calibrate(
             led_frames=led_frames,
             grid=lens,
         )
-        calibration = calibrate_presses(found, color_model=model, progress=progress)
+        first = None if start is None else load_calibration(start)
+        calibration = calibrate_presses(found, color_model=model, start=first, progress=progress)
         calibration.save(output, overwrite=overwrite)
         if report is not None:
             write_report(found, calibration, report, overwrite=overwrite, progress=progress)

@@ -50,7 +50,12 @@ class HierarchicalModel:
 
     @classmethod
     def fit(
-        cls, samples: Samples, *, position_degrees: tuple[int, ...] = (5, 4, 3), ridge: float = 3e-4
+        cls,
+        samples: Samples,
+        *,
+        position_degrees: tuple[int, ...] = (5, 4, 3),
+        ridge: float = 3e-4,
+        start: HierarchicalModel | None = None,
     ) -> HierarchicalModel:
         """Penalised Huber regression.
 
@@ -60,12 +65,17 @@ class HierarchicalModel:
         position_degrees : degree in (x, y) of the linear, quadratic, cubic colour terms; each may be large,
             since the ridge is 4 times stronger per degree in place and 3 times per degree in colour
         ridge : > 0, of a coefficient that is the same everywhere, relative to one sample
+        start : the model of another unit of the same sensor; the coefficients are drawn to its own instead of to 0
         """
         if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
             raise ValueError(
                 f"Expected position degrees >= 0 and ridge > 0, got {position_degrees} and {ridge}."
             )
         samples = _thinned(samples)
+        target = samples.gradients
+        if start is not None:
+            start.check_like(len(position_degrees), samples.shape)
+            target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
         terms = monomials(3, len(position_degrees))
         orders = [
             _places(order, position_degrees, samples.shape, samples.background)
@@ -81,11 +91,20 @@ class HierarchicalModel:
             [there[len(term) - 1] * product[:, None] for term, product in zip(terms, products)], axis=1
         )
         found = penalised_huber(
-            design, samples.gradients, samples.weight, ridge * np.concatenate(penalties), huber=HUBER_SLOPE
+            design, target, samples.weight, ridge * np.concatenate(penalties), huber=HUBER_SLOPE
         )
         split = np.split(found, np.cumsum([len(p) for p in penalties])[:-1])
-        nodes = [place @ own / scale ** len(term) for place, own, term in zip(places, split, terms)]
-        return cls(np.stack(nodes, axis=2), len(position_degrees), samples.shape)
+        own = [place @ found / scale ** len(term) for place, found, term in zip(places, split, terms)]
+        nodes = np.stack(own, axis=2)
+        return cls(nodes if start is None else nodes + start.nodes, len(position_degrees), samples.shape)
+
+    def check_like(self, degree: int, shape: tuple[int, int]) -> None:
+        """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
+        if (self.degree, tuple(self.shape)) != (degree, tuple(shape)):
+            raise ValueError(
+                f"Expected to start from a model of degree {degree} for images of {shape[0]}x{shape[1]} px, got one of "
+                f"degree {self.degree} for {self.shape[0]}x{self.shape[1]} px."
+            )
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
