@@ -89,7 +89,7 @@ class Bench:
     def errors(
         self, candidate: Candidate, training: list[int], contacts: list[Contact], test: list[int]
     ) -> dict[str, float]:
-        """The issue's figures of a model on the test presses, and the seconds of its fit."""
+        """The figures of a model on the test presses, and the seconds of its fit."""
         prepared = self.prepared[COLOR_MODELS[candidate.model].change_offset]
         used = [prepared[i] for i in training]
         start = time.perf_counter()

@@ -7,7 +7,7 @@ from gelform.anchor import REST_SIGMA_MM, RestAnchor
 from gelform.depth import depth_from_gradients
 from gelform.gradients import gradients_from_depth
 
-SHAPE, PITCH, CLEAN = (120, 160), 0.1, 0.03
+SHAPE, PITCH, CLEAN = (120, 160), 0.1, 0.05
 
 
 def plateau(height_mm: float, radius_px: float = 22.0):

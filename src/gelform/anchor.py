@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gelform.solvers.dct import DctSolver
 
 # Gel that looks untouched lies this close to its rest: beside a press it is drawn down a little.
-REST_SIGMA_MM = 0.07
+REST_SIGMA_MM = 0.1
 # What is farther from rest than this, by the coarse depth, was more likely pressed flat than has drifted.
 PRESSED_MM = 0.05
 COARSER = 4

@@ -16,6 +16,7 @@ SLOPE_BINS = 10
 PLACES = (3, 4)  # rows, columns
 ONE_SIGMA = 0.6827
 MIN_IN_BIN = 50
+GOOD = 0.95
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
 ROUNDS = 3
 TABLE = 64  # the law, tabulated for the frame's kernel
@@ -55,7 +56,8 @@ class SlopeSigma:
     slopes, sigmas : a law in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
-    clean : the value on a good pixel in contact: confidence is 1 up to it
+    clean : what 95 % of the pixels in contact stay under: confidence is 1 up to it, since errors that are alike over
+        many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : share of the variance that is correlated; the rest is white
     """
@@ -88,7 +90,7 @@ class SlopeSigma:
             law = _law(slopes, *np.array(knots).T)[:, None]
             place = _place_factors(held_out, error / law)
         rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA)) if held_out.rest.size else knots[0][1]
-        clean = float(np.sqrt(np.mean(law**2)))
+        clean = float(np.quantile(law * factor, GOOD))
         return cls(
             rest=max(rest, 1e-5),
             slopes=tuple(k[0] for k in knots),
