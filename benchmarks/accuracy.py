@@ -25,7 +25,7 @@ import gelform
 from gelform.background import ChangeSettings
 from gelform.calibration.folder import Presses
 from gelform.calibration.presses import find_contact, scale_of, why_no_contact
-from gelform.simulate import LAYOUTS, Ball, Coin, Screw, simulate_ball_presses, simulate_press
+from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
 from report import RESULTS, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene
 
@@ -232,26 +232,36 @@ def simulated() -> dict[str, Any]:
             )
             calibration = gelform.calibrate(gelform.read_presses(Path(folder) / "presses"))
         reconstruct = gelform.Reconstructor(calibration)
+        without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
         objects = {
             "ball": (Ball(3.0), 0.6, (0.0, 0.0)),
             "coin": (Coin(), 0.35, (0.0, 0.0)),
             "screw": (Screw(), 0.4, (0.0, 0.0)),
+            "flat punch": (Punch(6.0), 0.3, (0.0, 0.0)),
+            "flat punch, shallow": (Punch(6.0), 0.1, (-2.0, 1.0)),
             "ball cut by the border": (Ball(3.0), 0.6, (8.8, 0.0)),
         }
         figures[name] = {"held_out": calibration.held_out, "settings": calibration.settings}
         for what, (indenter, depth_mm, center) in objects.items():
             rng = np.random.default_rng(7)
             press = simulate_press(sensor, indenter, depth_mm=depth_mm, center_mm=center, rng=rng)
-            depth = reconstruct(press.image).depth_mm
-            error = 1e3 * (depth - press.depth_mm)
+            result = reconstruct(press.image)
+            error = 1e3 * (result.depth_mm - press.depth_mm)
+            plain = 1e3 * (without(press.image).depth_mm - press.depth_mm)
+            within = np.abs(error) < 1e3 * result.depth_sigma_mm
             found = {
                 "rmse_um": float(np.sqrt(np.mean(error**2))),
                 "contact_um": float(np.sqrt(np.mean(error[press.contact] ** 2))),
-                "peak_percent": float(100 * depth.max() / press.depth_mm.max()),
+                "peak_percent": float(100 * result.depth_mm.max() / press.depth_mm.max()),
+                "rmse_um_without_weights_and_anchor": float(np.sqrt(np.mean(plain**2))),
+                "contact_um_without": float(np.sqrt(np.mean(plain[press.contact] ** 2))),
+                "contact_within_sigma_percent": float(100 * within[press.contact].mean()),
             }
             figures[name][what] = found
             rows.append([name, what, *found.values()])
-    print("\n" + table(["simulated sensor", "object", "RMSE um", "in contact um", "peak %"], rows))
+    header = ["simulated sensor", "object", "RMSE um", "in contact um", "peak %"]
+    header += ["RMSE without weights, anchor", "in contact without", "contact within sigma %"]
+    print("\n" + table(header, rows))
     return figures
 
 
