@@ -140,3 +140,10 @@ def test_a_height_map_of_a_ball_is_a_ball():
     np.testing.assert_allclose(by_map.depth_mm, by_ball.depth_mm, atol=5e-3)
     inside = by_ball.depth_mm > 0.2
     np.testing.assert_allclose(by_map.gradients[inside], by_ball.gradients[inside], atol=5e-3)
+
+
+def test_a_coarse_guess_that_does_not_settle_stops_nothing():
+    """A coin's relief on the grid of half the resolution lets two contacts take turns; the fine grid settles."""
+    sensor = LAYOUTS["homemade"]
+    press = simulate_press(sensor, Coin(), depth_mm=0.35, rng=np.random.default_rng(7))
+    assert press.depth_mm.max() == pytest.approx(0.35, rel=1e-3)

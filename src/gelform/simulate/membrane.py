@@ -16,6 +16,7 @@ from gelform.errors import ConvergenceError
 TOLERANCE = 1e-5  # of the deepest point
 DRAG_TOLERANCE = 1e-3
 MAX_CYCLES = 100
+GUESS_CYCLES = 25
 SWEEPS = 2
 COARSEST_SWEEPS = 20
 BULGE_SAMPLES = 12  # samples per length on the grid on which the smooth bulge is computed
@@ -89,8 +90,13 @@ class _Level:
     spring: float
 
 
-def _solved(g: Map, relaxation_px: float, *, bulge: float, bulge_px: float) -> tuple[Map, Map]:
-    """Guess from the grid of half the resolution, then cycles until none changes anything that matters."""
+def _solved(
+    g: Map, relaxation_px: float, *, bulge: float, bulge_px: float, guess: bool = False
+) -> tuple[Map, Map]:
+    """Guess from the grid of half the resolution, then cycles until none changes anything that matters.
+
+    What is a guess itself may stop short of that: on a coarse relief two contacts can take turns for ever.
+    """
     u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)
     levels = _levels(g.shape, relaxation_px)
     top = levels[0]
@@ -98,7 +104,7 @@ def _solved(g: Map, relaxation_px: float, *, bulge: float, bulge_px: float) -> t
     top.u[1:-1, 1:-1] = np.maximum(u, top.g)
     target = TOLERANCE * max(float(g.max()), 1e-12)
     before, change = np.empty_like(top.u), np.inf
-    for _ in range(MAX_CYCLES):
+    for _ in range(GUESS_CYCLES if guess else MAX_CYCLES):
         before[:] = top.u
         _cycle(levels, 0)
         change = float(_largest_change(before, top.u))
@@ -109,6 +115,8 @@ def _solved(g: Map, relaxation_px: float, *, bulge: float, bulge_px: float) -> t
             np.maximum(g + b, 0, out=top.g)
         if change <= target:
             return np.maximum(top.u[1:-1, 1:-1], top.g), b
+    if guess:
+        return np.maximum(top.u[1:-1, 1:-1], top.g), b
     raise ConvergenceError(
         f"The gel's surface did not settle in {MAX_CYCLES} cycles (change {change:.3g}). "
         f"Its relaxation length is {relaxation_px:.3g} samples: simulate with another oversample."
@@ -162,7 +170,7 @@ def _coarse_guess(g: Map, relaxation_px: float, bulge: float, bulge_px: float) -
     height, width = g.shape
     even = np.pad(g, ((0, height % 2), (0, width % 2)), mode="edge")
     halved = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).max(axis=(1, 3))
-    coarse = _solved(halved, relaxation_px / 2, bulge=bulge, bulge_px=bulge_px / 2)
+    coarse = _solved(halved, relaxation_px / 2, bulge=bulge, bulge_px=bulge_px / 2, guess=True)
     fine = [cv2.resize(part, even.shape[::-1], interpolation=cv2.INTER_LINEAR) for part in coarse]
     return np.asarray(fine[0][:height, :width]), np.asarray(fine[1][:height, :width])
 
