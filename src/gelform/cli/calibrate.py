@@ -145,9 +145,18 @@ def calibrate(
 
 
 def write_report(
-    presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool, progress: Progress
+    presses: Presses,
+    calibration: Calibration,
+    folder: Path,
+    *,
+    overwrite: bool,
+    progress: Progress,
+    with_learning: bool = True,
 ) -> None:
-    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table."""
+    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table.
+
+    The learning curve calibrates a dozen times more; without it the page says less and comes sooner.
+    """
     import numpy as np
 
     from gelform.calibration.learning import learning_curve
@@ -156,7 +165,7 @@ def write_report(
     from gelform.npz_files import written_file
 
     rng = np.random.default_rng(REPORT_SEED)
-    learning = learning_curve(presses, calibration, rng=rng, progress=progress)
+    learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
     progress(0, 1, "drawing the report")
     content = report_content(presses, calibration, rng=rng, learning=learning)
     page = report_page(content, presses, calibration)

@@ -97,7 +97,8 @@ def _calibrated(folder: Path, progress: Progress) -> Calibration:
     presses = read_presses(folder / "presses", progress=progress)
     calibration = calibrate(presses, progress=progress)
     calibration.save(folder / "calibration.npz")
-    write_report(presses, calibration, folder / "report", overwrite=False, progress=progress)
+    where = folder / "report"
+    write_report(presses, calibration, where, overwrite=False, progress=progress, with_learning=False)
     return calibration
 
 
