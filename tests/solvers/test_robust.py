@@ -10,7 +10,7 @@ from gelform.solvers import RobustSolver, SparseSolver
 from gelform.solvers.edges import differences, edges_from_gradients
 from gelform.solvers.gated import confidence_from_curl
 from gelform.solvers.robust import LOSSES
-from scenes import BALL, PEAKS, SHAPE, polynomial, rmse_um, scene, with_liars, with_noise, with_patches
+from scenes import BALL, PEAKS, SHAPE, polynomial, rmse_um, scene, with_liars, with_noise
 
 ROBUST = ["robust", "robust_huber", "robust_l1"]
 QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
@@ -39,7 +39,7 @@ def test_lies_hurt_less_than_in_least_squares(solver, errors_um):
 
 
 def test_gate_beats_every_robust_loss_on_specks(errors_um):
-    assert errors_um["gated"] < 10
+    assert errors_um["gated"] < 8
     assert errors_um["gated"] < min(errors_um[name] for name in ROBUST)
 
 
@@ -48,15 +48,6 @@ def test_known_confidence_beats_the_gate():
     depth = depth_from_gradients(corrupted.gradients, mm_per_px=pitch, weights=corrupted.valid * 1.0)
     assert rmse_um(depth, truth, corrupted.valid) < 4.5
     assert rmse_um(depth, truth) < 8
-
-
-def test_coherent_patches_defeat_the_gate_more_than_the_loss():
-    truth, corrupted, pitch = lying(PEAKS, 0.15, corrupt=with_patches)
-    errors = [
-        rmse_um(depth_from_gradients(corrupted.gradients, mm_per_px=pitch, solver=name), truth)
-        for name in ("dct", "gated", "robust")
-    ]
-    assert errors[0] > errors[1] > errors[2]
 
 
 @pytest.mark.parametrize("solver", [*ROBUST, "gated"])
@@ -95,6 +86,15 @@ def test_gate_multiplies_given_weights():
     solution = integrate(corrupted.gradients, mm_per_px=pitch, weights=hidden, solver="gated")
     assert not solution.known[60:90, 100:140].any()
     assert rmse_um(solution.depth_mm, truth, hidden > 0) < 10
+
+
+def test_hidden_lies_cast_no_doubt_on_their_neighbours():
+    _, gradients, pitch = scene(PEAKS)
+    told = np.ones(SHAPE, dtype=bool)
+    told[60:90, 100:140] = False
+    gradients[~told] = 3
+    assert not confidence_from_curl(gradients, pitch)[59:91, 99:141].all()
+    assert confidence_from_curl(gradients, pitch, told).all()
 
 
 @pytest.mark.parametrize("loss", LOSSES)

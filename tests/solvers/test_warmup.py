@@ -6,7 +6,9 @@ import os
 import subprocess
 import sys
 
-from gelform.solvers.warmup import MESSAGE, is_compiled, warmup
+from numba import njit
+
+from gelform.solvers.warmup import MESSAGE, SLOW, is_compiled, warmup
 
 PROGRAM = """
 from gelform.solvers.warmup import is_compiled, warmup
@@ -34,3 +36,23 @@ def test_has_nothing_to_tell_once_compiled():
     warmup(told.append)
     assert is_compiled()
     assert told == []
+
+
+@njit(cache=True)
+def never_called():
+    return 0
+
+
+def test_one_kernel_not_compiled_is_enough_to_tell(monkeypatch):
+    """Among them those of `depth_sigma`, which may be missing where depth alone was asked for before."""
+    warmup()
+    assert {kernel.py_func.__name__ for kernel in SLOW} >= {
+        "solve",
+        "build",
+        "solve_lanes",
+        "sigma_of_pixels",
+    }
+    monkeypatch.setattr("gelform.solvers.warmup.SLOW", (*SLOW, never_called))
+    told = []
+    warmup(told.append)
+    assert told == [MESSAGE]

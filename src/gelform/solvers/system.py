@@ -130,7 +130,8 @@ def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -
     kx, ky = mm_per_px[1] / mm_per_px[0], mm_per_px[0] / mm_per_px[1]
     height, width = problem.mask.shape
     if problem.gradients is not None:
-        changed = bool(_load_confidence(data, problem.confidence, problem.anchor, kx, ky))
+        line = np.zeros(width + 1, dtype=np.float32)
+        changed = bool(_load_confidence(data, problem.confidence, problem.anchor, kx, ky, line))
         load_right_side(data, problem.gradients, mm_per_px)
         return changed
     assert problem.edges is not None
@@ -145,7 +146,8 @@ def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -
 
 def load_right_side(data: NDArray[Any], gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> None:
     """Write the right side of slopes (H, W, 2) for the couplings that are there."""
-    _load_right_side(data, gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1])
+    lines = np.zeros((3, gradients.shape[1] + 1), dtype=np.float32)
+    _load_right_side(data, gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1], lines)
 
 
 def load_couplings(
@@ -159,11 +161,13 @@ def load_couplings(
 
 
 @njit(**KERNEL)  # type: ignore[misc]
-def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float) -> Any:
-    """Couplings are the harmonic means of two pixels' confidence: the variance of an averaged slope."""
+def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float, line: Any) -> Any:
+    """Couplings are the harmonic means of two pixels' confidence: the variance of an averaged slope.
+
+    `line` (W + 1,) is scratch.
+    """
     height, width = confidence.shape
     sx, sy, tiny = np.float32(2 * kx), np.float32(2 * ky), np.float32(1e-30)
-    line = np.zeros(width + 1, dtype=np.float32)
     change = np.float32(0)
     for i in range(height):
         for j in range(width):
@@ -186,13 +190,14 @@ def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: flo
 
 
 @njit(**KERNEL)  # type: ignore[misc]
-def _load_right_side(data: Any, g: Any, scale_x: float, scale_y: float) -> None:
-    """Right side from slopes per pixel: what flows in over the edges minus what flows out."""
+def _load_right_side(data: Any, g: Any, scale_x: float, scale_y: float, lines: Any) -> None:
+    """Right side from slopes per pixel: what flows in over the edges minus what flows out.
+
+    `lines` (3, W + 1), of zeros, is scratch.
+    """
     height, width = g.shape[0], g.shape[1]
     sx, sy = np.float32(scale_x), np.float32(scale_y)
-    across = np.zeros(width + 1, dtype=np.float32)
-    above = np.zeros(width, dtype=np.float32)
-    below = np.zeros(width, dtype=np.float32)
+    across, above, below = lines[0], lines[1], lines[2]
     for i in range(height):
         for j in range(width - 1):
             across[j + 1] = sx * data[EAST, i + 1, j + 1] * (g[i, j, 0] + g[i, j + 1, 0])

@@ -12,15 +12,18 @@ from gelform.solvers.cells import Cells, sigma_of_pixels
 from gelform.solvers.conjugate import solve
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.hierarchy import build
+from gelform.solvers.lanes import solve_lanes
 from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.probes import ProbeSolver, white_draws
 
+# What takes longest to compile, of each part.
+SLOW = (solve, build, solve_lanes, sigma_of_pixels)
 MESSAGE = "Compiling the depth solvers for this machine: some seconds, once."
 
 
 def is_compiled() -> bool:
-    """Whether the weighted solver starts at once: compiled in this process, or kept on disk."""
-    return all(bool(kernel.signatures) or _is_kept(kernel) for kernel in (solve, build))
+    """Whether the weighted solver and `depth_sigma` start at once: compiled in this process, or kept on disk."""
+    return all(bool(kernel.signatures) or _is_kept(kernel) for kernel in SLOW)
 
 
 def warmup(progress: Callable[[str], None] | None = None) -> None:
