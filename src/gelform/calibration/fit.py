@@ -30,6 +30,7 @@ from gelform.calibration.residuals import HeldOutSample, held_out_sample
 from gelform.calibration.samples import PreparedPress
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
+from gelform.calibration.uncertainty import circle_sigmas
 from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma
@@ -98,7 +99,8 @@ def calibrate(
     draft = _draft(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
     errors, sigma, samples = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
-    report = _report(presses, refined, errors, selection, left_out, time.monotonic() - started)
+    sigmas = circle_sigmas(prepared, found, folds, None if begin is None else begin.model)
+    report = _report(presses, refined, errors, sigmas, selection, left_out, time.monotonic() - started)
     used = refined.accepted
     notes = input_notes(presses, [prepared[i] for i in used], [refined.contacts[i] for i in used])
     report = replace(report, notes=(*report.notes, *notes), samples=tuple(samples))
@@ -302,6 +304,7 @@ def _report(
     presses: Presses,
     refined: Refined,
     errors: dict[int, PressErrors],
+    sigmas: dict[int, tuple[float, float]],
     selection: Selection,
     left_out: Sequence[str],
     seconds: float,
@@ -317,6 +320,8 @@ def _report(
                 accepted=reason is None,
                 reason=reason,
                 errors=asdict(errors[i]) if i in errors else None,
+                center_sigma_px=sigmas[i][0] if i in sigmas and reason is None else None,
+                contact_radius_sigma_px=sigmas[i][1] if i in sigmas and reason is None else None,
             )
         )
     candidates = [

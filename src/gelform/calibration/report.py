@@ -20,6 +20,7 @@ class PressReport:
     name : path below the folder
     ball_diameter_mm : float
     center_x_px, center_y_px, contact_radius_px : the circle found
+    center_sigma_px, contact_radius_sigma_px : its standard deviations (`circle_sigmas`); None where rejected
     accepted : whether the calibration uses it
     reason : why not
     errors : names and values of PressErrors, from a model that has not seen this press; None where rejected
@@ -33,6 +34,8 @@ class PressReport:
     accepted: bool
     reason: str | None
     errors: dict[str, float] | None
+    center_sigma_px: float | None = None
+    contact_radius_sigma_px: float | None = None
 
 
 @dataclass(frozen=True)

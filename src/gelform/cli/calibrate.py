@@ -216,12 +216,15 @@ def _circles_csv(rows: Any) -> bytes:
     """The table of presses with the circles found: as presses.csv wants its labels."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px", "accepted", "reason"]
-    )
+    named = ["image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px"]
+    writer.writerow([*named, "center_sigma_px", "contact_radius_sigma_px", "accepted", "reason"])
     for row in rows:
         circle = [f"{value:.2f}" for value in (row.center_x_px, row.center_y_px, row.contact_radius_px)]
-        writer.writerow([row.name, f"{row.ball_diameter_mm:g}", *circle, int(row.accepted), row.reason or ""])
+        sigma = (row.center_sigma_px, row.contact_radius_sigma_px)
+        known = ["" if value is None else f"{value:.2f}" for value in sigma]
+        writer.writerow(
+            [row.name, f"{row.ball_diameter_mm:g}", *circle, *known, int(row.accepted), row.reason or ""]
+        )
     return text.getvalue().encode()
 
 
