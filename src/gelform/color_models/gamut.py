@@ -51,31 +51,23 @@ class Gamut:
     def distance_of(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
         """Distance (H, W), as a slope, of the colours of a frame (H, W, 3) to those of the training presses."""
         out = np.empty(color_change.shape[:2], dtype=np.float32)
-        _distance(
-            color_change,
-            self.distance,
-            self.low,
-            np.float32(self.cell),
-            np.float32(self.slope_per_change),
-            out,
-        )
+        worth = np.float32(self.cell * self.slope_per_change)
+        _distance(color_change, self.distance.ravel(), self.low, np.float32(1 / self.cell), worth, out)
         return out
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _distance(change, table, low, cell, worth, out):  # type: ignore[no-untyped-def]
+def _distance(change, table, low, per_cell, worth, out):  # type: ignore[no-untyped-def]
     """The nearest cell's distance; beyond the grid, that of its border plus the way there."""
     height, width, _ = change.shape
-    last = table.shape[0] - 1
+    last, half, zero = np.float32(CELLS - 1), np.float32(0.5), np.float32(0)
+    r0, g0, b0 = low[0] * per_cell, low[1] * per_cell, low[2] * per_cell
     for y in range(height):
         for x in range(width):
-            beyond = np.float32(0)
-            index = np.int64(0)
-            for c in range(3):
-                at = (change[y, x, c] - low[c]) / cell
-                held = min(max(at, np.float32(0)), np.float32(last))
-                beyond += (at - held) * (at - held)
-                index = index * table.shape[0] + np.int64(held + np.float32(0.5))
-            out[y, x] = table.ravel()[index] + (
-                np.sqrt(beyond) * cell * worth if beyond > 0 else np.float32(0)
-            )
+            r = change[y, x, 0] * per_cell - r0
+            g = change[y, x, 1] * per_cell - g0
+            b = change[y, x, 2] * per_cell - b0
+            i, j, k = min(max(r, zero), last), min(max(g, zero), last), min(max(b, zero), last)
+            beyond = (r - i) * (r - i) + (g - j) * (g - j) + (b - k) * (b - k)
+            cell = (np.int32(i + half) * CELLS + np.int32(j + half)) * CELLS + np.int32(k + half)
+            out[y, x] = table[cell] + worth * np.sqrt(beyond)
