@@ -196,6 +196,12 @@ def test_what_is_far_behind_is_not_tried_further():
     assert lucky not in not_out_of_reach([lucky, best], without=[0, 5, 10, 15])
 
 
+def test_models_too_slow_for_frames_are_listed_but_not_chosen():
+    quick, slow = made_up("polynomial", lambda i: 1.0), made_up("interpolation", lambda i: 0.2)
+    assert not_out_of_reach([quick, slow]) == [quick]
+    assert not_out_of_reach([slow]) == [slow]
+
+
 def test_few_presses_try_few_terms():
     few = [c.describe() for c in candidates_for("auto", 6)]
     assert few == [
