@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gelform import __version__
 from gelform.background import ChangeSettings, PreparedBackground
 from gelform.background_check import check_background_of_frames
+from gelform.calibration.circle_sigmas import circle_sigmas
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.evaluate import errors_of
 from gelform.calibration.folder import Presses
@@ -30,7 +31,6 @@ from gelform.calibration.residuals import HeldOutSample, held_out_sample
 from gelform.calibration.samples import PreparedPress
 from gelform.calibration.select import Selection, select, standard_error
 from gelform.calibration.spread import slope_sigma_from_folds
-from gelform.calibration.uncertainty import circle_sigmas
 from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel
 from gelform.color_models.gamut import Gamut
 from gelform.confidence import SlopeSigma

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.circle_sigmas import _jackknife, circle_sigmas
 from gelform.calibration.folds import Fold
 from gelform.calibration.presses import Contact
-from gelform.calibration.uncertainty import _jackknife, circle_sigmas
 
 
 def test_jackknife_of_a_mean_is_its_standard_error():
@@ -36,5 +36,5 @@ def test_circles_that_do_not_move_are_known_exactly():
     contact = Contact(10.0, 12.0, 5.0, 0.9, 9.0)
     folds = [Fold((), (0, 1), (contact, contact)) for _ in range(3)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gelform.calibration.uncertainty.fit_model", lambda *_: None)
+        patch.setattr("gelform.calibration.circle_sigmas.fit_model", lambda *_: None)
         assert circle_sigmas([None, None], [contact, contact], folds) == {0: (0.0, 0.0), 1: (0.0, 0.0)}
