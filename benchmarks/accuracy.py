@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.background import ChangeSettings
-from gelform.calibration.folder import Presses
-from gelform.calibration.presses import find_contact, scale_of, why_no_contact
+from gelform.background.change import ChangeSettings
+from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
+from gelform.calibration.presses.folder import Presses
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
 from report import RESULTS, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene

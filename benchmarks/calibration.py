@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.background import untouched_from_color_change
+from gelform.background.change import untouched_from_color_change
+from gelform.calibration.circles.find import Contact, find_contact
+from gelform.calibration.circles.refine import refine
+from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.fit import _untouched_change, prepare
-from gelform.calibration.ladder import Candidate
-from gelform.calibration.presses import Contact, find_contact
-from gelform.calibration.refine import refine
-from gelform.calibration.report import summary
-from gelform.calibration.samples import PreparedPress
+from gelform.calibration.report.record import summary
+from gelform.calibration.selection.candidates import Candidate
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from report import RESULTS, dct_pair, median_ms, table, write

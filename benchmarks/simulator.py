@@ -26,7 +26,7 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.batch.simulated import SetOfPresses, save_simulated_set
+from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
 from gelform.gradients import gradients_from_normals
 from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
 from gelform.normals import normals_from_image
@@ -49,7 +49,7 @@ from gelform.simulate import (
     slide_poses,
 )
 from gelform.simulate.like import Twin, press_depth_of_rim
-from gelform.simulate.presets import PRESETS
+from gelform.simulate.sensor.presets import PRESETS
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

@@ -24,7 +24,7 @@ from scipy.fft import dctn, idctn
 
 import gelform
 from gelform.solvers import SOLVERS, UNIFORM, MultigridSolver, RobustSolver, SparseSolver
-from gelform.solvers.multigrid import Hierarchy
+from gelform.solvers.multigrid.solver import Hierarchy
 from gelform.solvers.system import problem_from_gradients
 from scenes import (
     BALL,

@@ -22,11 +22,11 @@ import numpy as np
 
 import gelform
 from gelform.anchor import RestAnchor
-from gelform.background import (
+from gelform.background.change import (
     PreparedBackground,
     untouched_from_color_change,
 )
-from gelform.calibration.folder import Press, Presses
+from gelform.calibration.presses.folder import Press, Presses
 from gelform.contact import contact_from_depth
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from gelform.view import View
@@ -59,7 +59,7 @@ def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndar
 def with_full_polynomial(calibration: gelform.Calibration) -> gelform.Calibration:
     """The same with the largest polynomial that calibration tries, whatever it chose for this sensor."""
     from gelform.color_models import PolynomialModel
-    from gelform.color_models.least_squares import monomials, position_powers
+    from gelform.color_models._shared.least_squares import monomials, position_powers
 
     degrees = (4, 3, 1)
     count = sum(len(position_powers(degrees[len(term) - 1])) for term in monomials(3, 3))

@@ -10,38 +10,37 @@ import gelform
 
 SOURCE = Path(gelform.__file__).parent
 LEVELS = [
-    {"errors", "checks", "progress", "distortion"},
-    {"gradients", "metrics", "view", "frames", "npz_files", "exposure"},
-    {"color_models", "solvers", "markers", "background", "background_check", "average"},
+    {"errors", "checks", "_native", "progress", "pool"},
+    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files"},
+    {"color_models", "solvers", "markers", "background"},
     {
         "normals",
         "depth",
-        "uncertainty",
+        "depth_sigma",
         "anchor",
         "confidence",
         "contact",
-        "health",
-        "record",
+        "calibration_file",
         "reconstruction",
     },
     {"reconstruct", "simulate"},
-    {"sensors", "export", "plots", "importers", "torch_backend"},
-    {"calibration", "stream", "comparison"},
-    {"batch", "live"},
+    {"sensors", "plots", "importers", "exporters"},
+    {"calibration", "design"},
     {"cli"},
 ]
 LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
 # Whose same-level neighbours they may use, said in ARCHITECTURE.md.
 NEIGHBOURS = {
-    ("background", "background_check"),
-    ("record", "confidence"),
+    ("view", "lens"),
+    ("calibration_file", "confidence"),
     ("reconstruction", "normals"),
-    ("uncertainty", "depth"),
+    ("depth_sigma", "depth"),
+    ("design", "calibration"),
 }
 INNER_LIBRARIES = {"numpy", "scipy", "numba", "cv2", "gelform"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
-READERS = {"record", "reconstruction", "npz_files"}
+READERS = {"calibration_file", "reconstruction", "npz_files"}
 
 
 def room(path: Path) -> str:

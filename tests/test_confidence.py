@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from gelform.color_models.gamut import Gamut
+from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence import SlopeErrors, SlopeSigma
 
 LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)

@@ -9,7 +9,7 @@ import pytest
 import gelform
 from gelform.markers import MarkerFinder, is_grid, markers_from_image
 from gelform.simulate import Ball, simulate_background, simulate_press
-from gelform.simulate.presets import PRESETS
+from gelform.simulate.sensor.presets import PRESETS
 
 
 def marked(name="gelsight-mini", pitch_mm=2.0, radius_mm=0.3):

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.background import Finding
+from gelform.background.change import Finding
 from gelform.errors import DataError
 from gelform.npz_files import write_npz
 from gelform.reconstruction import KIND, Reconstruction, load_result, save_result

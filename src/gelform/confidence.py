@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gelform.color_models.gamut import Gamut
+from gelform.color_models._shared.gamut import Gamut
 
 SATURATED_SIGMA = 1.0
 SLOPE_BINS = 10

@@ -11,23 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.anchor import RestAnchor
-from gelform.background import (
+from gelform.background.change import (
     PreparedBackground,
     untouched_from_color_change,
 )
-from gelform.background_check import Finding, background_digest, check_own_background
+from gelform.background.check import Finding, background_digest, check_own_background
+from gelform.calibration_file import Calibration
 from gelform.checks import check_image
 from gelform.color_models.lambertian import PreparedLambertian
 from gelform.confidence import PreparedSigma, UnknownSigma
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
+from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
 from gelform.markers import MarkerFinder
+from gelform.pool import Pool
 from gelform.reconstruction import Reconstruction
-from gelform.record import Calibration
 from gelform.solvers import UNIFORM
-from gelform.solvers.pool import Pool
-from gelform.uncertainty import DepthSigma
 from gelform.view import image_from_frame
 
 MIN_UNTOUCHED = 0.02

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background import Finding
+from gelform.background.change import Finding
 from gelform.checks import check_mm_per_px
 from gelform.errors import DataError, GelformError
 from gelform.normals import normals_from_gradients

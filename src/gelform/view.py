@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
-from gelform.distortion import Lens
+from gelform.lens import Lens
 
 FLIPS = ("none", "x", "y", "xy")
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.learning import learning_curve
-from gelform.calibration.report_content import report_content
-from gelform.calibration.report_page import report_page
+from gelform.calibration.report.content import report_content
+from gelform.calibration.report.learning import learning_curve
+from gelform.calibration.report.page.page import report_page
 
 
 @pytest.fixture(scope="session")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.forward import depth_in_contact, forward_from_presses, image_noise
-from gelform.calibration.presses import Contact
-from gelform.calibration.samples import PreparedPress, contact_samples
 from gelform.simulate.like import press_depth_of_rim
 
 SHAPE = (80, 100)

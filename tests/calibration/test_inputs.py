@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.design import _as_read
+from gelform.calibration.circles.find import find_contact
 from gelform.calibration.fit import prepare
 from gelform.calibration.inputs import (
     check_inputs,
@@ -16,7 +16,7 @@ from gelform.calibration.inputs import (
     light_order_note,
     light_turn,
 )
-from gelform.calibration.presses import find_contact
+from gelform.design.study import _as_read
 from gelform.simulate import Led, exposed, simulate_ball_presses
 
 

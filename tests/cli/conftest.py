@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gelform.calibration.fit import calibrate
-from gelform.calibration.folder import read_presses
+from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
-from gelform.export import save_simulated_presses
+from gelform.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gelform.color_models import HierarchicalModel, PolynomialModel
-from gelform.color_models.least_squares import penalised_huber, robust_ridge
-from test_color_models import SHAPE, ball_samples, lambertian_change, shading_change
+from gelform.color_models._shared.least_squares import penalised_huber, robust_ridge
+from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
 
 def rms(model, samples):

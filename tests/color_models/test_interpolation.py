@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.color_models import InterpolationModel
-from test_color_models import SHAPE, ball_samples, shading_change
+from made.color_samples import SHAPE, ball_samples, shading_change
 
 MATRIX = np.array([[1.0, 0.2, -0.7], [0.1, 0.9, 0.8]])
 

@@ -7,7 +7,7 @@ import pytest
 
 from gelform.color_models import LambertianModel
 from gelform.color_models.lambertian import linear_change
-from test_color_models import LIGHTS, ball_samples, lambertian_change
+from made.color_samples import LIGHTS, ball_samples, lambertian_change
 
 SCALED = LIGHTS / LIGHTS[:, 2:]
 

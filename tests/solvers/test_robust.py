@@ -7,8 +7,8 @@ import pytest
 
 from gelform.depth import depth_from_gradients, integrate
 from gelform.solvers import RobustSolver, SparseSolver
+from gelform.solvers.curl_gated.solver import confidence_from_curl
 from gelform.solvers.edges import differences, edges_from_gradients
-from gelform.solvers.gated import confidence_from_curl
 from gelform.solvers.robust import LOSSES
 from scenes import BALL, PEAKS, SHAPE, polynomial, rmse_um, scene, with_liars, with_noise
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gelform.background import PreparedBackground
-from gelform.calibration.folder import Press, Presses
-from gelform.calibration.marked import change_without_markers
-from gelform.calibration.presses import find_contact, why_no_contact
-from gelform.calibration.report import summary
+from gelform.background.change import PreparedBackground
+from gelform.calibration.circles.find import find_contact, why_no_contact
+from gelform.calibration.circles.markers import change_without_markers
+from gelform.calibration.presses.folder import Press, Presses
+from gelform.calibration.report.record import summary
+from gelform.calibration_file import Calibration
 from gelform.errors import DataError
 from gelform.markers import MarkerFinder
 from gelform.metrics import PressErrors, press_errors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
-from gelform.record import Calibration
 from gelform.view import image_from_frame
 
 

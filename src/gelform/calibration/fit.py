@@ -13,33 +13,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform import __version__
-from gelform.background import ChangeSettings, PreparedBackground
-from gelform.background_check import check_background_of_frames
-from gelform.calibration.circle_sigmas import circle_sigmas
+from gelform.background.change import ChangeSettings, PreparedBackground
+from gelform.background.check import check_background_of_frames
+from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of
+from gelform.calibration.circles.markers import change_without_markers
+from gelform.calibration.circles.refine import Refined, refine
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.sigma import circle_sigmas
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.evaluate import errors_of
-from gelform.calibration.folder import Presses
-from gelform.calibration.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.inputs import check_inputs, input_notes
-from gelform.calibration.ladder import DEFAULT_ZONE, ZONES, Candidate, Start, candidates_for, candidates_from
-from gelform.calibration.marked import change_without_markers
-from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of
-from gelform.calibration.refine import Refined, refine
-from gelform.calibration.report import CalibrationReport, PressReport, summary
-from gelform.calibration.residuals import HeldOutSample, held_out_sample
-from gelform.calibration.samples import PreparedPress
-from gelform.calibration.select import Selection, select, standard_error
-from gelform.calibration.spread import slope_sigma_from_folds
+from gelform.calibration.presses.folder import Presses
+from gelform.calibration.report.held_out import HeldOutSample, held_out_sample
+from gelform.calibration.report.record import CalibrationReport, PressReport, summary
+from gelform.calibration.selection.candidates import (
+    DEFAULT_ZONE,
+    ZONES,
+    Candidate,
+    Start,
+    candidates_for,
+    candidates_from,
+)
+from gelform.calibration.selection.folds import Fold, make_folds, size_folds, unlike_the_others
+from gelform.calibration.selection.select import Selection, select, standard_error
+from gelform.calibration.selection.slope_errors import slope_sigma_from_folds
+from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel
-from gelform.color_models.gamut import Gamut
+from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.markers import MarkerFinder
 from gelform.metrics import PressErrors, ball_center
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
-from gelform.record import Calibration
 
 BLUR_PX = 1.25
 MIN_PRESSES = 3

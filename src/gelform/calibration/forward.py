@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.presses import Contact
-from gelform.calibration.samples import PreparedPress, contact_samples
-from gelform.color_models.forward import ForwardResponse
+from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.samples import PreparedPress, contact_samples
+from gelform.color_models._shared.forward import ForwardResponse
 from gelform.simulate.like import press_depth_of_rim
 
 MAX_NOISE_IMAGES = 12

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background import color_change_from_image
+from gelform.background.change import color_change_from_image
+from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of, why_no_contact
+from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
-from gelform.calibration.press_set import Presses
-from gelform.calibration.presses import Contact, find_contact, magnitude, scale_of, why_no_contact
-from gelform.calibration.samples import PreparedPress, contact_samples
+from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 
 REVERSED_SHARE = 0.6

@@ -44,8 +44,8 @@ from gelform.cli.names import make_folder
 from gelform.errors import CalibrationError, DataError
 
 if TYPE_CHECKING:
-    from gelform.calibration.folder import Presses
-    from gelform.record import Calibration
+    from gelform.calibration.presses.folder import Presses
+    from gelform.calibration_file import Calibration
 
 REPORT_FILES = ("report.html", "report.json", "circles.csv")
 REPORT_SEED = 0
@@ -110,8 +110,8 @@ def calibrate(
     if scale_asked and mm_per_px is not None:
         raise typer.BadParameter("expected no other source of the scale beside it.", param_hint="--mm-per-px")
     from gelform.calibration.fit import calibrate as calibrate_presses
-    from gelform.calibration.folder import read_presses
-    from gelform.record import load_calibration
+    from gelform.calibration.presses.folder import read_presses
+    from gelform.calibration_file import load_calibration
 
     with progress_shown(quiet) as progress:
         warm(progress)
@@ -159,9 +159,9 @@ def write_report(
     """
     import numpy as np
 
-    from gelform.calibration.learning import learning_curve
-    from gelform.calibration.report_content import report_content
-    from gelform.calibration.report_page import report_page
+    from gelform.calibration.report.content import report_content
+    from gelform.calibration.report.learning import learning_curve
+    from gelform.calibration.report.page.page import report_page
     from gelform.npz_files import written_file
 
     rng = np.random.default_rng(REPORT_SEED)

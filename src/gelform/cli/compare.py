@@ -55,7 +55,7 @@ def compare(
         raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
     paths: list[dict[str, Path]] = [{} for _ in images]
     if output is not None:
-        from gelform.plots import check_matplotlib
+        from gelform.plots.result import check_matplotlib
 
         check_matplotlib()
         paths = result_paths(images, output, ["png"])
@@ -75,8 +75,8 @@ def compare(
 
 
 def _pair(calibrations: list[Path], background: Path | None) -> tuple[Reconstructor, Reconstructor]:
+    from gelform.calibration_file import load_calibration
     from gelform.reconstruct import Reconstructor
-    from gelform.record import load_calibration
     from gelform.sensors.files import read_image
 
     rest = None if background is None else read_image(background)
@@ -91,7 +91,7 @@ def _compare_one(
     names: tuple[str, str],
     overwrite: bool,
 ) -> dict[str, Any]:
-    from gelform.comparison import compare_results, comparison_picture
+    from gelform.plots.comparison import compare_results, comparison_picture
     from gelform.sensors.files import read_image
     from gelform.view import image_from_frame
 
@@ -102,7 +102,7 @@ def _compare_one(
     except (GelformError, ValueError) as problem:
         raise GelformError(f"{path}: {problem}") from problem
     if picture is not None:
-        from gelform.plots import save_picture
+        from gelform.plots.result import save_picture
 
         make_folder(picture.parent)
         shown = image_from_frame(frame, pair[0].calibration.view)

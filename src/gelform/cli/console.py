@@ -63,7 +63,7 @@ def progress_shown(quiet: bool) -> Iterator[Progress]:
 
 def warm(progress: Progress) -> None:
     """Have the depth solvers ready, and say so where they have to be compiled first: seconds, once."""
-    from gelform.solvers.warmup import warmup
+    from gelform.depth_sigma.warmup import warmup
 
     warmup(lambda message: progress(0, 1, message))
 

@@ -21,7 +21,7 @@ from gelform.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from gelform.record import Calibration
+    from gelform.calibration_file import Calibration
     from gelform.simulate import SimulatedPress, SimulatedSensor
 
 LAYOUT, PRESSES, BALLS_MM, SEED = "three-edges", 24, (6.0, 9.0), 7
@@ -44,8 +44,8 @@ def demo(
       gelform demo
       gelform demo -o somewhere --json
     """
-    from gelform.export import written_whole
-    from gelform.plots import check_matplotlib
+    from gelform.exporters.press_folder import written_whole
+    from gelform.plots.result import check_matplotlib
 
     check_matplotlib()
     started = time.monotonic()
@@ -75,7 +75,7 @@ def demo(
 def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
     import numpy as np
 
-    from gelform.export import save_simulated_presses
+    from gelform.exporters.press_folder import save_simulated_presses
     from gelform.simulate import LAYOUTS, simulate_ball_presses
 
     presses = simulate_ball_presses(
@@ -91,7 +91,7 @@ def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
 
 def _calibrated(folder: Path, progress: Progress) -> Calibration:
     from gelform.calibration.fit import calibrate
-    from gelform.calibration.folder import read_presses
+    from gelform.calibration.presses.folder import read_presses
     from gelform.cli.calibrate import write_report
 
     presses = read_presses(folder / "presses", progress=progress)
@@ -126,7 +126,7 @@ def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calib
     import numpy as np
 
     from gelform.metrics import angle_deg
-    from gelform.plots import picture, save_picture
+    from gelform.plots.result import picture, save_picture
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import save_result
 

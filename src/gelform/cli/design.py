@@ -34,21 +34,21 @@ def design(
     """
     import numpy as np
 
-    from gelform.calibration.design import compare_designs
     from gelform.cli.simulate import sensor_of
+    from gelform.design.study import compare_designs
 
     chosen = sensor_of(sensor)
     if output is not None:
         from gelform.npz_files import check_free
-        from gelform.plots import check_matplotlib
+        from gelform.plots.result import check_matplotlib
 
         check_matplotlib()
         check_free(output, overwrite=False)
     with progress_shown(quiet) as progress:
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
-        from gelform.calibration.design_picture import design_picture
-        from gelform.plots import save_picture
+        from gelform.design.picture import design_picture
+        from gelform.plots.result import save_picture
 
         save_picture(output, design_picture(results))
     rows = [

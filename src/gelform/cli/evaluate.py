@@ -47,8 +47,8 @@ def evaluate(
       gelform evaluate frames/ -c cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
     """
     from gelform.calibration.evaluate import evaluate as evaluate_presses
-    from gelform.calibration.folder import read_presses
-    from gelform.record import load_calibration
+    from gelform.calibration.presses.folder import read_presses
+    from gelform.calibration_file import load_calibration
 
     loaded = load_calibration(calibration)
     with progress_shown(quiet) as progress:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from gelform.calibration.folder import Presses
-    from gelform.calibration.lens import GridView
-    from gelform.calibration.scale import Scale
+    from gelform.calibration.geometry.lens import GridView
+    from gelform.calibration.geometry.scale import Scale
+    from gelform.calibration.presses.folder import Presses
 
 ScalePoints = Annotated[
     str | None,
@@ -58,9 +58,9 @@ def measured(
     grid: GridView | None,
 ) -> Presses:
     """The presses with what the options measure: first the lens, then crosstalk and scale in its images."""
-    from gelform.calibration.adjust import with_crosstalk, with_scale, with_view
-    from gelform.calibration.crosstalk import crosstalk_from_frames
-    from gelform.calibration.scale import combined_scale
+    from gelform.calibration.geometry.adjust import with_crosstalk, with_scale, with_view
+    from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
+    from gelform.calibration.geometry.scale import combined_scale
     from gelform.sensors.files import read_image
 
     if grid is not None:
@@ -87,7 +87,7 @@ def grid_view(images: list[Path] | None, grid: str | None, pitch_mm: float | Non
         return None
     if grid is None or pitch_mm is None:
         raise typer.BadParameter("expected --grid and --pitch-mm beside it.", param_hint="--lens-images")
-    from gelform.calibration.lens import view_from_grid
+    from gelform.calibration.geometry.lens import view_from_grid
     from gelform.sensors.files import read_image
 
     size, _, kind = grid.partition(",")
@@ -106,7 +106,7 @@ def grid_view(images: list[Path] | None, grid: str | None, pitch_mm: float | Non
 
 
 def _scale_of_points(text: str) -> Scale:
-    from gelform.calibration.scale import scale_from_points
+    from gelform.calibration.geometry.scale import scale_from_points
 
     x1, y1, x2, y2, mm = _numbers(text.split(","), 5, "X1,Y1,X2,Y2,MM", "--scale-points", text)
     return scale_from_points((x1, y1), (x2, y2), mm)
@@ -115,8 +115,8 @@ def _scale_of_points(text: str) -> Scale:
 def _scales_of_images(
     presses: Presses, punch: str | None, thread: str | None, stage: str | None
 ) -> list[Scale]:
-    from gelform.calibration.scale_images import scale_from_punch, scale_from_thread
-    from gelform.calibration.scale_stage import scale_from_stage
+    from gelform.calibration.geometry.scale_images import scale_from_punch, scale_from_thread
+    from gelform.calibration.geometry.scale_stage import scale_from_stage
 
     scales = []
     if punch is not None:

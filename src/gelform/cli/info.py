@@ -40,16 +40,16 @@ def info(
 
 
 def _file(path: Path) -> dict[str, Any]:
+    from gelform.calibration_file import KIND as CALIBRATION
     from gelform.npz_files import kind_of_npz
     from gelform.reconstruction import KIND as RESULT
-    from gelform.record import KIND as CALIBRATION
 
     kind = kind_of_npz(path)
     if kind == CALIBRATION:
         return _calibration(path)
     if kind == RESULT:
         return _result(path)
-    from gelform.calibration.folder import TAXIM, VIDEO, kind_of_presses
+    from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
 
     layout = kind_of_presses(path)
     if layout == VIDEO:
@@ -66,7 +66,7 @@ def _file(path: Path) -> dict[str, Any]:
 
 
 def _calibration(path: Path) -> dict[str, Any]:
-    from gelform.record import load_calibration
+    from gelform.calibration_file import load_calibration
 
     described = load_calibration(path).describe()
     presses = len(described.pop("training_digests"))
@@ -118,7 +118,7 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """A folder of presses; of a folder that is none yet, what would make it one."""
-    from gelform.calibration.folder import PLAIN, PRESS_FOLDER, kind_of_presses
+    from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
 
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
@@ -144,7 +144,7 @@ def _images(names: set[str]) -> int:
 
 def _presses(path: Path, layout: str | None) -> dict[str, Any]:
     """Presses are read as calibration reads them; what stops it is what is missing."""
-    from gelform.calibration.folder import read_presses
+    from gelform.calibration.presses.folder import read_presses
 
     facts: dict[str, Any] = {"kind": layout}
     try:

@@ -71,7 +71,7 @@ def reconstruct(
     protected = [*images, calibration, *([background] if background else [])]
     check_results(paths, overwrite=overwrite, protected=protected)
     if "png" in wanted:
-        from gelform.plots import check_matplotlib
+        from gelform.plots.result import check_matplotlib
 
         check_matplotlib()
     with progress_shown(quiet) as progress:
@@ -88,8 +88,8 @@ def reconstruct(
 
 
 def _prepared(calibration: Path, background: Path | None, solver: str) -> Reconstructor:
+    from gelform.calibration_file import load_calibration
     from gelform.reconstruct import Reconstructor
-    from gelform.record import load_calibration
     from gelform.sensors.backgrounds import read_background
     from gelform.solvers import SOLVERS
 
@@ -117,7 +117,7 @@ def _reconstruct_one(
     if "npz" in results:
         save_result(result, results["npz"], overwrite=overwrite)
     if "png" in results:
-        from gelform.plots import picture, save_picture
+        from gelform.plots.result import picture, save_picture
 
         shown = picture(result, image_from_frame(frame, run.calibration.view))
         save_picture(results["png"], shown, overwrite=overwrite)

@@ -117,7 +117,7 @@ def simulate(
             )
             _press_one(made, twin, face, depth_mm, seed, output)
         else:
-            from gelform.batch.simulated import SetOfPresses, save_simulated_set
+            from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
 
             oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's centre
             wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed, oversample, twin)
@@ -132,7 +132,7 @@ def simulate(
 def sensor_of(name_or_file: str) -> SimulatedSensor:
     """A ready sensor by name, or one from a TOML file."""
     from gelform.sensors.simulated import read_simulated_sensor
-    from gelform.simulate.settings import sensor_named
+    from gelform.simulate.sensor.settings import sensor_named
 
     if name_or_file.endswith(".toml"):
         return read_simulated_sensor(name_or_file)
@@ -144,8 +144,8 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
 
 def _twin_of(path: Path | None, background: Path | None, mm_per_px: float | None) -> Twin | None:
     """A twin of a calibration or of Taxim's tables; None without either."""
+    from gelform.calibration_file import load_calibration
     from gelform.importers.taxim_forward import is_taxim_forward
-    from gelform.record import load_calibration
     from gelform.simulate.like import Twin
 
     if path is not None and path.is_file() and is_taxim_forward(path):
@@ -216,11 +216,11 @@ def _press_one(
     import numpy as np
 
     from gelform import __version__
-    from gelform.batch.simulated import write_truth
-    from gelform.export import toml_string, written_whole
-    from gelform.plots import save_picture
+    from gelform.exporters.press_folder import toml_string, written_whole
+    from gelform.exporters.simulated_sets import write_truth
+    from gelform.plots.result import save_picture
     from gelform.simulate import simulate_background, simulate_press
-    from gelform.simulate.settings import settings_from_sensor
+    from gelform.simulate.sensor.settings import settings_from_sensor
 
     rng = np.random.default_rng(seed)
     press = simulate_press(sensor, face, depth_mm=depth_mm, rng=rng)

@@ -10,6 +10,7 @@ No colour change means no slope, in every model.
 
 from typing import Any
 
+from gelform.color_models._shared.slope_table import SlopeTableModel
 from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
@@ -19,7 +20,6 @@ from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
 from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
-from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, Any] = {
     "lambertian": LambertianModel,

@@ -18,7 +18,12 @@ from numba import njit
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from gelform.color_models.least_squares import HUBER_SLOPE, monomials, penalised_huber, position_powers
+from gelform.color_models._shared.least_squares import (
+    HUBER_SLOPE,
+    monomials,
+    penalised_huber,
+    position_powers,
+)
 from gelform.color_models.seam import Samples
 
 NODE_PX = 16

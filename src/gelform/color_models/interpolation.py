@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gelform.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
+from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.seam import Samples
 
 NEIGHBOURS = 16

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
-from gelform.color_models.least_squares import HUBER_SLOPE, robust_ridge
+from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples
 
 MAX_CONDITION = 1e4

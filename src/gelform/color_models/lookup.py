@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.sparse import csr_matrix, diags, eye, kron
 from scipy.sparse.linalg import cg
 
-from gelform.color_models.least_squares import HUBER_SLOPE
+from gelform.color_models._shared.least_squares import HUBER_SLOPE
 from gelform.color_models.seam import Samples
 
 OFF_GAMUT_SIGMA = 1.0

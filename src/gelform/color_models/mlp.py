@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.color_models.layers import Layers, RestedNetwork
-from gelform.color_models.least_squares import unit_position
+from gelform.color_models._shared.layers import Layers, RestedNetwork
+from gelform.color_models._shared.least_squares import unit_position
 from gelform.color_models.seam import Samples
 
 
@@ -58,7 +58,7 @@ class MlpModel:
         GelformError
             torch is not installed: `pip install "gelform[torch]"`.
         """
-        from gelform.color_models.mlp_training import train
+        from gelform.color_models._shared.mlp_training import train
 
         change = np.asarray(samples.color_change, dtype=np.float64)
         total = max(float(samples.weight.sum()), 1e-12)

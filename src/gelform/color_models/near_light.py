@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.lambertian import (
     DARKEST_RATIO,
     MAX_SLOPE,
@@ -23,7 +24,6 @@ from gelform.color_models.lambertian import (
     gradients_from_scaled,
     linear_change,
 )
-from gelform.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.seam import Samples
 
 FITTED_SAMPLES = 4000

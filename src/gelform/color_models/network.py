@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.color_models.layers import Layers, RestedNetwork
+from gelform.color_models._shared.layers import Layers, RestedNetwork
 
 MAX_SLOPE = 5.0
 

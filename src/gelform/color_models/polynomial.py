@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gelform.color_models.least_squares import (
+from gelform.color_models._shared.least_squares import (
     HUBER_SLOPE,
     monomials,
     polynomial_terms,

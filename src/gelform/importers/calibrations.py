@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform import __version__
-from gelform.background import ChangeSettings
+from gelform.background.change import ChangeSettings
+from gelform.calibration_file import Calibration
 from gelform.checks import check_image, check_positive
 from gelform.color_models import ColorModel
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
 from gelform.importers.tables import read_lut
 from gelform.importers.taxim import read_taxim
-from gelform.record import Calibration
 from gelform.view import View
 
 # Untouched pixels of a Mini differ from its background by up to this, noise and drift together, grey levels / 255.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models import NetworkModel
-from gelform.color_models.layers import Layers
+from gelform.color_models._shared.layers import Layers
 from gelform.errors import DataError
 from gelform.importers.torch_files import read_tensors
 

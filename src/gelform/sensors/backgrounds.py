@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gelform.average import Background, background_from_frames, noise_from_background
+from gelform.background.average import Background, background_from_frames, noise_from_background
 from gelform.errors import DataError
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 

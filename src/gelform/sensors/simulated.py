@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gelform.errors import SensorError
 from gelform.frames import Frame
 from gelform.simulate import Ball, Drag, Indenter, Pose, SimulatedPress, SimulatedSensor, simulate_pose
-from gelform.simulate.settings import sensor_from_settings
+from gelform.simulate.sensor.settings import sensor_from_settings
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -1,13 +1,13 @@
 """The simulator: indenter, gel, lights, camera -> image and exact truth. Arrays only."""
 
-from gelform.simulate.coating import Coating
-from gelform.simulate.gel import Gel, relaxation_from_gel
-from gelform.simulate.indenters import Ball, Coin, HeightMap, Indenter, Screw
-from gelform.simulate.layouts import LAYOUTS
-from gelform.simulate.light import led_color
-from gelform.simulate.mesh import Mesh
+from gelform.simulate.gel.gel import Gel, relaxation_from_gel
+from gelform.simulate.indenters.faces import Ball, Coin, HeightMap, Indenter, Screw
+from gelform.simulate.indenters.mesh import Mesh
+from gelform.simulate.indenters.scene import Placed, Posed, Several
+from gelform.simulate.indenters.shapes import BoxEdge, Cone, Cylinder, Punch, Pyramid, Torus, text_relief
+from gelform.simulate.light.coating import Coating
+from gelform.simulate.light.light import led_color
 from gelform.simulate.motion import Drag, Pose, press_poses, roll_poses, slide_poses, twist_poses
-from gelform.simulate.optics import Optics
 from gelform.simulate.press import (
     SimulatedPress,
     SimulatedPresses,
@@ -18,10 +18,10 @@ from gelform.simulate.press import (
     simulate_press,
     simulate_sequence,
 )
-from gelform.simulate.scene import Placed, Posed, Several
-from gelform.simulate.sensor import Led, SimulatedSensor
-from gelform.simulate.shapes import BoxEdge, Cone, Cylinder, Punch, Pyramid, Torus, text_relief
-from gelform.simulate.timing import Timing
+from gelform.simulate.sensor.layouts import LAYOUTS
+from gelform.simulate.sensor.optics import Optics
+from gelform.simulate.sensor.sensor import Led, SimulatedSensor
+from gelform.simulate.sensor.timing import Timing
 
 __all__ = [
     "LAYOUTS",

@@ -9,15 +9,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background import image_from_color_change
+from gelform.background.change import image_from_color_change
+from gelform.calibration_file import Calibration
 from gelform.checks import check_positive
-from gelform.record import Calibration
-from gelform.simulate.camera import draws, normal_table, saturated_from_levels
-from gelform.simulate.gel import Gel, depth_of_ball
-from gelform.simulate.indenters import Indenter
+from gelform.simulate.gel.gel import Gel, depth_of_ball
+from gelform.simulate.indenters.faces import Indenter
 from gelform.simulate.motion import Pose
 from gelform.simulate.press import SimulatedPress, SimulatedPresses, simulate_ball_presses, simulate_pose
-from gelform.simulate.sensor import Led, SimulatedSensor
+from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_levels
+from gelform.simulate.sensor.sensor import Led, SimulatedSensor
 
 STEEPEST = 1.2  # calibrations see slopes up to about 1; a cubic response says nothing beyond
 # A GelSight Mini's, found on ball presses: the gel leaves the ball this far inside the rim that one sees.

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.simulate.gel import Gel, Surface
-from gelform.simulate.membrane import carried_along, spread
-from gelform.simulate.scene import MAX_TILT_DEG, Pair
+from gelform.simulate.gel.gel import Gel, Surface
+from gelform.simulate.gel.membrane import carried_along, spread
+from gelform.simulate.indenters.scene import MAX_TILT_DEG, Pair
 
 DRAG_STRIDE = 4  # drag is smooth over the gel's thickness: every fourth pixel is plenty
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
-from gelform.simulate.camera import px_seen
-from gelform.simulate.gel import (
+from gelform.simulate.gel.gel import (
     Surface,
     contact_radius_of_ball,
     cropped,
@@ -20,11 +19,12 @@ from gelform.simulate.gel import (
     surface_from_ball,
     surface_from_indenter,
 )
-from gelform.simulate.indenters import Ball, Indenter
+from gelform.simulate.indenters.faces import Ball, Indenter
+from gelform.simulate.indenters.scene import Posed
+from gelform.simulate.light.render import Rendered, middle_samples, render
 from gelform.simulate.motion import DRAG_STRIDE, Drag, Pose, displacement_at, thinned
-from gelform.simulate.render import Rendered, middle_samples, render
-from gelform.simulate.scene import Posed
-from gelform.simulate.sensor import SimulatedSensor, Triple
+from gelform.simulate.sensor.camera import px_seen
+from gelform.simulate.sensor.sensor import SimulatedSensor, Triple
 
 MARGIN_LENGTHS = 4  # the gel reaches this many relaxation lengths beyond the image: e^-4 = 2 % is left there
 RIM_SLOPES = (0.5, 0.95)

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from gelform.solvers.curl_gated.solver import GatedSolver
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.dst import DstSolver
 from gelform.solvers.fourier import FourierSolver
-from gelform.solvers.gated import GatedSolver
-from gelform.solvers.multigrid import MultigridSolver
+from gelform.solvers.multigrid.solver import MultigridSolver
 from gelform.solvers.path import PathSolver
 from gelform.solvers.robust import RobustSolver
 from gelform.solvers.sparse import SparseSolver

@@ -16,8 +16,8 @@ import scipy  # its parts load at first use: a weighted solve needs none of them
 from numba import njit
 from numpy.typing import NDArray
 
+from gelform.pool import Pool
 from gelform.solvers.edges import divergence, edges_from_gradients
-from gelform.solvers.pool import Pool
 
 Order = Literal[2, 4]
 

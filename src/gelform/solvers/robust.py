@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.solvers.cycle import RIGHT_SIDE
+from gelform.pool import Pool
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.edges import Pair, differences, divergence, edges_from_gradients
-from gelform.solvers.multigrid import Hierarchy
-from gelform.solvers.pool import Pool
+from gelform.solvers.multigrid.cycle import RIGHT_SIDE
+from gelform.solvers.multigrid.solver import Hierarchy
 from gelform.solvers.system import FLOOR, Problem, Solution, Weights, load_couplings, problem_from_gradients
 
 Loss = Callable[[NDArray[Any]], NDArray[Any]]

@@ -8,7 +8,7 @@ import numpy as np
 import scipy  # its parts load at first use: a weighted solve needs none of them
 from numpy.typing import NDArray
 
-from gelform.solvers.cycle import ANCHOR, EAST, RIGHT_SIDE, SOUTH
+from gelform.solvers.multigrid.cycle import ANCHOR, EAST, RIGHT_SIDE, SOUTH
 from gelform.solvers.system import Problem, Solution, Weights, load, problem_from_gradients
 
 

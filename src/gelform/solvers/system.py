@@ -17,8 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gelform.gradients import fill
-from gelform.solvers.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
 from gelform.solvers.edges import Pair, divergence, edges_from_gradients
+from gelform.solvers.multigrid.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
 
 # Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
 # raised to it: smaller ones would isolate regions beyond what float32 resolves.

@@ -1,0 +1,1 @@
+"""The untouched image: averaged, compared with a frame, checked."""

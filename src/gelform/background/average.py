@@ -1,0 +1,137 @@
+"""frames of the untouched gel -> background: a robust average, touched frames left out by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.background.exposure import cells_from_image
+from gelform.checks import check_image
+from gelform.errors import DataError
+
+MAX_BYTES = 192 * 2**20
+TRIMMED_SHARE = 0.2
+CELL_SHARE, CELL_LEVELS, CELL_SIGMAS = 0.03, 1.5, 6.0  # a cell off by 3 % + 1.5 levels + noise is touched
+TOUCHED_CELLS = 0.01
+OTHER_EXPOSURE = 0.03
+ROWS_BYTES = 32 * 2**20
+
+
+class Background(NamedTuple):
+    """An average of untouched frames.
+
+    Attributes
+    ----------
+    background : (H, W, 3) float32, 0-255
+    noise : (3,) float64, standard deviation of a pixel in one frame, grey levels
+    left_out : (name, why) of each frame that is not in the average
+    """
+
+    background: NDArray[np.float32]
+    noise: NDArray[np.float64]
+    left_out: tuple[tuple[str, str], ...]
+
+
+def background_from_frames(
+    frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = MAX_BYTES
+) -> Background:
+    """A robust average of frames of the untouched gel.
+
+    Frames that a touch, a shadow or another exposure sets apart from the median of all are left out; of the
+    others each pixel's fifth highest and lowest values are cut off and the rest is averaged (a trimmed mean:
+    P. J. Huber and E. M. Ronchetti, Robust Statistics, 2nd edition, 2009, section 1.3).
+
+    Parameters
+    ----------
+    frames : (H, W, 3) each, RGB, 0-255; taken one at a time
+    names : what messages call them; "frame 0", "frame 1", ... by default
+    max_bytes : of frames that are held at once; where there are more, evenly spaced ones are kept
+
+    Returns
+    -------
+    Background
+        (background, noise, left_out). Of a single frame the noise is told by its second differences along rows.
+
+    Raises
+    ------
+    DataError
+        No frame, or fewer than half agree with the median of all: none can be called untouched then.
+    ValueError, TypeError
+        A frame that is no RGB image, or of another size than the first.
+    """
+    kept = _kept(frames, names, max_bytes)
+    if not kept:
+        raise DataError("Expected frames of the untouched gel, got none.")
+    left_out = _odd_ones(kept)
+    good = [image for name, image in kept if name not in left_out]
+    if 2 * len(good) <= len(kept) and len(kept) > 1:
+        listed = "; ".join(f"{name}: {why}" for name, why in list(left_out.items())[:4])
+        raise DataError(
+            f"Expected frames of the untouched gel that agree, got {len(left_out)} of {len(kept)} that differ from "
+            f"the median of all ({listed}). Take them again with nothing on the gel and the exposure fixed."
+        )
+    average, noise = _trimmed_mean(good)
+    return Background(average, noise, tuple(left_out.items()))
+
+
+def noise_from_background(background: NDArray[Any]) -> NDArray[np.float64]:
+    """Standard deviation (3,) of a pixel of one frame, grey levels, from second differences along rows (robust)."""
+    pixels = np.asarray(background, dtype=np.float32)
+    second = pixels[:, 2:] - 2 * pixels[:, 1:-1] + pixels[:, :-2]
+    middle = np.median(np.abs(second), axis=(0, 1)).astype(np.float64)
+    return np.asarray(1.4826 * middle / np.sqrt(6), dtype=np.float64)
+
+
+def _kept(
+    frames: Iterable[ArrayLike], names: Sequence[str] | None, max_bytes: int
+) -> list[tuple[str, NDArray[Any]]]:
+    """Every k-th frame, k doubled whenever there would be more than `max_bytes` of them."""
+    kept: list[tuple[str, NDArray[Any]]] = []
+    stride = 1
+    for number, frame in enumerate(frames):
+        if number % stride:
+            continue
+        image = check_image(frame, shape=kept[0][1].shape[:2] if kept else None, name="frame")
+        kept.append((names[number] if names is not None else f"frame {number}", image.copy()))
+        if len(kept) > 8 and sum(one.nbytes for _, one in kept) > max_bytes:
+            kept, stride = kept[::2], 2 * stride
+    return kept
+
+
+def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
+    """Names of the frames that are not like the median of all, with why."""
+    cells = np.stack([cells_from_image(image) for _, image in kept])
+    middle = np.median(cells, axis=0)
+    odd = {}
+    for (name, _), own in zip(kept, cells):
+        gain = np.median((own + 1) / (middle + 1), axis=(0, 1))
+        off = np.abs(own - gain * middle)
+        noise = 1.4826 * np.median(off, axis=(0, 1))
+        touched = (off > CELL_SHARE * middle + CELL_LEVELS + CELL_SIGMAS * noise).any(axis=-1).mean()
+        brighter = float(gain[np.argmax(np.abs(gain - 1))] - 1)
+        if touched > TOUCHED_CELLS:
+            odd[name] = f"{100 * touched:.1f} % of it differs: touched, or a shadow"
+        elif abs(brighter) > OTHER_EXPOSURE:
+            odd[name] = f"another exposure, {100 * brighter:+.0f} %"
+    return odd
+
+
+def _trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Per-pixel trimmed mean, and the frames' noise, some rows at a time."""
+    if len(images) == 1:
+        return images[0].astype(np.float32), noise_from_background(images[0])
+    height = images[0].shape[0]
+    cut = int(TRIMMED_SHARE * len(images))
+    rows = max(1, ROWS_BYTES // (len(images) * images[0][0].nbytes))
+    average = np.empty(images[0].shape, dtype=np.float32)
+    variances = []
+    for first in range(0, height, rows):
+        stack = np.sort(np.stack([image[first : first + rows] for image in images]), axis=0)
+        average[first : first + rows] = stack[cut : len(images) - cut].mean(axis=0, dtype=np.float64)
+        variances.append(stack.var(axis=0, ddof=1, dtype=np.float64).reshape(-1, 3))
+    variance = np.sort(np.concatenate(variances), axis=0)
+    kept = max(1, int(0.99 * len(variance)))  # a hundredth may flicker: a fibre, an edge that trembles
+    return average, np.sqrt(variance[:kept].mean(axis=0))

@@ -1,0 +1,237 @@
+"""image -> color_change: what a touch changed, by dividing by or subtracting the untouched image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.background.check import Finding, compared
+from gelform.background.exposure import Exposure, cells_from_image
+from gelform.checks import check_image
+
+MAX_CONDITION = 30.0
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class ChangeSettings:
+    """How an image becomes a color change.
+
+    Attributes
+    ----------
+    method : "divide" gives (I - I0)/(I0 + offset), "subtract" gives (I - I0)/255
+    offset : grey levels added to the divisor, so that dark pixels do not amplify noise
+    blur_px : standard deviation of a Gaussian blur of the change, px; 0 for none
+    crosstalk : 3x3, row c: how much of the red, green and blue light channel c sees; None: nothing to undo
+        From `crosstalk_from_frames`. Undone on image and background alike, before the change is taken.
+    response : exponent of the camera's response, I = 255 (light/255)^response; 1: nothing to undo
+        Undone first: I and I0 above are then linear light, 0-255.
+    """
+
+    method: Literal["divide", "subtract"] = "divide"
+    offset: float = 10.0
+    blur_px: float = 0.0
+    crosstalk: Matrix | None = None
+    response: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.method not in ("divide", "subtract"):
+            raise ValueError(f"Expected method 'divide' or 'subtract', got {self.method!r}.")
+        if not (self.offset >= 0 and self.blur_px >= 0):
+            raise ValueError(f"Expected offset and blur_px >= 0, got {self.offset} and {self.blur_px}.")
+        if not 0 < self.response < np.inf:
+            raise ValueError(f"Expected response > 0, got {self.response}.")
+        if self.crosstalk is not None:
+            object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether images are taken as they are: neither response nor crosstalk is undone."""
+        return self.crosstalk is None and self.response == 1
+
+
+def _checked_crosstalk(crosstalk: Any) -> Matrix:
+    matrix = np.asarray(crosstalk, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
+        raise ValueError(f"Expected crosstalk as 3x3 finite numbers, got {crosstalk}.")
+    condition = float(np.linalg.cond(matrix))
+    if not condition < MAX_CONDITION:
+        raise ValueError(
+            f"Expected channels that tell the three lights apart, got a crosstalk matrix of condition number "
+            f"{condition:.3g} (limit {MAX_CONDITION:g}). Are two of the LED frames of the same LED?"
+        )
+    return tuple(tuple(float(value) for value in row) for row in matrix)
+
+
+def light_from_image(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
+    """The image with response and crosstalk undone, (H, W, 3) float32; the image itself where there is nothing.
+
+    Linear light keeps the scale of 0-255; behind the inverse of a crosstalk matrix it may be a little below 0.
+    """
+    light = image
+    if settings.response != 1:
+        if image.dtype == np.uint8:
+            light = cv2.LUT(image, _linear(np.arange(256), settings.response))
+        else:
+            light = _linear(image, settings.response)
+    if settings.crosstalk is not None:
+        light = cv2.transform(light.astype(np.float32, copy=False), np.linalg.inv(settings.crosstalk))
+    return light
+
+
+def _linear(levels: NDArray[Any], response: float) -> NDArray[np.float32]:
+    return np.asarray(255 * (np.asarray(levels) / 255) ** (1 / response), dtype=np.float32)
+
+
+def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDArray[np.float32]:
+    """What each pixel's difference to the background is multiplied by, (H, W, 3) float32: prepared once."""
+    reference = check_image(background, name="background").astype(np.float32)
+    if settings.method == "subtract":
+        return np.full(reference.shape, 1 / 255, dtype=np.float32)
+    divisor = light_from_image(reference, settings) + np.float32(settings.offset)
+    if float(divisor.min()) <= 0:
+        raise ValueError(
+            "Expected a background above 0 where it is divided by, got pixels of 0 with offset 0. "
+            "Give an offset (10 grey levels is usual) or subtract instead."
+        )
+    return np.reciprocal(divisor)
+
+
+def color_change_from_image(
+    image: ArrayLike, background: ArrayLike, settings: ChangeSettings | None = None
+) -> NDArray[np.float32]:
+    """Relative change of colour against the untouched image; zero means: slope as at rest.
+
+    Parameters
+    ----------
+    image, background : (H, W, 3), RGB, 0-255
+    settings : how; (I - I0)/(I0 + 10) without blur by default
+
+    Returns
+    -------
+    color_change : (H, W, 3) float32
+        Of the images as they are: a difference in exposure is part of it (see `PreparedBackground`).
+    """
+    reference = check_image(background, name="background")
+    pressed = check_image(image, shape=reference.shape[:2])
+    return PreparedBackground(reference, settings or ChangeSettings()).change(pressed)
+
+
+class PreparedBackground:
+    """The untouched image, with everything about it that does not depend on the frame; immutable.
+
+    Parameters
+    ----------
+    background : (H, W, 3), RGB, 0-255
+    settings : how an image becomes a color change
+    """
+
+    def __init__(self, background: ArrayLike, settings: ChangeSettings) -> None:
+        self.settings = settings
+        self.background = check_image(background, name="background").astype(np.float32)
+        self._light = light_from_image(self.background, settings)
+        self._gain = gain_from_background(self.background, settings)
+        self._cells = cells_from_image(self.background)
+
+    def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
+        """How much brighter the frame is than the background, and what should be warned of.
+
+        Raises
+        ------
+        CalibrationError
+            As `check_background`.
+        """
+        return compared(cells_from_image(image), self._cells)
+
+    def change(
+        self,
+        image: NDArray[Any],
+        exposure: Exposure | None = None,
+        out: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Color change (H, W, 3) float32; with `exposure`, of the image that today's exposure would have given.
+
+        What is compensated is the exposure's `believed_gain`.
+        """
+        shape = self._light.shape
+        change: NDArray[np.float32] = np.empty(shape, dtype=np.float32) if out is None else out
+        light = light_from_image(image, self.settings)
+        mixed = self.settings.crosstalk is not None
+        share = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
+        if mixed and np.ptp(share) > 0:
+            # gains act on the channels as the camera has them: in front of the crosstalk
+            matrix = np.asarray(self.settings.crosstalk)
+            light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(share) @ matrix)
+            share = np.ones(3)
+        rows = (shape[0], shape[1] * 3)
+        scale = np.tile(share.astype(np.float32), shape[1])
+        _scaled_change(
+            light.reshape(rows),
+            scale,
+            self._light.reshape(rows),
+            self._gain.reshape(rows),
+            change.reshape(rows),
+        )
+        if self.settings.blur_px > 0:
+            blur = self.settings.blur_px
+            cv2.GaussianBlur(change, (0, 0), blur, dst=change, borderType=cv2.BORDER_REFLECT_101)
+        return change
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _scaled_change(light, scale, rest, gain, out):  # type: ignore[no-untyped-def]
+    """(light scale - rest) gain, row by row."""
+    for y in range(light.shape[0]):
+        for x in range(light.shape[1]):
+            out[y, x] = (np.float32(light[y, x]) * scale[x] - rest[y, x]) * gain[y, x]
+
+
+def image_from_color_change(
+    color_change: ArrayLike, background: ArrayLike, settings: ChangeSettings | None = None
+) -> NDArray[np.float32]:
+    """The image (H, W, 3) float32, 0-255, of an unblurred color change: what the forward path inverts.
+
+    Values are clipped to 0-255, as a camera would.
+    """
+    settings = settings or ChangeSettings()
+    rest = check_image(background, name="background").astype(np.float32)
+    gain = gain_from_background(rest, settings)
+    light = light_from_image(rest, settings) + np.asarray(color_change, dtype=np.float32) / gain
+    if settings.crosstalk is not None:
+        light = cv2.transform(light, np.asarray(settings.crosstalk))
+    light = np.clip(light, 0, 255)
+    return light if settings.response == 1 else _camera_levels(light, settings.response)
+
+
+def _camera_levels(light: NDArray[Any], response: float) -> NDArray[np.float32]:
+    return np.asarray(255 * (light / 255) ** response, dtype=np.float32)
+
+
+def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
+    """Pixels (H, W) whose colour did not change: |change - its median over the frame| < threshold.
+
+    The median is taken on a coarse grid: an exposure step moves all pixels alike and touches none.
+    """
+    common = np.median(color_change[::8, ::8].reshape(-1, 3), axis=0).astype(np.float32)
+    inside: NDArray[np.bool_] = _within(color_change, common, float(threshold) ** 2)
+    return inside
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _within(change, center, square):  # type: ignore[no-untyped-def]
+    """Where the distance of a pixel's change to a center is less than the root of `square`."""
+    height, width, _ = change.shape
+    inside = np.empty((height, width), dtype=np.bool_)
+    limit = np.float32(square)
+    for y in range(height):
+        for x in range(width):
+            red = change[y, x, 0] - center[0]
+            green = change[y, x, 1] - center[1]
+            blue = change[y, x, 2] - center[2]
+            inside[y, x] = red * red + green * green + blue * blue < limit
+    return inside

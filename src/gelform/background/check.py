@@ -1,0 +1,192 @@
+"""Whether a background belongs to an image, to a set of frames, to the calibrated sensor; with figures."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gelform.background.exposure import Exposure, cells_from_image, exposure_from_cells
+from gelform.errors import CalibrationError
+
+RATIO_WARN = (0.9, 1.1)
+RATIO_REFUSE = (0.7, 1.4)
+GAIN_TOLD = 0.02
+CORRELATION_REFUSE = 0.8
+PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
+TOUCHED_SHARE = 0.4
+MIN_FRAMES = 8
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a user should know, with its figure."""
+
+    name: str
+    message: str
+    figure: float
+
+
+def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:
+    """Refuse a background that is not of this image; return what should be warned of.
+
+    On what a touch left alone the image should be the background times a gain near 1.
+
+    Raises
+    ------
+    CalibrationError
+        The channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
+        correlation is under 0.8. The figure is in the message.
+    """
+    return compared(cells_from_image(image), cells_from_image(background))[1]
+
+
+def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> tuple[Finding, ...]:
+    """Refuse an untouched image that is not of the calibrated sensor; return what should be warned of.
+
+    Beyond `check_background`: both are untouched, so that behind a gain for each channel they should be alike
+    everywhere. Another unit of the same model passes all but this.
+
+    Raises
+    ------
+    CalibrationError
+        As `check_background`, or half of the image differs by more than 6 %. The figure is in the message.
+    """
+    exposure, _ = compared(cells_from_image(background), cells_from_image(calibrated))
+    differs = exposure.middle_change
+    if np.isfinite(differs) and differs > PATTERN_REFUSE:
+        raise CalibrationError(
+            f"This background is not of the sensor that was calibrated: behind a common gain ({_times(exposure.gain)}) "
+            f"half of it differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use "
+            "this sensor's own calibration; if it is the same unit, its gel or lights have moved: calibrate again."
+        )
+    findings = list(_exposure_findings(exposure))
+    if np.isfinite(differs) and differs > PATTERN_WARN:
+        message = (
+            f"Today's background differs from the calibration's by {100 * differs:.1f} % behind a common gain: "
+            "the gel or a light may have moved."
+        )
+        findings.append(Finding("background_pattern", message, differs))
+    return tuple(findings)
+
+
+def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArray[Any]) -> None:
+    """Refuse a background that is not of the sensor that took the frames; they are touched, each elsewhere.
+
+    The cells' median over eight frames or more is nearly the untouched image; fewer are not judged.
+
+    Raises
+    ------
+    CalibrationError
+        The quarter that changed least differs by more than 3.6 % and half by more than 6 %.
+    """
+    if len(frames) < MIN_FRAMES:
+        return
+    middle = np.median([cells_from_image(frame) for frame in frames], axis=0).astype(np.float32)
+    exposure = exposure_from_cells(middle, cells_from_image(background))
+    if np.isfinite(exposure.least_change) and (
+        exposure.least_change > LEAST_REFUSE and exposure.middle_change > PATTERN_REFUSE
+    ):
+        raise CalibrationError(
+            f"The background is not of these images: behind a common gain ({_times(exposure.gain)}) a quarter of "
+            f"their median differs by {100 * exposure.least_change:.1f} % or more, half by "
+            f"{100 * exposure.middle_change:.1f} % (expected under {100 * LEAST_REFUSE:g} and "
+            f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
+        )
+
+
+def background_digest(background: NDArray[Any]) -> str:
+    """SHA-256 of an untouched image's pixels: how a calibration knows its own."""
+    pixels = np.ascontiguousarray(background, dtype="<f4")
+    return hashlib.sha256(repr(pixels.shape).encode() + pixels.tobytes()).hexdigest()
+
+
+def compared(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[Exposure, tuple[Finding, ...]]:
+    exposure = exposure_from_cells(seen, rest)
+    correlation = _correlation(seen, rest, exposure.gain)
+    turned = _correlation_reversed(seen, rest) if correlation < 0.97 else 0.0
+    if turned > max(0.9, correlation + 0.03):
+        raise CalibrationError(
+            f"The image looks like BGR: its channels fit the background better reversed (correlation "
+            f"{turned:.2f} against {correlation:.2f}). Turn them: image[..., ::-1]."
+        )
+    _refuse_unlike(exposure.gain, correlation)
+    return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
+
+
+def _refuse_unlike(gain: NDArray[np.float64], correlation: float) -> None:
+    if gain.min() < RATIO_REFUSE[0] or gain.max() > RATIO_REFUSE[1]:
+        raise CalibrationError(
+            f"The background is not of this image: untouched pixels are {_times(gain)} times as bright as in "
+            f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
+            "same exposure, white balance and lights."
+        )
+    if correlation < CORRELATION_REFUSE:
+        raise CalibrationError(
+            f"The background is not of this image: the two correlate by {correlation:.2f} on untouched pixels "
+            f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
+        )
+
+
+def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
+    gain = exposure.gain
+    largest = float(gain[np.argmax(np.abs(np.log(gain)))])
+    if gain.min() < RATIO_WARN[0] or gain.max() > RATIO_WARN[1]:
+        message = f"Untouched pixels are {_times(gain)} times as bright as in the background: take a new background."
+        return (Finding("background_ratio", message, largest),)
+    if exposure.is_known and abs(largest - 1) > GAIN_TOLD:
+        percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gain))
+        message = f"Exposure differs from the background's by {percents}: compensated."
+        return (Finding("exposure", message, largest),)
+    return ()
+
+
+def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
+    least = exposure.least_change
+    if not (np.isfinite(least) and least > LEAST_REFUSE):
+        return ()
+    message = (
+        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %: a "
+        "contact that fills the image, or the calibration or background of another sensor."
+    )
+    return (Finding("background_differs", message, least),)
+
+
+def _times(gain: NDArray[np.float64]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
+
+
+def _correlation_reversed(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> float:
+    turned = np.ascontiguousarray(seen[..., ::-1])
+    return _correlation(turned, rest, exposure_from_cells(turned, rest).gain)
+
+
+def _correlation(seen: NDArray[np.float32], rest: NDArray[np.float32], gain: NDArray[Any]) -> float:
+    """Correlation over all but the `TOUCHED_SHARE` of the cells that changed most, channels together."""
+    return float(_correlated(seen.reshape(-1, 3), rest.reshape(-1, 3), 1 / gain, 1 - TOUCHED_SHARE))
+
+
+@njit(cache=True, nogil=True)
+def _correlated(seen, rest, scale, kept):  # type: ignore[no-untyped-def]
+    distance = np.zeros(seen.shape[0])
+    for k in range(seen.shape[0]):
+        for c in range(3):
+            distance[k] += abs(seen[k, c] * scale[c] - rest[k, c])
+    last = min(int(kept * seen.shape[0]), seen.shape[0] - 1)
+    limit = np.partition(distance, last)[last]
+    sums = np.zeros(6)
+    for k in range(seen.shape[0]):
+        if distance[k] <= limit:
+            for c in range(3):
+                a, b = seen[k, c] * scale[c] - 128, rest[k, c] - 128
+                sums += np.array([1.0, a, b, a * a, b * b, a * b])
+    a, b = sums[1] / sums[0], sums[2] / sums[0]
+    var_a, var_b = sums[3] / sums[0] - a * a, sums[4] / sums[0] - b * b
+    if min(var_a, var_b) < 1e-4:  # a featureless background can neither agree nor disagree
+        return 1.0
+    return (sums[5] / sums[0] - a * b) / np.sqrt(var_a * var_b)

@@ -1,0 +1,1 @@
+"""The contact circle of each press: found, refined, and the pixels whose slope it tells."""

@@ -1,0 +1,184 @@
+"""Joint refinement: the color model and the contact circles of all presses, fitted to each other.
+
+A circle found in one image is off by a pixel or two. A model fitted on all presses averages that out, so each
+press is moved to where its ball agrees best with the model, and the model is fitted again. Presses that do not
+agree are left out, with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.circles.find import Contact, moved, scale_of, why_no_contact
+from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
+from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel
+from gelform.metrics import STEEPEST_FRACTION, ball_center
+from gelform.progress import Progress, no_progress
+
+ROUNDS = 5
+WHOLE_ROUNDS = 2
+MIN_WHOLE = 6
+REFINING_ZONE = 0.8
+REFINING_SAMPLES = 15_000
+MAX_MOVE_PX = 8.0
+MAX_RESIDUAL = 0.25
+RESIDUAL_OVER_MEDIAN = 3.0
+START_RIDGE = 1e-2
+GAIN_RANGE = (0.7, 1.45)
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The presses after refinement.
+
+    Attributes
+    ----------
+    contacts : one per press, refined where it was accepted, as found where not
+    reasons : why a press was rejected, or None
+    model : what refined them
+    """
+
+    contacts: tuple[Contact, ...]
+    reasons: tuple[str | None, ...]
+    model: ColorModel | None
+
+    @property
+    def accepted(self) -> list[int]:
+        """Indices of the presses that fit."""
+        return [i for i, reason in enumerate(self.reasons) if reason is None]
+
+
+def refining_degrees(count: int) -> tuple[int, ...]:
+    """Position degrees that a number of presses can carry while their circles are still uncertain."""
+    if count < 6:
+        return (1,)
+    return (2, 1) if count < 9 else (3, 2, 0)
+
+
+def refine(
+    presses: Sequence[PreparedPress],
+    found: Sequence[Contact],
+    *,
+    excluded: Mapping[int, str] | None = None,
+    start: HierarchicalModel | None = None,
+    progress: Progress = no_progress,
+) -> Refined:
+    """Move each circle to agree with a color model fitted on all of them; reject the presses that do not.
+
+    Parameters
+    ----------
+    presses, found : what was pressed and the circle found in each image
+    excluded : presses that are rejected already, with the reason
+    start : what another unit of the same sensor taught
+    """
+    reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
+    for i, reason in (excluded or {}).items():
+        reasons[i] = reason
+    candidates = [i for i, reason in enumerate(reasons) if reason is None]
+    whole = [i for i in candidates if _is_whole(presses[i], found[i])]
+    contacts, fit_on = list(found), whole if len(whole) >= MIN_WHOLE else candidates
+    model: ColorModel | None = None
+    for round_ in range(ROUNDS if len(candidates) > 1 else 0):
+        model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
+        for i in candidates:
+            contacts[i] = recentered(presses[i], contacts[i], found[i], model)
+        misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
+        late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
+        if round_ + 1 == WHOLE_ROUNDS:  # everyone is heard before anyone is left out
+            fit_on = candidates
+        elif round_ + 1 > WHOLE_ROUNDS:
+            fit_on = [i for i in candidates if i not in late] or candidates
+        progress(round_ + 1, ROUNDS, "fitting circles and colours together")
+    if model is not None:
+        for i, reason in late.items():
+            reasons[i] = reason
+            contacts[i] = found[i]
+    return Refined(tuple(contacts), tuple(reasons), model)
+
+
+def _is_whole(press: PreparedPress, contact: Contact) -> bool:
+    """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
+    height, width = press.size.shape
+    margin = contact.radius_px
+    return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
+
+
+def fit_model(
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[Contact],
+    start: HierarchicalModel | None = None,
+) -> ColorModel:
+    """What circles are refined with: a polynomial, or a start that is followed closely."""
+    samples = contact_samples(presses, contacts, REFINING_ZONE, total=REFINING_SAMPLES)
+    samples = with_rest_samples(samples, presses, contacts)
+    if start is not None:
+        return HierarchicalModel.fit(samples, ridge=START_RIDGE, start=start)
+    return PolynomialModel.fit(samples, position_degrees=refining_degrees(len(presses)))
+
+
+def why_impossible(press: PreparedPress, contact: Contact) -> str | None:
+    """The reason why a circle found in one image cannot be a press of this ball, or None."""
+    reason = why_no_contact(contact)
+    if reason is None and contact.radius_px >= STEEPEST_FRACTION * press.ball_radius_px:
+        reason = (
+            f"contact radius {contact.radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or "
+            "more: pressed too deep, or ball diameter or mm_per_px is wrong"
+        )
+    if reason is None and len(press.pixels(contact, REFINING_ZONE)[0]) < 30:
+        reason = "contact lies outside the frame"
+    return reason
+
+
+def recentered(press: PreparedPress, contact: Contact, found: Contact, model: ColorModel) -> Contact:
+    """The contact moved to where the ball agrees best with the model, not far from where it was found."""
+    rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
+    if len(rows) < 30:
+        return contact
+    gradients = press.gradients(model, rows, cols)
+    x, y = ball_center(gradients, cols, rows, (contact.x_px, contact.y_px), press.ball_radius_px, rounds=8)
+    far = np.hypot(x - found.x_px, y - found.y_px)
+    limit = 1.5 * MAX_MOVE_PX * scale_of(press.size.shape)
+    if far > limit:
+        x, y = found.x_px + (x - found.x_px) * limit / far, found.y_px + (y - found.y_px) * limit / far
+    return moved(contact, press.size, x, y)
+
+
+def why_misfits(
+    presses: Sequence[PreparedPress], contacts: Sequence[Contact], model: ColorModel
+) -> list[str | None]:
+    """For each press the reason why it does not agree with the model of all, or None."""
+    return misfit_reasons([agreement(press, contact, model) for press, contact in zip(presses, contacts)])
+
+
+def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None]:
+    """For each (slope error, gain) the reason why such a press does not fit, or None."""
+    typical = float(np.median([residual for residual, _ in agreements]))
+    limit = min(MAX_RESIDUAL, max(RESIDUAL_OVER_MEDIAN * typical, 0.1))
+    reasons: list[str | None] = []
+    for residual, gain in agreements:
+        if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
+            reasons.append(
+                f"its slopes are {gain:.2f} times those of a ball of this diameter by the other presses: "
+                "check its ball_diameter_mm"
+            )
+        elif residual > limit:
+            reasons.append(
+                f"slopes differ from the ball's by {residual:.2f} (the other presses: {typical:.2f}, limit {limit:.2f}): "
+                "not a ball, slipped, or a double contact"
+            )
+        else:
+            reasons.append(None)
+    return reasons
+
+
+def agreement(press: PreparedPress, contact: Contact, model: ColorModel) -> tuple[float, float]:
+    """Median slope error inside the contact, and the slope of model on ball (1 where they agree)."""
+    rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
+    ball = press.ball_gradients(contact, rows, cols)
+    seen: NDArray[np.float64] = press.gradients(model, rows, cols)
+    error = np.linalg.norm(seen - ball, axis=1)
+    return float(np.median(error)), float(np.sum(seen * ball) / max(np.sum(ball * ball), 1e-12))

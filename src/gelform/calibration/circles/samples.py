@@ -1,0 +1,113 @@
+"""Pixels of ball presses whose gradient is known: what color models are fitted on.
+
+Inside the contact circle the gel follows the ball. Near the visible rim it has already left it, so a model
+trains on r < zone * (contact radius) only; the zone is chosen on held-out presses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.circles.find import Contact
+from gelform.color_models import ColorModel, Samples
+from gelform.metrics import STEEPEST_FRACTION, ball_gradients
+
+TOTAL_SAMPLES = 40_000
+REST_WEIGHT = 0.3
+REST_DISTANCE = 2.0
+
+
+@dataclass(frozen=True)
+class PreparedPress:
+    """One press, ready to be fitted: its color change and the ball that made it.
+
+    Attributes
+    ----------
+    name : str
+    color_change : (H, W, 3) float32, blurred
+    size : (H, W) float32, |color change - its median|
+    ball_radius_px : float
+    usable : (H, W) bool, False on marker dots; None where all pixels are
+    background : (H, W, 3) float32, the untouched image that all presses share; or None
+    """
+
+    name: str
+    color_change: NDArray[np.float32]
+    size: NDArray[np.float32]
+    ball_radius_px: float
+    usable: NDArray[np.bool_] | None = None
+    background: NDArray[np.float32] | None = None
+
+    def pixels(
+        self, contact: Contact, zone: float, count: int | None = None
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of about `count` pixels inside `zone` of the contact radius, on a regular lattice."""
+        radius = min(zone * contact.radius_px, STEEPEST_FRACTION * self.ball_radius_px)
+        height, width = self.size.shape
+        top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
+        left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))
+        rows, cols = np.ogrid[top : bottom + 1, left : right + 1]
+        inside = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 < radius**2
+        inside &= (rows < height) & (cols < width)
+        if self.usable is not None:
+            inside &= self.usable[np.minimum(rows, height - 1), np.minimum(cols, width - 1)]
+        stride = 1 if count is None else int(max(1, round(np.count_nonzero(inside) / max(count, 1))))
+        if stride > 1:
+            inside &= (cols + 3 * rows) % stride == 0
+        found_rows, found_cols = np.nonzero(inside)
+        return found_rows + top, found_cols + left
+
+    def ball_gradients(
+        self, contact: Contact, rows: NDArray[np.intp], cols: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """The ball's slopes at pixels."""
+        return ball_gradients(cols, rows, (contact.x_px, contact.y_px), self.ball_radius_px)
+
+    def gradients(
+        self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """The slopes that a model reads there."""
+        return model.gradients_at(self.color_change[rows, cols], cols, rows)
+
+
+def contact_samples(
+    presses: Sequence[PreparedPress], contacts: Sequence[Contact], zone: float, *, total: int = TOTAL_SAMPLES
+) -> Samples:
+    """Samples inside the contacts, labelled by the balls: about `total`, shared evenly by the presses."""
+    parts = []
+    for press, contact in zip(presses, contacts):
+        rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
+        parts.append((press.color_change[rows, cols], cols, rows, press.ball_gradients(contact, rows, cols)))
+    change, x, y, gradients = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    first = presses[0]
+    return Samples(change, x, y, gradients, np.ones(len(x)), first.size.shape, first.background)
+
+
+def with_rest_samples(
+    samples: Samples, presses: Sequence[PreparedPress], contacts: Sequence[Contact]
+) -> Samples:
+    """The samples and up to half as many from the untouched gel, where the gradient is 0, at a lower weight."""
+    parts = []
+    for press, contact in zip(presses, contacts):
+        step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
+        rows, cols = (
+            axis.ravel() for axis in np.mgrid[: press.size.shape[0] : step, : press.size.shape[1] : step]
+        )
+        distance = np.hypot(cols - contact.x_px, rows - contact.y_px)
+        far = distance > REST_DISTANCE * contact.radius_px
+        if press.usable is not None:
+            far &= press.usable[rows, cols]
+        parts.append((press.color_change[rows[far], cols[far]], cols[far], rows[far]))
+    change, x, y = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    return replace(
+        samples,
+        color_change=np.concatenate([samples.color_change, change]),
+        x_px=np.concatenate([samples.x_px, x]),
+        y_px=np.concatenate([samples.y_px, y]),
+        gradients=np.concatenate([samples.gradients, np.zeros((len(x), 2))]),
+        weight=np.concatenate([samples.weight, np.full(len(x), REST_WEIGHT)]),
+    )

@@ -1,0 +1,1 @@
+"""What is measured beside the presses: scale, lens, crosstalk."""

@@ -1,0 +1,66 @@
+"""Presses with what was measured beside them: their scale, their crosstalk, the view that undoes the lens."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+
+from gelform.calibration.geometry.crosstalk import Crosstalk
+from gelform.calibration.geometry.scale import Scale
+from gelform.calibration.presses.folder import Press, Presses
+from gelform.errors import DataError
+from gelform.view import View, image_from_frame, image_px_from_frame_px
+
+
+def with_scale(presses: Presses, scale: Scale) -> Presses:
+    """The presses at a measured scale."""
+    return replace(
+        presses,
+        mm_per_px=scale.mm_per_px,
+        mm_per_px_sigma=scale.sigma,
+        geometry=replace(presses.geometry, scale_source=scale.source),
+    )
+
+
+def with_crosstalk(presses: Presses, crosstalk: Crosstalk) -> Presses:
+    """The presses of channels whose crosstalk is known: the calibration undoes it before its color model."""
+    return replace(presses, geometry=replace(presses.geometry, crosstalk=crosstalk))
+
+
+def with_view(presses: Presses, view: View, source: str) -> Presses:
+    """The presses through a view that undoes the lens; labels move with their pixels.
+
+    Raises
+    ------
+    DataError
+        The presses have a view of their own already, or are of another size than the view's frames.
+    """
+    if not presses.view.is_identity:
+        raise DataError(
+            "Expected presses without a view where the lens is undone, got a [view] or --crop: undo it on whole "
+            "frames (leave the view out), and crop by the lens's view."
+        )
+    if presses.image_shape != view.frame_shape:
+        raise DataError(
+            f"Expected presses of the size of the grid's images, {view.frame_shape} px, got {presses.image_shape} px "
+            "(height, width). Take both with the same camera settings."
+        )
+    background = image_from_frame(presses.background, view).astype(np.float32)
+    seen = tuple(_through(press, view) for press in presses.presses)
+    geometry = replace(presses.geometry, lens=source)
+    return replace(presses, presses=seen, background=background, view=view, geometry=geometry)
+
+
+def _through(press: Press, view: View) -> Press:
+    image = np.ascontiguousarray(image_from_frame(press.image, view))
+    digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()
+    label = None
+    if press.label is not None:
+        x, y, radius = press.label
+        ring = np.array([(x, y), (x + radius, y), (x - radius, y), (x, y + radius), (x, y - radius)])
+        center, *rim = image_px_from_frame_px(ring, view)
+        distances = [float(np.hypot(*(point - center))) for point in rim]
+        label = (float(center[0]), float(center[1]), float(np.mean(distances)))
+    return replace(press, image=image, digest=digest, label=label)

@@ -1,0 +1,250 @@
+"""The view that undoes distortion and perspective, and the scale, from images of a grid that lies on the gel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from gelform.calibration.geometry.scale import Scale
+from gelform.checks import check_image, check_positive
+from gelform.errors import DataError
+from gelform.lens import Lens
+from gelform.view import View
+
+MAX_RESIDUAL_PX = 0.5
+PITCH_SIGMA = 0.002  # of a printed grid
+CENTER_PRIOR = (
+    0.05  # standard deviation of the optical axis about the frame's middle, as a share of its width
+)
+DISTORTION_PRIOR = 1.0
+MIN_CROP = 0.5
+
+
+@dataclass(frozen=True)
+class GridView:
+    """What a grid tells.
+
+    Attributes
+    ----------
+    view : from frames to images with square pixels on the gel, one remap; cropped to what the camera saw
+    scale : mm per pixel of those images, and its standard deviation
+    residual_px, residual_mm : root mean square distance of the grid's points from the model, in the frame and on the gel
+    points : how many points of how many images were used
+    """
+
+    view: View
+    scale: Scale
+    residual_px: float
+    residual_mm: float
+    points: int
+
+    def describe(self) -> str:
+        """One line with the figures."""
+        return f"{self.points} points of a grid, residual {self.residual_px:.3f} px ({1000 * self.residual_mm:.1f} um)"
+
+
+def view_from_grid(
+    images: Sequence[ArrayLike],
+    *,
+    pattern: tuple[int, int],
+    pitch_mm: float,
+    kind: Literal["checkerboard", "dots"] = "checkerboard",
+    pitch_sigma_mm: float | None = None,
+) -> GridView:
+    """Undo the lens and tell the scale from images of a regular grid.
+
+    The first image shows the grid on the gel: it tells the plane and the scale. Further ones, of the grid at other
+    places or tilts, help with the distortion alone. Fitted together by least squares: a homography for each image and
+    Brown's radial distortion (k1, k2) about one centre, common to all. The focal length that a single plane cannot
+    tell is not needed to rectify it and is set to the frame's longer side.
+
+    Parameters
+    ----------
+    images : (H, W, 3) each, RGB, 0-255: whole camera frames, no view applied
+    pattern : (columns, rows) of the inner corners of a checkerboard, or of the dots
+    pitch_mm : from corner to corner, or dot to dot
+    kind : "checkerboard" or "dots" (a square grid of dark dots)
+    pitch_sigma_mm : standard deviation of the pitch, mm; 0.2 % of it by default
+
+    Raises
+    ------
+    DataError
+        The grid is not found in an image, or its points are over 0.5 px off the model: it is bent, or another pattern.
+    """
+    if kind not in ("checkerboard", "dots") or len(pattern) != 2 or min(pattern) < 3:
+        raise ValueError(
+            f"Expected kind 'checkerboard' or 'dots' and a pattern of 3x3 points or more, got {kind!r}, {pattern}."
+        )
+    pitch = check_positive(pitch_mm, "pitch_mm")
+    frames = [check_image(image, name="grid image") for image in images]
+    if not frames or any(frame.shape != frames[0].shape for frame in frames):
+        raise ValueError("Expected one grid image or more, all of one size.")
+    seen = [_points_of_grid(frame, pattern, kind, k) for k, frame in enumerate(frames)]
+    columns, rows = pattern
+    y, x = np.mgrid[:rows, :columns] * pitch
+    grid = np.stack([x.ravel() - x.mean(), y.ravel() - y.mean()], axis=1)
+    shape = (frames[0].shape[0], frames[0].shape[1])
+    model, residual = _fitted(grid, seen, shape)
+    if residual > MAX_RESIDUAL_PX:
+        raise DataError(
+            f"Expected the points of a flat, regular grid, got points {residual:.2f} px off one (limit "
+            f"{MAX_RESIDUAL_PX:g}). Is it flat on the gel, and the pattern {columns}x{rows}?"
+        )
+    lens, mm_per_px = _rectifying(model, shape)
+    spread = float(np.sqrt(np.mean(np.sum((grid / mm_per_px) ** 2, axis=1))))
+    told = residual / spread / np.sqrt(len(grid))
+    known = PITCH_SIGMA if pitch_sigma_mm is None else pitch_sigma_mm / pitch
+    source = f"a {kind} of {columns}x{rows} points, pitch {pitch:g} mm"
+    scale = Scale(mm_per_px, float(mm_per_px * np.hypot(told, known)), source)
+    view = _cropped(View(shape, lens=lens))
+    return GridView(view, scale, residual, residual * mm_per_px, len(grid) * len(seen))
+
+
+def _points_of_grid(
+    frame: NDArray[Any], pattern: tuple[int, int], kind: str, number: int
+) -> NDArray[np.float64]:
+    """(N, 2) points, x and y, row by row of the pattern."""
+    grey = cv2.cvtColor(frame.astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    if kind == "checkerboard":
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+        found, points = cv2.findChessboardCornersSB(grey, pattern, flags=flags)
+        if found:
+            points = _refined_corners(grey, np.asarray(points, dtype=np.float32).reshape(-1, 1, 2), pattern)
+    else:
+        found, points = cv2.findCirclesGrid(
+            grey, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=_dot_detector(grey.size)
+        )
+    if not found:
+        raise DataError(
+            f"Expected a {kind} of {pattern[0]}x{pattern[1]} points in grid image {number + 1}, found none. Is the "
+            "whole grid in the image, evenly lit, and the count that of inner corners (one less than squares)?"
+        )
+    return np.asarray(points, dtype=np.float64).reshape(-1, 2)
+
+
+def _refined_corners(
+    grey: NDArray[Any], points: NDArray[np.float32], pattern: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Corners where the grey levels' gradients say, within a quarter of a square: ten times nearer than found."""
+    rows = points.reshape(pattern[1], pattern[0], 2)
+    square = min(float(np.linalg.norm(np.diff(rows, axis=axis), axis=-1).min()) for axis in (0, 1))
+    half = max(2, int(square / 4))
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+    refined: NDArray[np.float32] = cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)
+    return refined
+
+
+def _dot_detector(pixels: int) -> Any:
+    blobs: Any = cv2  # OpenCV's stubs do not know its blob detector
+    settings = blobs.SimpleBlobDetector_Params()
+    settings.minArea, settings.maxArea = 8.0, pixels / 40
+    settings.minDistBetweenBlobs = 3.0
+    settings.thresholdStep = 5.0
+    return blobs.SimpleBlobDetector_create(settings)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Grid (mm) -> undistorted px by a homography, then radial distortion about the centre."""
+
+    homographies: NDArray[np.float64]
+    distortion: tuple[float, float]
+    center: tuple[float, float]
+    focal: float
+
+    @classmethod
+    def from_numbers(cls, numbers: NDArray[np.float64], focal: float) -> _Model:
+        homographies = np.concatenate(
+            [numbers[4:].reshape(-1, 8), np.ones((len(numbers[4:]) // 8, 1))], axis=1
+        )
+        k1, k2, cx, cy = (float(value) for value in numbers[:4])
+        return cls(homographies.reshape(-1, 3, 3), (k1, k2), (cx, cy), focal)
+
+    def seen(self, grid: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+        """Where image `number` shows points of the grid, px."""
+        flat = _projected(self.homographies[number], grid)
+        unit = (flat - self.center) / self.focal
+        square = np.sum(unit**2, axis=1, keepdims=True)
+        k1, k2 = self.distortion
+        return np.asarray(unit * (1 + k1 * square + k2 * square**2) * self.focal + self.center)
+
+
+def _projected(homography: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    moved = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+def _fitted(
+    grid: NDArray[np.float64], seen: Sequence[NDArray[np.float64]], shape: tuple[int, int]
+) -> tuple[_Model, float]:
+    """The model of all images and the root mean square residual, px."""
+    focal, middle = float(max(shape)), ((shape[1] - 1) / 2, (shape[0] - 1) / 2)
+    starts = [cv2.findHomography(grid, points)[0] for points in seen]
+    start = np.concatenate([[0.0, 0.0, *middle], *[(h / h[2, 2]).ravel()[:8] for h in starts]])
+
+    def off(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        model = _Model.from_numbers(numbers, focal)
+        residuals = [(model.seen(grid, k) - points).ravel() for k, points in enumerate(seen)]
+        # without distortion its centre is anywhere, and over a small grid k2 too: weak priors of 0.1 px noise
+        prior = (
+            0.1
+            * (numbers[:4] - start[:4])
+            / [DISTORTION_PRIOR, DISTORTION_PRIOR, *[CENTER_PRIOR * focal] * 2]
+        )
+        return np.concatenate([*residuals, prior])
+
+    fitted = least_squares(off, start, x_scale="jac", method="lm", max_nfev=4000)
+    residual = np.sqrt(np.mean(fitted.fun[:-4] ** 2) * 2)
+    return _Model.from_numbers(fitted.x, focal), float(residual)
+
+
+def _rectifying(model: _Model, shape: tuple[int, int]) -> tuple[Lens, float]:
+    """The lens whose rectified frame keeps size and direction in the middle of the frame, and its mm per px."""
+    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    bare = Lens((model.focal, model.focal, *model.center), model.distortion)
+    to_grid = np.linalg.inv(model.homographies[0])
+
+    def grid_mm(frame_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _projected(to_grid, bare.rectified_px_from_frame_px(frame_px))
+
+    steps = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1.0]])
+    at = grid_mm(middle + steps)
+    jacobian = np.column_stack(
+        [(at[1] - at[2]) / 2, (at[3] - at[4]) / 2]
+    )  # mm of the grid per px of the frame
+    mm_per_px = float(np.sqrt(abs(np.linalg.det(jacobian))))
+    u, _, v = np.linalg.svd(jacobian)
+    turn = mm_per_px * (u @ v)  # the nearest turn (or mirror image: which corner comes first is arbitrary)
+    placed = np.eye(3)
+    placed[:2, :2], placed[:2, 2] = turn, at[0] - turn @ middle
+    perspective = model.homographies[0] @ placed
+    perspective /= perspective[2, 2]
+    return Lens(bare.camera, bare.distortion, tuple(perspective.ravel())), mm_per_px
+
+
+def _cropped(view: View) -> View:
+    """The largest middle part of the rectified frame, in whole pixels, of which the camera saw everything."""
+    assert view.frame_shape is not None
+    assert view.lens is not None
+    height, width = view.frame_shape
+    for share in np.arange(1.0, MIN_CROP, -0.005):
+        left, top = int(np.ceil(width * (1 - share) / 2)), int(np.ceil(height * (1 - share) / 2))
+        x, y = np.arange(left, width - left, dtype=float), np.arange(top, height - top, dtype=float)
+        rim = np.concatenate(
+            [np.column_stack([x, np.full_like(x, row)]) for row in (y[0], y[-1])]
+            + [np.column_stack([np.full_like(y, column), y]) for column in (x[0], x[-1])]
+        )
+        there = view.lens.frame_px_from_rectified_px(rim)
+        if (there >= -0.5).all() and (there <= [width - 0.5, height - 0.5]).all():
+            crop = (float(left), float(top), float(len(x)), float(len(y)))
+            return View(view.frame_shape, None if share == 1 else crop, lens=view.lens)
+    raise DataError(
+        "Expected a grid seen from above, got one so slanted that less than half of the rectified frame is in the image. "
+        "Lay the grid on the gel and take it with the camera that takes the presses."
+    )

@@ -1,0 +1,52 @@
+"""What was measured about a sensor before its presses: scale, crosstalk, lens; and what a report says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from gelform.calibration.geometry.crosstalk import Crosstalk
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Measured beside the presses; nothing by default.
+
+    Attributes
+    ----------
+    scale_source : what told mm_per_px, with the figures; empty: given as a number
+    crosstalk : undone before the color model; None: absorbed in it
+    lens : what told distortion and perspective, with the residual; empty: none is undone
+    """
+
+    scale_source: str = ""
+    crosstalk: Crosstalk | None = None
+    lens: str = ""
+
+    @property
+    def matrix(self) -> tuple[tuple[float, ...], ...] | None:
+        """The crosstalk to undo, 3x3, or None."""
+        return None if self.crosstalk is None else self.crosstalk.matrix
+
+    def settings(self) -> dict[str, Any]:
+        """What a calibration records of it."""
+        said = {"scale_source": self.scale_source, "lens": self.lens}
+        if self.crosstalk is not None:
+            said["crosstalk"] = self.crosstalk.describe()
+        return {name: text for name, text in said.items() if text}
+
+    def notes(self, response: float, mm_per_px_sigma: float | None) -> tuple[str, ...]:
+        """What a report says of it, one sentence each."""
+        sigma = "is not known" if mm_per_px_sigma is None else f"is {mm_per_px_sigma:.2g} mm/px"
+        scale = self.scale_source or "the number given"
+        notes = [
+            f"Scale from {scale}; its standard deviation {sigma} and is not in the errors.",
+            "Crosstalk is absorbed in the color model (no --led-frames)."
+            if self.crosstalk is None
+            else f"Crosstalk is undone before the color model: {self.crosstalk.describe()}.",
+        ]
+        if response != 1:
+            notes.append(f"The camera's response, exponent {response:g}, is undone before the color model.")
+        if self.lens:
+            notes.append(f"Lens undone: {self.lens}.")
+        return tuple(notes)

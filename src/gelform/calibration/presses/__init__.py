@@ -1,0 +1,1 @@
+"""Presses in, from folders, other packages' layouts and videos: a press set."""

@@ -1,0 +1,182 @@
+"""Read presses of a ball from anything: a press folder, other packages' folders, plain images, a video."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from gelform.calibration.presses.packages import (
+    background_in,
+    gs_sdk_source,
+    py3dcal_source,
+    taxim_pack_in,
+    taxim_source,
+)
+from gelform.calibration.presses.press_set import Asked, Listed, Press, Presses, Source, press_from_frame
+from gelform.calibration.presses.tables import diameter, number, table_rows
+from gelform.calibration.presses.video import presses_from_video
+from gelform.errors import DataError
+from gelform.progress import Progress, no_progress
+from gelform.sensors.backgrounds import read_background
+from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.video_files import is_video
+from gelform.view import image_from_frame
+
+LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
+NAMED_ODD = 5
+
+
+def read_presses(
+    path: str | PathLike[str],
+    *,
+    sensor: str | None = None,
+    mm_per_px: float | None = None,
+    ball_diameter_mm: float | None = None,
+    background: str | PathLike[str] | None = None,
+    crop: tuple[float, float, float, float] | None = None,
+    progress: Progress = no_progress,
+) -> Presses:
+    """Read ball presses.
+
+    Parameters
+    ----------
+    path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
+        py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images or a video with `ball_diameter_mm`
+    sensor : name of a profile, which gives the view and mm_per_px
+    mm_per_px : pixel pitch, mm; goes before sensor.toml and the profile
+    ball_diameter_mm : for data that do not name it
+    background : the untouched image; or a folder of several; the folder's `background.png` or `background/`
+        by default
+    crop : (left, top, width, height) in pixels of the frame
+    progress : called with (done, total, what)
+
+    Raises
+    ------
+    DataError
+        The data, a table, a column or an image is missing or unreadable, sizes differ, no scale is known,
+        a ball diameter is not a number > 0, or a video shows no untouched gel or no press (see
+        `presses_from_frames`). The message says what was expected and what to do.
+    """
+    place = Path(path)
+    asked = Asked(sensor, mm_per_px, ball_diameter_mm, Path(background) if background else None, crop)
+    kind = kind_of_presses(place)
+    if kind == VIDEO:
+        return presses_from_video(place, asked, progress)
+    if kind is None:
+        is_what = "a file of another kind" if place.exists() else "not there"
+        raise DataError(
+            f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
+        )
+    return _read(place, SOURCES[kind](place, asked), asked, progress)
+
+
+def kind_of_presses(place: Path) -> str | None:
+    """What layout of presses is at a path: VIDEO, a name in `SOURCES`, or None."""
+    if place.is_file() and is_video(place):
+        return VIDEO
+    if (place / "presses.csv").is_file():
+        return PRESS_FOLDER
+    if (place / "catalog.csv").is_file():
+        return GS_SDK
+    if (place / "annotations").is_dir() and (place / "probe_images").is_dir():
+        return PY3DCAL
+    if taxim_pack_in(place) is not None:
+        return TAXIM
+    return PLAIN if place.is_dir() else None
+
+
+def _read(place: Path, source: Source, asked: Asked, progress: Progress) -> Presses:
+    """Every image of a source, through one view."""
+    settings = asked.settings(place, source.known)
+    if not source.listed:
+        raise DataError(f"No press in {place}: expected images and a presses.csv with a row for each.")
+    frame_shape = (source.background.shape[0], source.background.shape[1])
+    view = asked.view(settings, frame_shape)
+    presses, sizes = [], {}
+    for done, listed in enumerate(source.listed):
+        frame = source.frame(done)
+        sizes[listed.name] = (frame.shape[0], frame.shape[1])
+        if sizes[listed.name] == frame_shape:
+            presses.append(press_from_frame(listed, frame, view))
+        progress(done + 1, len(source.listed), "reading presses")
+    _check_one_size(sizes, frame_shape)
+    return Presses(
+        folder=str(place),
+        presses=tuple(presses),
+        background=image_from_frame(source.background, view).astype(np.float32),
+        mm_per_px=settings.mm_per_px,
+        mm_per_px_sigma=settings.mm_per_px_sigma,
+        sensor_name=settings.name,
+        serial=settings.serial or None,
+        gel_id=settings.gel_id or None,
+        view=view,
+        response=settings.response,
+    )
+
+
+def _check_one_size(sizes: Mapping[str, tuple[int, int]], background: tuple[int, int]) -> None:
+    """Refuse images that are not of the background's size, and name those that are odd."""
+    odd = {name: size for name, size in sizes.items() if size != background}
+    if not odd:
+        return
+    (usual, count), *_ = Counter(sizes.values()).most_common(1)
+    if usual != background and count > len(sizes) / 2:
+        raise DataError(
+            f"Expected all images of one size: the background is {_px(background)}, {count} of {len(sizes)} presses "
+            f"are {_px(usual)}. Take the background anew with the camera settings of the presses."
+        )
+    named = ", ".join(f"{name} is {_px(size)}" for name, size in list(odd.items())[:NAMED_ODD])
+    more = f", and {len(odd) - NAMED_ODD} more" if len(odd) > NAMED_ODD else ""
+    raise DataError(
+        f"Expected all images of one size: {named}{more}; the background and {len(sizes) - len(odd)} presses are "
+        f"{_px(background)}. Leave the odd ones out, or take all with the same camera settings."
+    )
+
+
+def _px(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]} px"
+
+
+def press_folder_source(folder: Path, asked: Asked) -> Source:
+    """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels), `background.png`, images."""
+    rest = read_background(asked.background or background_in(folder))
+    listed = list(_press_table(folder))
+    return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
+
+
+def _press_table(folder: Path) -> Iterator[Listed]:
+    for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
+        if row.get("indenter", "ball") not in ("", "ball"):
+            continue  # other indenters are for evaluation by other means
+        label = None
+        if all(row.get(column) for column in LABEL_COLUMNS):
+            x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
+            label = (x, y, radius)
+        yield Listed(row["image"], diameter(row["ball_diameter_mm"], where), label)
+
+
+def plain_source(folder: Path, asked: Asked) -> Source:
+    """A folder of images of one ball, one press each, and `background.png`."""
+    rest_path = asked.background or background_in(folder)
+    images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
+    images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
+    ball = asked.ball(f"{folder} has images but no presses.csv") if images else 0.0
+    listed = [Listed(path.name, ball) for path in images]
+    return Source(read_background(rest_path), listed, lambda k: read_image(images[k]))
+
+
+PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
+TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
+SOURCES: Mapping[str, Callable[[Path, Asked], Source]] = {
+    PRESS_FOLDER: press_folder_source,
+    GS_SDK: gs_sdk_source,
+    PY3DCAL: py3dcal_source,
+    TAXIM: taxim_source,
+    PLAIN: plain_source,
+}
+
+__all__ = ["Press", "Presses", "kind_of_presses", "read_presses"]

@@ -1,0 +1,166 @@
+"""Presses in the layouts of other packages: gs_sdk, py3DCal, and Taxim's dataPack.npz."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.presses.press_set import Asked, Listed, Source
+from gelform.calibration.presses.tables import diameter, number, table_rows
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.sensors.backgrounds import read_background
+from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
+
+MAX_PACK_BYTES = 4 << 30
+TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
+
+
+def background_in(folder: Path, stem: str = "background") -> Path:
+    """The image of that stem in a folder, or a folder of that name with several."""
+    found = sorted(
+        p
+        for p in folder.glob(f"{stem}*")
+        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or p.is_dir())
+    )
+    if not found:
+        raise DataError(
+            f"No background in {folder}: expected {stem}.png, an image of the untouched gel. "
+            "Take one, or name it with background= (--background)."
+        )
+    return found[0]
+
+
+def gs_sdk_source(folder: Path, asked: Asked) -> Source:
+    """gs_sdk's folder: `catalog.csv` (experiment_reldir, diameter(mm)), `<dir>/gelsight.png`, `background.png`."""
+    rest = read_background(asked.background or background_in(folder))
+    listed = list(_gs_sdk_rows(folder))
+    return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
+
+
+def _gs_sdk_rows(folder: Path) -> Iterator[Listed]:
+    for where, row in table_rows(folder / "catalog.csv", ("experiment_reldir", "diameter(mm)")):
+        directory = folder / row["experiment_reldir"]
+        label = _gs_sdk_label(directory / "label.npz") if (directory / "label.npz").is_file() else None
+        yield Listed(f"{row['experiment_reldir']}/gelsight.png", diameter(row["diameter(mm)"], where), label)
+
+
+def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
+    try:
+        with np.load(path, allow_pickle=False) as label:
+            x, y = (float(v) for v in np.ravel(label["center"]))
+            return x, y, float(label["radius"])
+    except (KeyError, ValueError, OSError) as problem:
+        raise DataError(f"Expected center and radius in {path}, got: {problem}.") from problem
+
+
+def py3dcal_source(folder: Path, asked: Asked) -> Source:
+    """py3DCal's folder: a printer pressed one probe at places of a stage.
+
+    `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
+    probe_radius_mm), `blank_images/blank.png`, `probe_images/`.
+    """
+    rest = read_background(asked.background or _blank_in(folder / "blank_images"))
+    facts = _py3dcal_facts(folder)
+    ball = asked.ball_diameter_mm or 2 * facts["probe_radius_mm"]
+    rows = []
+    for where, row in table_rows(folder / "annotations" / "annotations.csv", ("img_name", "x_px", "y_px")):
+        center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))
+        rows.append(Listed(f"probe_images/{row['img_name']}", ball, center_px=center))
+    known = SensorSettings(folder.resolve().name, 1 / facts["px_per_mm"])
+    return Source(rest, rows, lambda k: read_image(folder / rows[k].name), known)
+
+
+def _blank_in(folder: Path) -> Path:
+    if (folder / "blank.png").is_file():
+        return folder / "blank.png"
+    images = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    if not images:
+        raise DataError(
+            f"No background in {folder}: expected blank.png, an image of the untouched gel. "
+            "Take one, or name it with background= (--background)."
+        )
+    return images[0]
+
+
+def _py3dcal_facts(folder: Path) -> dict[str, float]:
+    """px_per_mm and probe_radius_mm; the package has kept its metadata in either of two places."""
+    places = [folder / "annotations" / "metadata.json", folder / "metadata.json"]
+    path = next((place for place in places if place.is_file()), places[0])
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+        return {name: check_positive(float(facts[name]), name) for name in ("px_per_mm", "probe_radius_mm")}
+    except OSError as problem:
+        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DataError(f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {problem}.") from problem
+
+
+def taxim_pack_in(path: Path) -> Path | None:
+    """The `dataPack.npz` that a path is or that lies in it, under this name or another; or None."""
+    pack = path / "dataPack.npz" if path.is_dir() else path
+    if not pack.is_file() or pack.suffix != ".npz":
+        return None
+    if pack.name == "dataPack.npz":
+        return pack
+    try:
+        with zipfile.ZipFile(pack) as archive:
+            return pack if {"f0.npy", "imgs.npy"} <= set(archive.namelist()) else None
+    except (OSError, zipfile.BadZipFile):
+        return None
+
+
+def taxim_source(path: Path, asked: Asked) -> Source:
+    """Taxim's `dataPack.npz`: f0, imgs (BGR, as OpenCV read them), touch_center (x, y), touch_radius, names.
+
+    Nothing is unpickled: a member of Python objects is refused.
+    """
+    pack = taxim_pack_in(path)
+    assert pack is not None
+    arrays = _plain_arrays(pack)
+    images, centers = arrays["imgs"], arrays["touch_center"]
+    radii = arrays["touch_radius"].astype(float)
+    if images.ndim != 4 or centers.shape != (len(images), 2) or radii.shape != (len(images),):
+        raise DataError(
+            f"Expected imgs (N, H, W, 3), touch_center (N, 2) and touch_radius (N,) in {pack}, got "
+            f"{images.shape}, {centers.shape} and {radii.shape}."
+        )
+    ball = asked.ball(str(pack))
+    names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
+    rows = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
+    rest = read_background(asked.background) if asked.background is not None else _rgb(arrays["f0"])
+    return Source(rest, rows, lambda k: _rgb(images[k]))
+
+
+def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with zipfile.ZipFile(pack) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_PACK_BYTES:
+            raise DataError(
+                f"{pack} says that it holds {size / 2**30:.1f} GiB (at most {MAX_PACK_BYTES >> 30})."
+            )
+        with np.load(pack, allow_pickle=False) as data:
+            missing = [name for name in TAXIM_ARRAYS if name not in data.files]
+            if missing:
+                raise DataError(
+                    f"Expected the arrays {', '.join(TAXIM_ARRAYS)} in {pack}, {', '.join(missing)} missing."
+                )
+            return {name: data[name] for name in (*TAXIM_ARRAYS, "names") if name in data.files}
+    except ValueError as problem:
+        raise DataError(
+            f"{pack} holds Python objects, which could run code when read: refused. Save it again with plain "
+            f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
+        ) from problem
+    except (OSError, zipfile.BadZipFile, EOFError) as problem:
+        raise DataError(f"{pack} is truncated or damaged: {problem}.") from problem
+
+
+def _rgb(bgr: NDArray[Any]) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)

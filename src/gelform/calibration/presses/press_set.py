@@ -1,0 +1,184 @@
+"""A set of ball presses of one sensor: what calibration works on, wherever it came from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.geometry.measured import Geometry
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.sensors.files import SensorSettings, read_sensor_toml
+from gelform.sensors.profiles import profile_named
+from gelform.view import View, image_from_frame
+
+
+@dataclass(frozen=True)
+class Press:
+    """One press of a ball.
+
+    Attributes
+    ----------
+    name : path of the image below the folder, or its place in the video
+    image : (H, W, 3) uint8, RGB, after the view
+    ball_diameter_mm : float
+    label : (centre x, centre y, contact radius) in px of the image, where somebody labelled it
+    digest : SHA-256 of the image's pixels
+    center_px : (x, y) in px of the image where only the centre is known: a stage put it there
+    """
+
+    name: str
+    image: NDArray[Any]
+    ball_diameter_mm: float
+    label: tuple[float, float, float] | None
+    digest: str
+    center_px: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Presses:
+    """Presses of one sensor with one gel.
+
+    Attributes
+    ----------
+    folder : where they came from
+    presses : in the order of the table, or of their names, or of time
+    background : (H, W, 3) float32, the untouched image, after the view
+    mm_per_px, mm_per_px_sigma : pixel pitch of the images, mm, and its standard deviation where known
+    sensor_name, serial, gel_id : from sensor.toml or the profile
+    view : how frames become images
+    response : exponent of the camera's response, from sensor.toml; undone where it is not 1
+    geometry : what was measured beside the presses: scale, crosstalk, lens
+    background_noise : (3,) standard deviation of a pixel in one frame, grey levels; None where there was
+        only one untouched frame to tell it
+    notes : what a user should know of how they were read, such as parts of a video that were left out
+    """
+
+    folder: str
+    presses: tuple[Press, ...]
+    background: NDArray[np.float32]
+    mm_per_px: float
+    mm_per_px_sigma: float | None
+    sensor_name: str
+    serial: str | None
+    gel_id: str | None
+    view: View
+    response: float = 1.0
+    geometry: Geometry = field(default_factory=Geometry)
+    background_noise: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """(H, W) of the images."""
+        return self.background.shape[0], self.background.shape[1]
+
+    def subset(self, indices: Sequence[int]) -> Presses:
+        """The same sensor with some of the presses."""
+        return replace(self, presses=tuple(self.presses[i] for i in indices))
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a user gives beside the path; each goes before what the folder says.
+
+    Attributes
+    ----------
+    sensor : name of a profile
+    mm_per_px, ball_diameter_mm : float
+    background : path of the untouched image
+    crop : (left, top, width, height) in pixels of the frame
+    """
+
+    sensor: str | None = None
+    mm_per_px: float | None = None
+    ball_diameter_mm: float | None = None
+    background: Path | None = None
+    crop: tuple[float, float, float, float] | None = None
+
+    def settings(self, place: Path, known: SensorSettings | None = None) -> SensorSettings:
+        """sensor.toml beside the data, else what the data knows itself, else the profile; a given scale goes first.
+
+        Raises
+        ------
+        DataError
+            None of them tells the scale.
+        """
+        settings = known
+        beside = place / "sensor.toml" if place.is_dir() else place.parent / "sensor.toml"
+        if beside.is_file():
+            settings = read_sensor_toml(beside)
+        elif self.sensor is not None:
+            profile = profile_named(self.sensor)
+            settings = known or SensorSettings(profile.name, profile.mm_per_px, profile.mm_per_px_sigma)
+        if self.mm_per_px is not None:
+            pitch = check_positive(self.mm_per_px, "mm_per_px")
+            if settings is None:
+                return SensorSettings(place.resolve().stem, pitch)
+            return replace(settings, mm_per_px=pitch, mm_per_px_sigma=None)
+        if settings is None:
+            raise DataError(
+                f"No scale for {place}: presses of a ball alone do not tell it. Write name and mm_per_px into "
+                f"{beside}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it: two marked points "
+                "(--scale-points), a flat punch (--punch), a thread (--thread), a stage's step (--stage) or a grid "
+                "(--lens-images)."
+            )
+        return settings
+
+    def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
+        """The crop asked for, else sensor.toml's view, else the profile's where the images are frames of it."""
+        if self.crop is not None:
+            return View(frame_shape=frame_shape, crop=self.crop)
+        if not settings.view.is_identity or self.sensor is None:
+            return settings.view
+        return profile_named(self.sensor).view(frame_shape)
+
+    def ball(self, what: str) -> float:
+        """The ball's diameter, for data that do not name it."""
+        if self.ball_diameter_mm is None:
+            raise DataError(
+                f"{what}: which ball pressed? Give ball_diameter_mm= (--ball-diameter-mm), or write presses.csv "
+                "with the columns image,ball_diameter_mm."
+            )
+        return check_positive(self.ball_diameter_mm, "ball_diameter_mm")
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One press as a table lists it, before its image is read; names and pixels as in `Press`."""
+
+    name: str
+    ball_diameter_mm: float
+    label: tuple[float, float, float] | None = None
+    center_px: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Presses as a reader finds them.
+
+    Attributes
+    ----------
+    background : (H, W, 3) uint8, RGB, the untouched frame
+    listed : the presses
+    frame : gives the frame of the k-th press, (H, W, 3) uint8, RGB
+    known : what the data say of the sensor, where they do
+    """
+
+    background: NDArray[Any]
+    listed: Sequence[Listed]
+    frame: Callable[[int], NDArray[Any]]
+    known: SensorSettings | None = None
+
+
+def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:
+    """A press whose image is the frame seen through the view."""
+    image = np.ascontiguousarray(image_from_frame(frame, view))
+    digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()
+    return Press(listed.name, image, listed.ball_diameter_mm, listed.label, digest, listed.center_px)

@@ -1,0 +1,281 @@
+"""Presses from a video, or from live frames: the untouched stretch, and one still frame of each press."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.presses.press_set import Asked, Listed, Presses, press_from_frame
+from gelform.calibration.presses.stills import (
+    MIN_STILL,
+    MIN_TOUCH,
+    Stretch,
+    Thumbnails,
+    distances,
+    noise_of,
+    stretches,
+    thumbnail,
+    touch_threshold,
+    untouched,
+)
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.progress import Progress, no_progress
+from gelform.sensors.backgrounds import read_background
+from gelform.sensors.video_files import Video
+from gelform.view import View, image_from_frame
+
+BACKGROUND_FRAMES = 60
+MAX_KEPT_BYTES = 1 << 30
+DRIFT_WARN = 0.03
+
+Reader = Callable[[Container[int] | None], Iterable[Frame]]
+
+
+def presses_from_frames(
+    frames: Iterable[Frame],
+    *,
+    ball_diameter_mm: float,
+    mm_per_px: float | None = None,
+    sensor: str | None = None,
+    background: NDArray[Any] | None = None,
+    crop: tuple[float, float, float, float] | None = None,
+    name: str = "frames",
+    progress: Progress = no_progress,
+) -> Presses:
+    """Find the presses of a ball in a sequence of frames.
+
+    The untouched gel is the state that comes back between the presses; the background is the trimmed mean of
+    its frames and their scatter is the noise. Of each contact that stands still one frame is taken; frames in
+    which it slides, rolls or is pressed down are left out. `notes` of the result say what was left out and why.
+
+    Parameters
+    ----------
+    frames : in the order of time, at least some untouched ones; RGB
+        Gone through twice where that can be done (`gelform.Video`, a list). Of an iterator, such as a camera,
+        the images are kept: up to 1 GiB.
+    ball_diameter_mm : of the ball that pressed
+    mm_per_px, sensor : the scale, or the profile that has it
+    background : (H, W, 3) the untouched frame, 0-255, for a sequence without one
+    crop : (left, top, width, height) in pixels of the frame
+    name : what the presses are called
+
+    Raises
+    ------
+    DataError
+        No frame, no scale, no untouched stretch, no contact, none that stands still, or an iterator of more
+        than 1 GiB.
+    """
+    view = _ViewOfFrames(Asked(sensor, mm_per_px, ball_diameter_mm, None, crop), Path(name))
+    if iter(frames) is frames:
+        frames = _kept(frames, view)
+    return _presses(lambda only: _chosen(frames, only), view, background, name, progress)
+
+
+def presses_from_video(path: Path, asked: Asked, progress: Progress = no_progress) -> Presses:
+    """`presses_from_frames` of a video file, read twice; settings may stand in a `sensor.toml` beside it."""
+    asked.ball(str(path))
+    background = None if asked.background is None else read_background(asked.background)
+    video = Video(path)
+    return _presses(video.frames, _ViewOfFrames(asked, path), background, str(path), progress)
+
+
+class _ViewOfFrames:
+    """How frames become images: known when the first frame is."""
+
+    def __init__(self, asked: Asked, place: Path) -> None:
+        self.asked, self.settings = asked, asked.settings(place)
+        self.view: View | None = None
+        self.frame_shape: tuple[int, int] | None = None
+        self.is_done = False  # the frames are images already
+
+    def __call__(self, frame: NDArray[Any]) -> NDArray[Any]:
+        if self.is_done:
+            return frame
+        shape = (frame.shape[0], frame.shape[1])
+        if self.view is None:
+            self.view, self.frame_shape = self.asked.view(self.settings, shape), shape
+        if shape != self.frame_shape:
+            assert self.frame_shape is not None
+            height, width = self.frame_shape
+            raise DataError(
+                f"Expected frames of one size, got {shape[0]}x{shape[1]} after {height}x{width} px. "
+                "Record without changing the camera's mode."
+            )
+        return image_from_frame(frame, self.view)
+
+
+def _kept(frames: Iterable[Frame], view: _ViewOfFrames) -> list[Frame]:
+    """The frames of an iterator, as images: it can be gone through only once."""
+    kept: list[Frame] = []
+    size = 0
+    for frame in frames:
+        image = np.ascontiguousarray(view(frame.image))
+        size += image.nbytes
+        if size > MAX_KEPT_BYTES:
+            raise DataError(
+                f"Expected at most {MAX_KEPT_BYTES >> 30} GiB of frames from an iterator, got more after "
+                f"{len(kept)} frames. Record a video and read that: it is not kept in memory."
+            )
+        kept.append(Frame(image, frame.time_s, frame.wall_time_ns, frame.index))
+    view.is_done = True
+    return kept
+
+
+def _chosen(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Frame]:
+    for position, frame in enumerate(frames):
+        if only is None or position in only:
+            yield Frame(frame.image, frame.time_s, frame.wall_time_ns, position)
+
+
+def _presses(
+    read: Reader, view: _ViewOfFrames, background: NDArray[Any] | None, name: str, progress: Progress
+) -> Presses:
+    thumbs = Thumbnails()
+    for count, frame in enumerate(read(None)):
+        thumbs.add(view(frame.image), frame.index, frame.time_s)
+        if count % 25 == 0:
+            progress(count, 0, "looking through the frames")
+    if not thumbs.index:
+        raise DataError(f"No frame in {name}. Expected a sequence that shows the untouched gel and presses.")
+    rest_reference = None if background is None else image_from_frame(background, view.view or View())
+    rest, found = _analysed(thumbs, rest_reference, name)
+    picked = {thumbs.index[still.best]: still for stretch in found for still in stretch.stills}
+    at_rest = _spread(np.flatnonzero(rest), BACKGROUND_FRAMES)
+    wanted = {thumbs.index[k] for k in at_rest} | picked.keys()
+    presses, rest_images = [], []
+    for frame in read(wanted):
+        if frame.index in picked:
+            assert view.view is not None
+            listed = Listed(f"{Path(name).stem}, frame {frame.index}", view.asked.ball(name))
+            presses.append(press_from_frame(listed, view(frame.image), View()))
+        else:
+            rest_images.append(np.ascontiguousarray(view(frame.image)))
+        progress(len(presses), len(picked), "taking the stills")
+    mean, noise = background_from_frames(rest_images) if rest_images else (None, None)
+    notes = (*_notes(thumbs, found), *_drift(thumbs, rest))
+    if rest_reference is not None:
+        mean = rest_reference.astype(np.float32)
+    settings = view.settings
+    assert mean is not None
+    assert view.view is not None
+    return Presses(
+        folder=name,
+        presses=tuple(presses),
+        background=mean,
+        mm_per_px=settings.mm_per_px,
+        mm_per_px_sigma=settings.mm_per_px_sigma,
+        sensor_name=settings.name,
+        serial=settings.serial or None,
+        gel_id=settings.gel_id or None,
+        view=view.view,
+        response=settings.response,
+        background_noise=noise,
+        notes=notes,
+    )
+
+
+def _analysed(
+    thumbs: Thumbnails, background: NDArray[Any] | None, name: str
+) -> tuple[NDArray[np.bool_], list[Stretch]]:
+    """Which thumbnails are untouched, and the stretches of contact; what there must be is checked."""
+    levels = thumbs.levels()
+    motion = distances(levels[1:], levels[:-1])
+    if background is None:
+        rest = untouched(levels, motion)
+        if np.count_nonzero(rest) < MIN_STILL:
+            raise DataError(
+                f"No untouched stretch in {name}: expected at least {MIN_STILL} frames in a row of the resting gel "
+                f"among its {len(levels)}. Film the untouched gel for two seconds before the first press, or give "
+                "background= (--background)."
+            )
+        reference = levels[rest].mean(axis=0)
+    else:
+        reference = thumbnail(np.asarray(background))
+        rest = distances(levels, reference) <= max(2.0, 3 * noise_of(motion))
+    noise = noise_of(motion)
+    span = thumbs.time_s[-1] - thumbs.time_s[0]
+    rate = (len(levels) - 1) / span if span > 0 else 25.0
+    found = stretches(levels, reference, noise, rate_hz=rate, factor=thumbs.factor)
+    _check_presses(found, distances(levels, reference), noise, name)
+    return rest, found
+
+
+def _check_presses(found: list[Stretch], touch: NDArray[np.float64], noise: float, name: str) -> None:
+    if not found:
+        raise DataError(
+            f"No contact in {name}: over {len(touch)} frames no part of the image changes by more than "
+            f"{touch.max():.1f} grey levels (expected over {touch_threshold(touch, noise):.1f}; a firm press changes "
+            f"{10 * MIN_TOUCH:.0f} or more). Press a ball firmly at many places."
+        )
+    if not any(stretch.stills for stretch in found):
+        reasons = sorted({stretch.reason.split(" by ")[0] for stretch in found if stretch.reason})
+        raise DataError(
+            f"No press in {name}: {len(found)} contacts, none of them rests ({'; '.join(reasons)}). Press the ball "
+            "down, hold it still for half a second, lift it, and go to the next place."
+        )
+
+
+def background_from_frames(
+    images: list[NDArray[Any]],
+) -> tuple[NDArray[np.float32], NDArray[np.float64] | None]:
+    """The untouched image and its noise from several frames of it.
+
+    Parameters
+    ----------
+    images : N of (H, W, 3)
+
+    Returns
+    -------
+    background : (H, W, 3) float32, the mean of the middle half of the frames at each pixel
+    noise : (3,) standard deviation of a pixel in one frame, grey levels: the root of the median over the
+        pixels of the variance over time; None for fewer than 5 frames
+    """
+    height = images[0].shape[0]
+    background = np.empty(images[0].shape, dtype=np.float32)
+    variance = np.empty(images[0].shape, dtype=np.float32)
+    cut = len(images) // 4
+    for top in range(0, height, 32):  # a band at a time: memory
+        band = np.sort(np.stack([image[top : top + 32] for image in images]).astype(np.float32), axis=0)
+        background[top : top + 32] = band[cut : len(images) - cut].mean(axis=0)
+        variance[top : top + 32] = band.var(axis=0, ddof=1) if len(images) > 1 else 0
+    if len(images) < MIN_STILL:
+        return background, None
+    return background, np.sqrt(np.median(variance.astype(np.float64), axis=(0, 1)))
+
+
+def _spread(indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """At most so many of them, evenly."""
+    if len(indices) <= most:
+        return indices
+    return indices[np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
+def _notes(thumbs: Thumbnails, found: list[Stretch]) -> tuple[str, ...]:
+    notes = []
+    for stretch in found:
+        if stretch.reason is not None:
+            start, stop = thumbs.time_s[stretch.start], thumbs.time_s[stretch.stop - 1]
+            notes.append(f"{start:.2f}-{stop:.2f} s left out: {stretch.reason}.")
+    return tuple(notes)
+
+
+def _drift(thumbs: Thumbnails, rest: NDArray[np.bool_]) -> tuple[str, ...]:
+    """A note where the untouched gel is brighter or darker at the end than at the start."""
+    times = np.flatnonzero(rest)
+    if len(times) < 2 * MIN_STILL:
+        return ()
+    levels = thumbs.levels()
+    first, last = (levels[part].mean(axis=(0, 1, 2)) for part in (times[:MIN_STILL], times[-MIN_STILL:]))
+    ratio = last / np.maximum(first, 1)
+    if np.abs(ratio - 1).max() <= DRIFT_WARN:
+        return ()
+    figures = ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", ratio))
+    return (
+        f"The light drifted: the untouched gel is {figures} times as bright at the end as at the start. Fix exposure "
+        "and white balance, and let the sensor warm up.",
+    )

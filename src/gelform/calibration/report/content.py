@@ -1,0 +1,192 @@
+"""All numbers of a calibration's report: what report.json holds and the page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.presses.folder import Presses
+from gelform.calibration.report.coverage import coverage, grid_of
+from gelform.calibration.report.held_out import (
+    DRAWS,
+    HeldOutSample,
+    error_map,
+    gain_curve,
+    share_within_sigma,
+    stated_sigma,
+)
+from gelform.calibration.report.record import PressReport
+from gelform.calibration.report.verdict import checks_of, verdict_of
+from gelform.calibration.selection.slope_errors import ZONE
+from gelform.calibration_file import Calibration
+from gelform.reconstruct import Reconstructor
+
+FORMAT, FORMAT_VERSION = "gelform calibration report", 1
+ERROR_COLUMNS, PLACE_COLUMNS = 16, 4
+GAIN_TO_SLOPE, GAIN_PRESSES, GAIN_PIXELS = 0.8, 10, 500
+FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
+    ("normal_deg", np.mean),
+    ("normal_free_deg", np.mean),
+    ("cap_um", np.mean),
+    ("cap_free_um", np.mean),
+    ("radius_percent", np.median),
+    ("off_contact_um", np.mean),
+)
+
+
+def report_content(
+    presses: Presses,
+    calibration: Calibration,
+    *,
+    rng: np.random.Generator,
+    learning: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The report of a calibration in numbers and words that JSON can hold.
+
+    Parameters
+    ----------
+    presses : what the calibration was made from, in the same order
+    calibration : with its `report` and its held-out samples
+    rng : draws presses for the intervals
+    learning : from `learning_curve`
+
+    Returns
+    -------
+    content : dict
+        What `CalibrationReport.to_dict` holds, and format, verdict, checks, figures (with 95 % intervals over
+        presses), calibration, background, coverage, gain, error_map, sigma, learning.
+
+    Raises
+    ------
+    ValueError
+        The calibration has no report with samples, or it is of other presses.
+    """
+    report = calibration.report
+    if report is None or not report.samples:
+        raise ValueError(
+            "Expected a calibration fresh from calibrate(), with its report: a saved one has none."
+        )
+    names = [press.name for press in presses.presses]
+    if names != [row.name for row in report.presses]:
+        raise ValueError(
+            f"Expected the {len(report.presses)} presses of the report, got {len(names)} others."
+        )
+    samples: tuple[HeldOutSample, ...] = report.samples
+    zone = float(calibration.settings["zone"])
+    inner = [one.within(ZONE) for one in samples]
+    reconstruct = Reconstructor(calibration)
+    sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in inner]
+    shape = calibration.image_shape
+    content = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        **report.to_dict(),
+        "figures": _figures(report.presses, rng),
+        "calibration": _facts(presses, calibration),
+        "background": _background(calibration),
+        "coverage": _coverage(report.presses, calibration, zone),
+        "gain": {
+            "zone": zone,
+            "contact": gain_curve(samples, rng),
+            "training_zone": gain_curve([one.within(zone) for one in samples], rng),
+        },
+        "error_map": error_map(samples, shape, grid_of(shape, ERROR_COLUMNS)),
+        "sigma": share_within_sigma(inner, sigmas, shape, grid_of(shape, PLACE_COLUMNS)),
+        "learning": learning,
+    }
+    checks = checks_of(_checked_figures(content))
+    return {**content, "checks": checks, "verdict": verdict_of(checks, (learning or {}).get("sentence"))}
+
+
+def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str, dict[str, Any]]:
+    """Each figure over the held-out presses with its 95 % interval, from presses drawn with replacement."""
+    scored = [row.errors for row in rows if row.errors]
+    figures = {}
+    for name, middle in FIGURES:
+        values = np.abs([errors[name] for errors in scored])
+        values = values[np.isfinite(values)]
+        if values.size:
+            figures[name] = {
+                "value": float(middle(values)),
+                "interval": interval_of(values, middle, rng) if values.size > 2 else None,
+                "presses": int(values.size),
+                "statistic": middle.__name__,
+            }
+    return figures
+
+
+def interval_of(
+    values: NDArray[np.float64], middle: Callable[..., NDArray[np.float64]], rng: np.random.Generator
+) -> list[float]:
+    """95 % bootstrap interval of a mean or median over presses."""
+    drawn = values[rng.integers(0, values.size, size=(DRAWS, values.size))]
+    return [float(v) for v in np.percentile(middle(drawn, axis=1), (2.5, 97.5))]
+
+
+def _facts(presses: Presses, calibration: Calibration) -> dict[str, Any]:
+    return {
+        "sensor_name": calibration.sensor_name,
+        "serial": calibration.serial,
+        "gel_id": calibration.gel_id,
+        "image_shape": list(calibration.image_shape),
+        "mm_per_px": calibration.known_mm_per_px,
+        "mm_per_px_sigma": calibration.mm_per_px_sigma,
+        "ball_diameters_mm": sorted({press.ball_diameter_mm for press in presses.presses}),
+        "color_model": calibration.color_model.name,
+        "settings": {key: list(v) if isinstance(v, tuple) else v for key, v in calibration.settings.items()},
+        "digest": calibration.digest,
+        "created_utc": calibration.created_utc,
+        "library_version": calibration.library_version,
+    }
+
+
+def _background(calibration: Calibration) -> dict[str, Any]:
+    background = calibration.background
+    return {
+        "mean": [float(v) for v in background.mean(axis=(0, 1))],
+        "noise": [float(v) for v in calibration.background_noise],
+        "saturated_percent": float(100 * np.mean((background >= 254.5).any(axis=-1))),
+        "dark_percent": float(100 * np.mean((background < 5).any(axis=-1))),
+        "untouched_change": float(calibration.untouched_change),
+    }
+
+
+def _coverage(rows: Sequence[PressReport], calibration: Calibration, zone: float) -> dict[str, Any]:
+    used = [row for row in rows if row.accepted]
+    return coverage(
+        [(row.center_x_px, row.center_y_px, row.contact_radius_px) for row in used],
+        [row.ball_diameter_mm / 2 / calibration.known_mm_per_px for row in used],
+        zone,
+        calibration.report.samples,
+        calibration.image_shape,
+    )
+
+
+def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
+    """The figure of each check, in its unit; None where it is not known."""
+    rows, facts = content["presses"], content["calibration"]
+    used = [row for row in rows if row["accepted"]]
+    gains = [abs(b["gain"] - 1) for b in content["gain"]["training_zone"] if _counts(b)]
+    shares = [b["share"] for b in content["sigma"]["by_slope"]]
+    shares += [share for share in content["sigma"]["by_place"] if share is not None]
+    sigma = facts["mm_per_px_sigma"]
+    figures = {name: one["value"] for name, one in content["figures"].items()}
+    return {
+        **figures,
+        "rejected_percent": 100 * (1 - len(used) / len(rows)),
+        "presses_used": float(len(used)),
+        "ball_sizes": float(len({row["ball_diameter_mm"] for row in used})),
+        "covered_percent": 100 * content["coverage"]["covered"],
+        "gain_percent": 100 * max(gains) if gains else None,
+        "sigma_percent": 100 * max(abs(share - 0.68) for share in shares) if shares else None,
+        "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],
+    }
+
+
+def _counts(gain: dict[str, Any]) -> bool:
+    """Whether a bin of the gain curve is judged: few pixels of a few presses tell little."""
+    enough = gain["presses"] >= GAIN_PRESSES and gain["pixels"] >= GAIN_PIXELS
+    return bool(enough and gain["slope_to"] <= GAIN_TO_SLOPE)

@@ -1,0 +1,210 @@
+"""The learning curve: how the error on held-out presses falls with the number of presses, and what more would bring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from gelform.calibration.circles.find import Contact, find_contact, scale_of
+from gelform.calibration.circles.refine import refine
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.fit import prepare
+from gelform.calibration.presses.folder import Presses
+from gelform.calibration.selection.candidates import Candidate, candidates_for
+from gelform.calibration_file import Calibration
+from gelform.color_models import COLOR_MODELS, ColorModel
+from gelform.metrics import angle_deg, ball_center, ball_gradients
+from gelform.progress import Progress, no_progress
+
+SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)
+DRAWS = 3
+HELD_OUT_SHARE = 0.25
+MIN_ACCEPTED = 8
+MORE = 10
+MANY = 30
+WORTH_IT = 0.03
+RIM_PX = 3
+
+
+def learning_curve(
+    presses: Presses,
+    calibration: Calibration,
+    *,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
+) -> dict[str, Any] | None:
+    """Error of held-out presses against the number of presses that train.
+
+    Three times a quarter of the accepted presses is held out and 5, 10, 15 ... of the others train the chosen
+    color model. Their circles are refined by themselves, so nothing of a held-out press is in the model that it
+    judges. Under 30 presses simpler settings of the same color model are tried too, and the best is kept.
+
+    Parameters
+    ----------
+    presses : what the calibration was made from, in the same order
+    calibration : with its `report`
+    rng : deals the presses
+    progress : called with (done, total, what)
+
+    Returns
+    -------
+    curve : dict or None
+        `points` (presses, model, draws_deg, mean_deg), `expected` (what more presses would bring) and `sentence`.
+        None with fewer than 8 accepted presses: there is nothing to hold out.
+    """
+    accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
+    if len(accepted) < MIN_ACCEPTED:
+        return None
+    own = presses.subset(accepted)
+    to_refine = prepare(own, COLOR_MODELS["polynomial"].change_offset)
+    offset = COLOR_MODELS[calibration.color_model.name].change_offset
+    to_fit = to_refine if offset == COLOR_MODELS["polynomial"].change_offset else prepare(own, offset)
+    found = [find_contact(press.color_change) for press in to_refine]
+    sizes = sizes_for(len(own.presses))
+    orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
+    points = []
+    for done, size in enumerate(sizes):
+        candidates = candidates_of(calibration, size)
+        draws = [_one_draw(candidates, size, order, to_refine, to_fit, found) for order in orders]
+        points += _best_point(candidates, size, [draw for draw in draws if draw is not None])
+        progress(done + 1, len(sizes), "measuring the learning curve")
+    return _with_expectation(points, len(own.presses))
+
+
+def held_out_count(accepted: int) -> int:
+    """How many of the accepted presses a draw holds out."""
+    return max(3, round(HELD_OUT_SHARE * accepted))
+
+
+def sizes_for(accepted: int) -> list[int]:
+    """Numbers of presses that train; the last one is all that are not held out."""
+    most = accepted - held_out_count(accepted)
+    return [size for size in SIZES if size < 0.9 * most] + [most]
+
+
+def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
+    """The chosen color model with settings that so many presses can carry, simplest first."""
+    zone = calibration.settings["zone"]
+    options = [replace(c, zone=zone) for c in candidates_for(calibration.color_model.name, presses)]
+    own = tuple((key, calibration.settings[key]) for key, _ in options[0].settings)
+    chosen = Candidate(calibration.color_model.name, zone, own)
+    if presses >= MANY:
+        return [chosen]
+    return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
+
+
+def _one_draw(
+    candidates: Sequence[Candidate],
+    size: int,
+    order: NDArray[np.intp],
+    to_refine: Sequence[PreparedPress],
+    to_fit: Sequence[PreparedPress],
+    found: Sequence[Contact],
+) -> list[float] | None:
+    """Each candidate's mean normal error on the last presses of an order, fitted on the first ones."""
+    training = [int(i) for i in order[:size]]
+    refined = refine([to_refine[i] for i in training], [found[i] for i in training])
+    kept = refined.accepted
+    if len(kept) < 2:
+        return None
+    used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
+    tested = order[-held_out_count(len(order)) :]
+    degrees = []
+    for candidate in candidates:
+        model = candidate.fit(used, contacts)
+        degrees.append(float(np.mean([_normal_deg(to_fit[i], found[i], model) for i in tested])))
+    return degrees
+
+
+def _normal_deg(press: PreparedPress, found: Contact, model: ColorModel) -> float:
+    """Mean angle to the ball's normals, its centre free, 3 px (at 240 rows) inside the rim as everywhere."""
+    zone = max(1 - RIM_PX * scale_of(press.size.shape) / found.radius_px, 0.5)
+    rows, cols = press.pixels(found, zone, 800)
+    gradients = press.gradients(model, rows, cols)
+    center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    truth = ball_gradients(cols, rows, center, press.ball_radius_px)
+    return float(angle_deg(gradients, truth).mean())
+
+
+def _best_point(
+    candidates: Sequence[Candidate], size: int, draws: Sequence[Sequence[float]]
+) -> list[dict[str, Any]]:
+    """The candidate with the smallest mean over the draws; nothing where no draw could be fitted."""
+    if not draws or not candidates:
+        return []
+    degrees = np.array(draws)
+    best = int(degrees.mean(axis=0).argmin())
+    return [
+        {
+            "presses": size,
+            "model": candidates[best].describe(),
+            "draws_deg": degrees[:, best].tolist(),
+            "mean_deg": float(degrees[:, best].mean()),
+        }
+    ]
+
+
+def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple[float, float]:
+    """(a, b) of `error^2 = a + b/n`, both >= 0: what no number of presses removes, and what each one halves.
+
+    Least squares on the relative error, so that the small errors of many presses count as much.
+    """
+    square = np.square(np.asarray(degrees, dtype=np.float64))
+    design = np.stack([np.ones(square.size), 1 / np.asarray(presses, dtype=np.float64)], axis=1)
+    floor, slope = nnls(design / square[:, None], np.ones(square.size))[0]
+    return float(floor), float(slope)
+
+
+def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, Any] | None:
+    """The curve with what `MORE` presses are expected to bring; None where two points cannot tell."""
+    late = [p for p in points if p["presses"] >= 10]
+    used = late if len(late) >= 3 else points
+    if len(used) < 2:
+        return None
+    now, later, (floor, slope) = _expected(used, accepted, None)
+    without = [_expected(used, accepted, draw) for draw in range(DRAWS)]
+    gains = [1 - late / soon for soon, late, _ in without]
+    return {
+        "points": points,
+        "held_out_presses": held_out_count(accepted),
+        "expected": {
+            "presses_now": accepted,
+            "now_deg": now,
+            "presses_more": MORE,
+            "more_deg": later,
+            "more_deg_range": [min(one[1] for one in without), max(one[1] for one in without)],
+            "floor_deg": float(np.sqrt(floor)),
+            "square_slope_deg2": slope,
+            "help": _help(gains),
+        },
+        "sentence": f"More presses {_help(gains)}: +{MORE} presses are expected to take {now:.2f}° to {later:.2f}°.",
+    }
+
+
+def _expected(
+    points: Sequence[dict[str, Any]], accepted: int, without: int | None
+) -> tuple[float, float, tuple[float, float]]:
+    """Errors now and with `MORE` presses by the law of the draws' means, one draw left out or none.
+
+    The means are fitted, not the draws: all sizes of a draw are tested on the same presses, so an easy or a
+    hard draw moves the whole curve and cancels.
+    """
+    means = []
+    for p in points:
+        kept = [value for draw, value in enumerate(p["draws_deg"]) if draw != without]
+        means.append(float(np.mean(kept or p["draws_deg"])))
+    floor, slope = floor_and_slope([p["presses"] for p in points], means)
+    now, later = (float(np.sqrt(floor + slope / n)) for n in (accepted, accepted + MORE))
+    return now, later, (floor, slope)
+
+
+def _help(gains: Sequence[float]) -> str:
+    """What more presses do, if one believes it only where leaving out any draw says the same."""
+    if min(gains) > WORTH_IT:
+        return "would help"
+    return "would not help much" if max(gains) <= WORTH_IT else "may help"

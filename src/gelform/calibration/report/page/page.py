@@ -1,0 +1,108 @@
+"""The report as one HTML page that needs nothing else: no script, no network, no font, no extra."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from gelform.calibration.presses.folder import Presses
+from gelform.calibration.report.page.presses import caps_section, presses_section
+from gelform.calibration.report.page.sections import (
+    coverage_section,
+    errors_section,
+    figures_section,
+    gain_section,
+    history_section,
+    learning_section,
+    models_section,
+    sigma_section,
+)
+from gelform.calibration.report.page.style import STYLE
+from gelform.calibration_file import Calibration
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+NAV = (
+    ("figures", "Figures"),
+    ("presses", "Presses"),
+    ("coverage", "Coverage"),
+    ("models", "Color models"),
+    ("errors", "Residuals"),
+    ("gain", "Slope gain"),
+    ("learning", "Learning curve"),
+    ("sigma", "Uncertainty"),
+    ("history", "What it is"),
+)
+
+
+def report_page(content: dict[str, Any], presses: Presses, calibration: Calibration) -> str:
+    """The page of a calibration's report: the same page for the same report, byte for byte.
+
+    Parameters
+    ----------
+    content : from `report_content`
+    presses : the presses it is of, for their pictures
+    calibration : for its held-out depth pictures and its background
+
+    Returns
+    -------
+    html : str
+        At most about 3 MB: hundreds of presses are shown smaller.
+    """
+    name = content["calibration"]["sensor_name"]
+    samples = calibration.report.samples
+    sections = [
+        figures_section(content),
+        presses_section(content, [press.image for press in presses.presses]),
+        coverage_section(content),
+        models_section(content),
+        errors_section(content, caps_section(content, samples)),
+        gain_section(content),
+        learning_section(content),
+        sigma_section(content),
+        history_section(content, calibration.background),
+    ]
+    return _document(f"Calibration of {name}", [_head(content), _verdict(content), _nav(), *sections])
+
+
+def _document(title: str, parts: Sequence[str]) -> str:
+    body = "\n".join(part for part in parts if part)
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _head(content: dict[str, Any]) -> str:
+    facts = content["calibration"]
+    unit = [f"{label} {facts[key]}" for key, label in (("serial", "serial"), ("gel_id", "gel")) if facts[key]]
+    used = sum(row["accepted"] for row in content["presses"])
+    made = facts["created_utc"][:16].replace("T", " ")
+    told = [*unit, f"{used} of {len(content['presses'])} presses used", f"made {made} UTC"]
+    return (
+        f"<header><h1>Calibration of {escape(facts['sensor_name'])}</h1>"
+        f"<span>{escape(' · '.join(told))}</span></header>"
+    )
+
+
+def _verdict(content: dict[str, Any]) -> str:
+    verdict = content["verdict"]
+    because = f" <span class='muted'>({escape(verdict['because'])})</span>" if verdict["because"] else ""
+    return (
+        f'<section class="verdict {verdict["level"]}"><h2>{escape(verdict["headline"])}</h2>'
+        f"<p><strong>Next:</strong> {escape(verdict['next'])}{because}</p>"
+        f"<p class='muted'>{_counted(verdict['counts'])}</p></section>"
+    )
+
+
+def _counted(counts: dict[str, int]) -> str:
+    total = sum(counts.values())
+    others = [f"{counts[name]} {name}" for name in ("fair", "poor") if counts[name]]
+    return f"{counts['good']} of {total} checks are good" + (f", {' and '.join(others)}." if others else ".")
+
+
+def _nav() -> str:
+    links = "".join(f'<a href="#{anchor}">{label}</a>' for anchor, label in NAV)
+    return f'<nav aria-label="Sections">{links}</nav>'

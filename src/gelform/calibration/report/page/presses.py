@@ -1,0 +1,122 @@
+"""The report's pictures of every press: its circle and errors, and depth minus the cap."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.report.held_out import HeldOutSample
+from gelform.calibration.report.page.images import cap_scale_um, cap_url, press_urls
+
+WORSE = 2.0
+SHOWN = (
+    ("normal_free_deg", "normals", "°", 1),
+    ("cap_free_um", "cap", " µm", 0),
+    ("radius_percent", "radius", " %", 1),
+    ("off_contact_um", "off contact", " µm", 0),
+)
+
+
+def presses_section(content: dict[str, Any], images: Sequence[NDArray[np.uint8]]) -> str:
+    """Every press with the circle found on it: the rejected ones first, with their reasons."""
+    rows, shape = content["presses"], content["calibration"]["image_shape"]
+    urls = press_urls([np.asarray(image, dtype=np.uint8) for image in images])
+    errors = [row["errors"]["normal_free_deg"] for row in rows if row["errors"]]
+    limit = WORSE * float(np.median(errors)) if errors else np.inf
+    rejected = [k for k, row in enumerate(rows) if not row["accepted"]]
+    used = [k for k, row in enumerate(rows) if row["accepted"]]
+    names = short_names([row["name"] for row in rows])
+    tiles = {k: _press(rows[k], names[k], urls[k], shape, limit) for k in range(len(rows))}
+    parts = [
+        '<section id="presses"><h2>Every press, and the circle found on it</h2>',
+        "<p class='lead'>The circle was found without a click. Under each press stands its error when it was held "
+        "out: a model that has not seen this press read it. Click a press to enlarge it, click again to close.</p>",
+    ]
+    if rejected:
+        parts.append(f"<h3>Rejected: {len(rejected)}. They are not in the calibration</h3>")
+        parts.append(f'<div class="presses">{"".join(tiles[k] for k in rejected)}</div>')
+        parts.append(f"<h3>Used: {len(used)}</h3>")
+    else:
+        parts.append(f"<p>All {len(used)} presses fit; none was rejected.</p>")
+    parts.append(f'<div class="presses">{"".join(tiles[k] for k in used)}</div></section>')
+    return "".join(parts)
+
+
+def _press(row: dict[str, Any], short: str, url: str, shape: Sequence[int], limit: float) -> str:
+    errors = row["errors"]
+    kind = "no" if not row["accepted"] else "worse" if errors and errors["normal_free_deg"] > limit else "ok"
+    name, ball = escape(short), f"{row['ball_diameter_mm']:g} mm"
+    told = f'<span class="why">{escape(row["reason"] or "")}</span>'
+    if errors:
+        told = f'<span class="figures">{_figure(errors, SHOWN[0])} · {_figure(errors, SHOWN[1])}</span>'
+    more = [f"{row['name']}, ball {ball}"]
+    more += [f"{shown[1]} {_figure(errors, shown)}" for shown in SHOWN] if errors else []
+    x, y, radius = (row[key] for key in ("center_x_px", "center_y_px", "contact_radius_px"))
+    more.append(f"circle at ({x:.1f}, {y:.1f}) px, radius {radius:.1f} px")
+    return (
+        f'<label class="press {kind}"><input type="checkbox" aria-label="Enlarge {name}"><span class="view" '
+        f'style="--aspect:{shape[1] / shape[0]:.3f}">{_circled(url, shape, x, y, radius, name)}'
+        f'<span class="name">{name}</span>{told}<span class="more">{escape(" · ".join(more))}</span></span></label>'
+    )
+
+
+def _circled(url: str, shape: Sequence[int], x: float, y: float, radius: float, name: str) -> str:
+    """The picture in image pixels, so that the circle's own pixels place it."""
+    height, width = shape
+    arm = width / 45
+    cross = f"M{x - arm:.1f} {y:.1f}H{x + arm:.1f}M{x:.1f} {y - arm:.1f}V{y + arm:.1f}"
+    circle = f'cx="{x:.2f}" cy="{y:.2f}" r="{radius:.2f}"'
+    return (
+        f'<svg viewBox="-0.5 -0.5 {width} {height}" role="img" aria-label="{name}">'
+        f'<image href="{url}" x="-0.5" y="-0.5" width="{width}" height="{height}" preserveAspectRatio="none"/>'
+        f'<circle class="circle-under" {circle}/>'
+        f'<circle class="circle" {circle}/>'
+        f'<path class="centre" d="{cross}"/></svg>'
+    )
+
+
+def _figure(errors: dict[str, float], shown: tuple[str, str, str, int]) -> str:
+    key, _, unit, digits = shown
+    value = errors.get(key)
+    return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}f}{unit}"
+
+
+def short_names(names: Sequence[str], length: int = 28) -> list[str]:
+    """Names without the ending that all share (`/gelsight.png`, `.png`), the middle of long ones left out."""
+    ending = os.path.commonprefix([name[::-1] for name in names])[::-1]  # noqa: RUF071 (letters are meant)
+    cut = max(ending.find("/"), 0) if "/" in ending else max(ending.rfind("."), 0)
+    shared = len(ending) - cut if ending[cut : cut + 1] in ("/", ".") else 0
+    short = [name[: len(name) - shared] or name for name in names]
+    return [
+        name if len(name) <= length else f"{name[: length // 2 - 1]}…{name[len(name) - length // 2 :]}"
+        for name in short
+    ]
+
+
+def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> str:
+    """Depth minus the ball's cap of every held-out press, on one scale."""
+    shown = sorted((one for one in samples if one.cap_error_um.size), key=lambda one: one.index)
+    if not shown:
+        return ""
+    scale = cap_scale_um([one.cap_error_um for one in shown])
+    names = short_names([row["name"] for row in content["presses"]])
+    tiles = []
+    for one in shown:
+        row = content["presses"][one.index]
+        label = escape(f"{names[one.index]}: {row['errors']['cap_free_um']:.0f} µm")
+        tiles.append(
+            f'<figure><img src="{cap_url(one.cap_error_um, scale)}" alt="{label}" title="{label}">'
+            f"<figcaption>{row['errors']['cap_free_um']:.0f} µm</figcaption></figure>"
+        )
+    return (
+        "<h3>Depth minus the ball's cap, every held-out press</h3>"
+        f"<p class='lead'>Red is too high, blue too low, full colour {scale:g} µm; the figure is the RMS. "
+        "The same pattern in every press is the color model's; a pattern that stays at one place of the gel is dust, "
+        "a scratch or a shadow.</p>"
+        f'<div class="caps">{"".join(tiles)}</div>'
+    )

@@ -1,0 +1,306 @@
+"""The sections of the report's page, each from the numbers of `report_content`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.report.page.charts import (
+    gain_chart,
+    learning_chart,
+    limit_bar,
+    range_bar,
+    sigma_chart,
+)
+from gelform.calibration.report.page.images import jpeg_url
+from gelform.calibration.report.page.maps import coverage_map, scale_of_errors, share_map, slope_error_map
+from gelform.calibration.report.verdict import shown
+from gelform.calibration.selection.slope_errors import ZONE
+
+CARDS = (
+    ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
+    ("radius_percent", "The ball's radius", " %", "median error of a sphere fitted to the depth"),
+    ("cap_free_um", "Depth in the contact", " µm", "RMS to the ball's cap, no scale fitted"),
+    ("off_contact_um", "Depth off the contact", " µm", "RMS where nothing touches; 0 is right"),
+)
+COLUMNS = {
+    "normal_free_deg": ("normals", "°"),
+    "normal_free_deg_other_size": ("normals, other ball size", "°"),
+    "cap_free_um": ("depth in contact", "µm"),
+    "radius_percent": ("radius", "%"),
+    "off_contact_um": ("off contact", "µm"),
+}
+ERRORS_OF = {"normal_free_deg": ("normal_free_deg_se", "standard_error_deg")}
+CHOSEN = ' class="chosen"'
+NOT_FIGURES = {"candidate", "chosen", "standard_error_deg"}
+
+
+def figures_section(content: dict[str, Any]) -> str:
+    """The four figures with their intervals, and every check with its limits."""
+    checks = {check["name"]: check for check in content["checks"]}
+    cards = []
+    for name, label, unit, said in CARDS:
+        one = content["figures"].get(name)
+        if one is None:
+            cards.append(
+                f'<div class="card">{label}<b>–</b><span class="muted">no press leaves room for it</span></div>'
+            )
+            continue
+        check, interval = checks[name], one["interval"]
+        between = f" <small>{digits(interval[0])} – {digits(interval[1])}</small>" if interval else ""
+        cards.append(
+            f'<div class="card">{label}<b>{digits(one["value"])}{unit}{between}</b>'
+            f"{limit_bar(one['value'], interval, check['good'], check['fair'])}"
+            f'<span class="muted">{said}; {one["presses"]} presses</span></div>'
+        )
+    rows = "".join(_check_row(check) for check in content["checks"])
+    return (
+        '<section id="figures"><h2>How good it is, on presses that it has not seen</h2>'
+        "<p class='lead'>Each press was read by a model made from other presses. Small figures: the 95 % interval "
+        "over presses (drawn with replacement). No scale is fitted anywhere.</p>"
+        f'<div class="cards">{"".join(cards)}</div><h3>What was checked</h3><div class="scroll"><table><thead><tr>'
+        '<th>check, and what to do where it is not good</th><th>figure</th><th class="text">verdict</th>'
+        '<th class="limit">good</th><th class="limit">fair</th></tr></thead>'
+        f"<tbody>{rows}</tbody></table></div></section>"
+    )
+
+
+def digits(value: float) -> str:
+    """Three significant digits, zeros at the end included."""
+    return f"{value:#.3g}".removesuffix(".")
+
+
+def _check_row(check: dict[str, Any]) -> str:
+    side = "≥" if check["rising"] else "≤"
+    action = "" if check["level"] == "good" else f'<span class="do">{escape(check["action"])}</span>'
+    return (
+        f"<tr><td>{escape(check['label'])}{action}</td><td>{shown(check)}</td>"
+        f'<td class="text"><span class="tag {check["level"]}">{check["level"]}</span></td>'
+        f'<td class="limit">{side} {check["good"]:g}</td><td class="limit">{side} {check["fair"]:g}</td></tr>'
+    )
+
+
+def coverage_section(content: dict[str, Any]) -> str:
+    """Which slope directions each place has seen, and where to press next."""
+    coverage, facts = content["coverage"], content["calibration"]
+    places = "".join(f"<li>{escape(place_in_words(place, facts))}</li>" for place in coverage["next"])
+    return (
+        '<section id="coverage"><h2>Where presses are missing</h2>'
+        f"<p class='lead'>The lights are near, so a colour means another slope at another place: every place should be "
+        f"pressed from all sides. {100 * coverage['covered']:.0f} % of the places and slope directions have been seen. "
+        "A petal is a slope direction; it is empty where no press has shown it, and full from three presses on. "
+        "The dashed circles are where another press of the same ball would take most from the error: few presses "
+        "there, and large errors on held-out ones.</p>"
+        f'<div class="two"><div>{coverage_map(coverage, facts["image_shape"])}'
+        '<ul class="key"><li><i style="background:var(--card);border:1px solid var(--line)"></i>no press</li>'
+        + "".join(
+            f'<li><i style="background:var(--accent);opacity:{opacity}"></i>{count}</li>'
+            for count, opacity in (("one", 0.3), ("two", 0.55), ("three or more", 0.85))
+        )
+        + f"</ul></div><div><h3>Press here next</h3><ol>{places}</ol></div></div></section>"
+    )
+
+
+def place_in_words(place: dict[str, float], facts: dict[str, Any]) -> str:
+    """A place as a user finds it: side of the image, px, and mm from the upper left corner."""
+    height, width = facts["image_shape"]
+    x, y = place["x_px"], place["y_px"]
+    across = ("left", "middle", "right")[min(int(3 * x / width), 2)]
+    down = ("upper", "middle", "lower")[min(int(3 * y / height), 2)]
+    side = (
+        "middle"
+        if across == down == "middle"
+        else f"{down} {across}".replace("middle ", "").replace(" middle", "")
+    )
+    pitch = facts["mm_per_px"]
+    return f"{side}: ({x:.0f}, {y:.0f}) px, {x * pitch:.1f} mm from the left, {y * pitch:.1f} mm from the top"
+
+
+def models_section(content: dict[str, Any]) -> str:
+    """What was tried, with every figure that the run has measured, and how one was chosen."""
+    rows = content["candidates"]
+    tried = {key for row in rows for key in row if key not in NOT_FIGURES and not key.endswith("_se")}
+    keys = [key for key in COLUMNS if key in tried] + sorted(tried - COLUMNS.keys())
+    head = "".join(f"<th>{_column(key)}</th>" for key in keys)
+    end = 1.1 * max(row["normal_free_deg"] + row.get("standard_error_deg", 0) for row in rows)
+    body = "".join(
+        f"<tr{CHOSEN if row['chosen'] else ''}><td>{escape(row['candidate'])}{' ← chosen' if row['chosen'] else ''}"
+        f"</td>{''.join(f'<td>{_with_error(row, key)}</td>' for key in keys)}<td>{range_bar(row, end)}</td></tr>"
+        for row in rows
+    )
+    return (
+        '<section id="models"><h2>The color models that were tried</h2>'
+        f"<p class='lead'>{_how_chosen(rows)}</p>"
+        f'<div class="scroll"><table class="tight"><thead><tr><th>model, training zone</th>{head}'
+        '<th class="text">normals, from 0°</th></tr></thead>'
+        f"<tbody>{body}</tbody></table></div></section>"
+    )
+
+
+def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
+    said = (
+        "The presses are dealt into folds; each model is fitted on the other folds, their circles refined with them, "
+        "and read on presses that it has not seen. ± is one standard error over presses. The zone is the share of the "
+        "contact radius that trains: near the visible rim the gel has already left the ball. "
+    )
+    if len(rows) < 2:
+        return said + "Only one was tried, as asked for."
+    figures = [row["normal_free_deg"] for row in rows]
+    chosen = next(row for row in rows if row["chosen"])
+    if chosen.get("cap_free_um") is not None and any(
+        "cap_free_um" in row for row in rows if row is not chosen
+    ):
+        return said + (
+            "The simplest one was chosen whose depth error in the contact, as expected of it with all presses, is "
+            "within one standard error of the smallest."
+        )
+    if chosen["normal_free_deg"] <= min(figures):
+        return said + "The one with the smallest held-out error was chosen."
+    return (
+        said
+        + "Where several are as good within the errors, the simpler or the one with the better depth was chosen."
+    )
+
+
+def _column(key: str) -> str:
+    label, unit = COLUMNS.get(key, (key.replace("_", " "), ""))
+    return escape(f"{label}, {unit}" if unit else label)
+
+
+def _with_error(row: dict[str, Any], key: str) -> str:
+    value = row.get(key)
+    if not isinstance(value, (int, float)) or not np.isfinite(value):
+        return "–" if value is None or isinstance(value, float) else escape(str(value))
+    names = ERRORS_OF.get(key, (f"{key}_se",))
+    error = next((row[name] for name in names if row.get(name) is not None), None)
+    return f"{value:.3g}" + (f" ± {error:.2g}" if error is not None else "")
+
+
+def errors_section(content: dict[str, Any], caps: str) -> str:
+    """Held-out slope errors over the frame, and depth minus the cap of every press."""
+    errors = content["error_map"]
+    limit = scale_of_errors(errors)
+    return (
+        '<section id="errors"><h2>Where the errors are</h2><div class="two"><div>'
+        f"{slope_error_map(errors, content['calibration']['image_shape'])}</div><div>"
+        "<p>Error of the held-out slopes by place. The shade is its RMS size; an arrow is the mean error, "
+        "which more pixels do not average out: arrows that agree over a region mean that the model does not know that "
+        "region's light.</p>"
+        '<ul class="key">'
+        + "".join(
+            f'<li><i style="background:var(--poor);opacity:{0.04 + 0.9 * share:.2f}"></i>{share * limit:.2f} mm/mm</li>'
+            for share in (0.25, 0.5, 1)
+        )
+        + f"<li>an arrow over a whole cell: {limit / 0.9:.2f} mm/mm</li>"
+        f"<li>blank: no held-out press</li></ul></div></div>{caps}</section>"
+    )
+
+
+def gain_section(content: dict[str, Any]) -> str:
+    """Recovered over true slope."""
+    gain = content["gain"]
+    return (
+        '<section id="gain"><h2>Are slopes read at their full size?</h2><div class="two">'
+        f"<div>{gain_chart(gain)}{_lines_key(gain['zone'])}</div>"
+        "<div><p>Recovered over true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1 slopes are read "
+        "too flat (noise pulls them to the mean, or such slopes were never pressed), above 1 too steep. Bands are 95 % "
+        "intervals over presses.</p><p>The dashed line has the whole contact up to its visible rim in it. Near the rim "
+        "the gel has already left the ball, so the ball is steeper than the gel: that this line falls is expected, and "
+        "it is not an error of the color model alone.</p></div></div></section>"
+    )
+
+
+def _lines_key(zone: float) -> str:
+    return (
+        f'<ul class="key"><li><i style="background:var(--accent);height:3px"></i>inside {zone:g} of the radius, which trains'
+        '</li><li><i style="background:var(--second);height:3px"></i>the whole contact</li></ul>'
+    )
+
+
+def learning_section(content: dict[str, Any]) -> str:
+    """Error by number of presses, and what more would bring."""
+    learning = content["learning"]
+    if learning is None:
+        return (
+            '<section id="learning"><h2>How many presses?</h2>'
+            "<p>There is no learning curve: with so few presses none can be held out of it.</p></section>"
+        )
+    low, high = learning["expected"]["more_deg_range"]
+    points = "".join(
+        f"<tr><td>{p['presses']}</td><td>{p['mean_deg']:.2f}°</td><td>{min(p['draws_deg']):.2f} – "
+        f'{max(p["draws_deg"]):.2f}°</td><td class="text">{escape(p["model"])}</td></tr>'
+        for p in learning["points"]
+    )
+    return (
+        f'<section id="learning"><h2>How many presses?</h2><p><strong>{escape(learning["sentence"])}</strong></p>'
+        f'<div class="two"><div>{learning_chart(learning)}</div><div><p class="muted">Each time '
+        f"{learning['held_out_presses']} presses are held out and some of the others train, their circles refined by "
+        "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
+        "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
+        f"other: {low:.2f} – {high:.2f}°). “May” is said where a single draw would change the answer. The figures at "
+        "the top are of models that trained on four fifths of the presses.</p>"
+        '<div class="scroll"><table><thead><tr><th>presses</th><th>normals</th><th>draws</th><th class="text">model</th>'
+        f"</tr></thead><tbody>{points}</tbody></table></div></div></div></section>"
+    )
+
+
+def sigma_section(content: dict[str, Any]) -> str:
+    """Whether the stated uncertainty of the slopes is right."""
+    sigma, shape = content["sigma"], content["calibration"]["image_shape"]
+    return (
+        '<section id="sigma"><h2>Is the stated uncertainty right?</h2>'
+        "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
+        "60–76 % is good. Less means that the calibration promises too much there, more that it is too careful. "
+        f"Overall {100 * sigma['all']:.0f} %. Beyond {ZONE:g} of the contact radius the gel has left the ball, and nothing "
+        "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
+        "worse.</p>"
+        f'<div class="two"><div>{sigma_chart(sigma)}</div><div>{share_map(sigma, shape)}'
+        "<p class='muted'>The same by place.</p></div></div></section>"
+    )
+
+
+def history_section(content: dict[str, Any], background: NDArray[np.float32]) -> str:
+    """What this calibration is of, and its untouched image."""
+    rows = "".join(f"<dt>{escape(name)}</dt><dd>{value}</dd>" for name, value in _facts(content))
+    notes = "".join(f"<li>{escape(note)}</li>" for note in content["notes"])
+    picture = jpeg_url(np.clip(np.round(background), 0, 255).astype(np.uint8), 320)
+    return (
+        '<section id="history"><h2>What it is</h2><div class="two">'
+        f'<dl>{rows}</dl><div><img class="photo" src="{picture}" alt="the untouched gel">'
+        "<p class='muted'>The background: the untouched gel. Frames whose background looks otherwise are warned of or "
+        "refused.</p></div></div>"
+        f'<h3>Notes</h3><ul class="notes">{notes}</ul></section>'
+    )
+
+
+def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Names and values, as HTML."""
+    facts, background = content["calibration"], content["background"]
+    sigma = facts["mm_per_px_sigma"]
+    scale = f"{facts['mm_per_px']:.5g} mm per pixel" + (
+        f" ± {sigma:.2g}" if sigma is not None else "; its uncertainty is not known"
+    )
+    noise = ", ".join(f"{value:.2f}" for value in background["noise"])
+    settings = ", ".join(f"{key} {value}" for key, value in facts["settings"].items())
+    listed: list[tuple[str, Any]] = [
+        ("Sensor", facts["sensor_name"]),
+        ("Serial number", facts["serial"] or "not written down"),
+        ("Gel", facts["gel_id"] or "not written down"),
+        ("Image", f"{facts['image_shape'][0]} × {facts['image_shape'][1]} px"),
+        ("Scale", scale),
+        ("Balls", ", ".join(f"{ball:g} mm" for ball in facts["ball_diameters_mm"])),
+        ("Color model", f"{facts['color_model']} ({settings})"),
+        ("Made", f"{facts['created_utc'][:16].replace('T', ' ')} UTC, in {content['seconds']:.0f} s"),
+        ("Background noise", f"{noise} grey levels (R, G, B)"),
+        (
+            "Background clipped",
+            f"{background['saturated_percent']:.1f} % saturated, {background['dark_percent']:.1f} % dark",
+        ),
+        ("Library", f"gelform {facts['library_version']}"),
+    ]
+    told = [(name, escape(str(value))) for name, value in listed]
+    return [*told, ("Digest", f"<code>{escape(facts['digest'])}</code>")]

@@ -1,0 +1,1 @@
+"""Which color model, chosen on presses that it has not seen."""

@@ -1,0 +1,125 @@
+"""How far off held-out slopes are: their standard deviation by slope and place, and their correlation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.circles.find import Contact, scale_of
+from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
+from gelform.calibration.selection.folds import Fold
+from gelform.color_models import ColorModel
+from gelform.confidence import SlopeErrors, SlopeSigma
+from gelform.metrics import ball_center, ball_gradients
+
+LAGS = 24
+PER_PRESS = 2_000
+ZONE = 0.85  # beyond it the gel has left the ball: what differs there is no error of the model
+
+
+def slope_sigma_from_folds(
+    models: Sequence[ColorModel],
+    folds: Sequence[Fold],
+    presses: Sequence[PreparedPress],
+    found: Sequence[Contact],
+) -> SlopeSigma:
+    """Standard deviation and correlation of the slopes, from presses that each model has not seen.
+
+    A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
+    the root of the number of presses, the rate at which errors of estimation fall.
+    """
+    share_seen = np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds])
+    step = max(1, round(scale_of(presses[0].size.shape)))
+    parts, rest, products, gains = [], [], [], []
+    for model, fold in zip(models, folds):
+        for i in fold.held_out:
+            seen, error, rows, cols = _residual_map(presses[i], found[i], model)
+            products.append(_lag_products(error, step))
+            gains.append(gain_of(seen, seen - error))
+            thin = slice(None, None, max(1, len(rows) // PER_PRESS))
+            at = (rows - rows.min())[thin], (cols - cols.min())[thin]
+            height, width = presses[i].size.shape
+            parts.append(
+                (
+                    np.linalg.norm(seen[at], axis=-1),
+                    error[at],
+                    (cols[thin] + 0.5) / width,
+                    (rows[thin] + 0.5) / height,
+                    np.full(len(at[0]), i),
+                )
+            )
+            rest.append(_rest_slopes(presses[i], found[i], model))
+    slopes, errors, x, y, press = (np.concatenate([part[k] for part in parts]) for k in range(5))
+    length, share = correlation_from_products(np.mean(products, axis=0), step)
+    held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, np.concatenate(rest))
+    gain_sigma = float(np.sqrt(share_seen * np.mean((np.array(gains) - 1) ** 2)))
+    return SlopeSigma.fit(held_out, length, share, gain_sigma)
+
+
+def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Slopes over true ones, by least squares; both (..., 2), NaN where nothing is known."""
+    known = np.isfinite(truth)
+    return float((seen[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
+
+
+def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
+    """Length (px) and share of the correlated part: `share exp(-lag^2 / (2 length^2))` at lags from 1 on.
+
+    The nugget, what of the variance is gone at the first lag, is white.
+    """
+    correlation = products / max(products[0], 1e-30)
+    below = np.nonzero(correlation[1:] < 0.05)[0]
+    last = max(3, int(below[0]) + 1 if below.size else LAGS)
+    lags = step * np.arange(1, last)
+    best = (np.inf, float(step), 0.0)
+    for length in step * np.geomspace(0.7, LAGS, 60):
+        shape = np.exp(-(lags**2) / (2 * length**2))
+        share = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
+        misfit = float(np.square(share * shape - correlation[1:last]).sum())
+        best = min(best, (misfit, float(length), share))
+    return best[1], best[2]
+
+
+def _residual_map(
+    press: PreparedPress, found: Contact, model: ColorModel
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
+    """Slopes and their errors in the contact's bounding box, NaN outside its inner part, and its pixels.
+
+    The centre is free: labels are off by a pixel.
+    """
+    rows, cols = press.pixels(found, ZONE)
+    gradients = press.gradients(model, rows, cols)
+    center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    error = gradients - ball_gradients(cols, rows, center, press.ball_radius_px)
+    box = (int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2)
+    maps = np.full((2, *box), np.nan)
+    for values, into in zip((gradients, error), maps):
+        into[rows - rows.min(), cols - cols.min()] = values
+    return maps[0], maps[1], rows, cols
+
+
+def _rest_slopes(press: PreparedPress, found: Contact, model: ColorModel) -> NDArray[np.float64]:
+    """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does."""
+    height, width = press.size.shape
+    step = max(1, int(np.sqrt(height * width / PER_PRESS)))
+    rows, cols = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
+    far = np.hypot(cols - found.x_px, rows - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
+    if press.usable is not None:
+        far &= press.usable[rows, cols]
+    if not far.any():
+        return np.zeros((0, 2))
+    slopes = press.gradients(model, rows[far], cols[far])
+    return slopes - np.median(slopes, axis=0)
+
+
+def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Mean product of errors `lag * step` pixels apart along a row, for lags 0 .. LAGS-1."""
+    width = error.shape[1]
+    products = np.zeros(LAGS)
+    for lag in range(min(LAGS, (width - 1) // step)):
+        product = error[:, lag * step :] * error[:, : width - lag * step]
+        known = np.isfinite(product)
+        products[lag] = product[known].mean() if known.any() else 0.0
+    return products

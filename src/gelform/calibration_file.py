@@ -1,0 +1,243 @@
+"""Calibration: everything that makes the ideal model usable on one sensor with one gel. Saved as one .npz."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.change import ChangeSettings
+from gelform.background.check import background_digest
+from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel
+from gelform.color_models._shared.forward import ForwardResponse
+from gelform.color_models._shared.gamut import Gamut
+from gelform.confidence import SlopeSigma
+from gelform.errors import CalibrationError
+from gelform.npz_files import digest_of, read_npz, write_npz
+from gelform.view import View
+
+KIND = "gelform calibration"
+FORMAT_VERSION = 2
+MAX_BYTES = 512 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What was learnt about one sensor and one gel. It belongs to no other.
+
+    Attributes
+    ----------
+    sensor_name, serial, gel_id : which sensor, which unit, which gel
+    view : how frames become images; identity where images were calibrated as they are
+    image_shape : (H, W)
+    mm_per_px, mm_per_px_sigma : pixel pitch, mm, and its standard deviation where known; a pitch of None (an
+        imported calibration without a scale) gives gradients and depth_px, not depth_mm
+    background : (H, W, 3) float32, the untouched image
+    background_noise : (3,) standard deviation of a background pixel, grey levels
+    change : how an image becomes a color change
+    color_model : colour -> gradients
+    forward : gradients -> colour, fitted on the same presses; None where it was imported without
+    slope_sigma : standard deviation of the slopes, and their correlation length; None where nobody knows
+    untouched_change : color changes smaller than this mean: not touched
+    held_out : errors on presses that were left out, by name
+    training_digests : SHA-256 of the images that were used
+    settings : what the calibration chose: training zone, model settings ...
+    library_version, created_utc : by what and when
+    gamut : the colours it was fitted on; None where they are not known
+    report : the CalibrationReport of the run that made it; not saved
+    """
+
+    sensor_name: str
+    serial: str | None
+    gel_id: str | None
+    view: View
+    image_shape: tuple[int, int]
+    mm_per_px: float | None
+    mm_per_px_sigma: float | None
+    background: NDArray[np.float32]
+    background_noise: NDArray[np.float64]
+    change: ChangeSettings
+    color_model: ColorModel
+    forward: ForwardResponse | None
+    slope_sigma: SlopeSigma | None
+    untouched_change: float
+    held_out: dict[str, float]
+    training_digests: tuple[str, ...]
+    settings: dict[str, Any]
+    library_version: str
+    created_utc: str
+    gamut: Gamut | None = None
+    report: Any = field(default=None, repr=False)
+
+    @cached_property
+    def digest(self) -> str:
+        """Identity of this calibration: a digest of its arrays and settings."""
+        arrays, meta = self._contents()
+        return digest_of(arrays, meta)
+
+    @property
+    def known_mm_per_px(self) -> float:
+        """The pixel pitch, mm, where millimetres are needed.
+
+        Raises
+        ------
+        CalibrationError
+            The scale is unknown: imported without one.
+        """
+        if self.mm_per_px is None:
+            raise CalibrationError(
+                f"The scale of this calibration ({self.sensor_name}) is unknown. Import it again with the width of a "
+                "pixel on the gel: gelform import ... --mm-per-px F."
+            )
+        return self.mm_per_px
+
+    @cached_property
+    def background_digest(self) -> str:
+        """SHA-256 of the background's pixels: whether today's is the calibration's own."""
+        return background_digest(self.background)
+
+    def color_from_gradients(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
+        """Forward response: expected color change (H, W, 3) of gradients (H, W, 2).
+
+        Raises
+        ------
+        CalibrationError
+            Imported from a package that does not say it.
+        """
+        source: Any = self.forward if self.forward is not None else self.color_model
+        if not hasattr(source, "color_from_gradients"):
+            raise CalibrationError(
+                f"This calibration ({self.sensor_name}, color model {self.color_model.name}) was imported without a "
+                "forward response: what colour a slope gives is not known. Calibrate on presses of a ball."
+            )
+        height, width = self.image_shape
+        if np.shape(gradients) != (height, width, 2):
+            raise ValueError(
+                f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
+            )
+        y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+        change = source.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
+        return change.reshape(height, width, 3).astype(np.float32)
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write one .npz without pickles, under a temporary name first.
+
+        Raises
+        ------
+        CalibrationError
+            The file is there already and `overwrite` is False, or it cannot be written.
+        """
+        arrays, meta = self._contents()
+        write_npz(
+            path, arrays, meta, kind=KIND, version=FORMAT_VERSION, error=CalibrationError, overwrite=overwrite
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """What it is, in numbers and words that JSON can hold."""
+        return {**self._contents()[1], "digest": self.digest}
+
+    def _contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        model_arrays, model_settings = self.color_model.to_arrays()
+        arrays: dict[str, NDArray[Any]] = {
+            "background": self.background,
+            "background_noise": self.background_noise,
+            **_forward_arrays(self.forward),
+            **{f"model_{name}": array for name, array in model_arrays.items()},
+        }
+        if self.gamut is not None:
+            arrays |= {"gamut_distance": self.gamut.distance, "gamut_low": self.gamut.low}
+        meta: dict[str, Any] = {
+            "sensor_name": self.sensor_name,
+            "serial": self.serial,
+            "gel_id": self.gel_id,
+            "view": self.view.to_dict(),
+            "image_shape": list(self.image_shape),
+            "mm_per_px": self.mm_per_px,
+            "mm_per_px_sigma": self.mm_per_px_sigma,
+            "change": asdict(self.change),
+            "color_model": self.color_model.name,
+            "model_settings": model_settings,
+            "forward_settings": self.forward and {"position_degrees": list(self.forward.position_degrees)},
+            "slope_sigma": self.slope_sigma and asdict(self.slope_sigma),
+            "gamut": self.gamut
+            and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
+            "untouched_change": self.untouched_change,
+            "background_digest": self.background_digest,
+            "crosstalk": self.change.crosstalk,
+            "held_out": self.held_out,
+            "training_digests": list(self.training_digests),
+            "settings": self.settings,
+            "library_version": self.library_version,
+            "created_utc": self.created_utc,
+        }
+        return arrays, meta
+
+
+def load_calibration(path: str | PathLike[str]) -> Calibration:
+    """Read a calibration.
+
+    Raises
+    ------
+    CalibrationError
+        The file is missing, truncated, altered, not a calibration, or of a newer format: the message says which.
+    """
+    arrays, meta = read_npz(
+        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
+    )
+    try:
+        return _from_contents(arrays, meta)
+    except (KeyError, TypeError, ValueError) as problem:
+        raise CalibrationError(
+            f"{path} is damaged: {type(problem).__name__}: {problem}. Restore a copy or calibrate again."
+        ) from problem
+
+
+def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
+    shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
+    models = {**COLOR_MODELS, **IMPORTED_MODELS}
+    if meta["color_model"] not in models:
+        raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
+    own = {name.removeprefix("model_"): array for name, array in arrays.items() if name.startswith("model_")}
+    return Calibration(
+        sensor_name=meta["sensor_name"],
+        serial=meta["serial"],
+        gel_id=meta["gel_id"],
+        view=View.from_dict(meta["view"]),
+        image_shape=shape,
+        mm_per_px=meta["mm_per_px"],
+        mm_per_px_sigma=meta["mm_per_px_sigma"],
+        background=arrays["background"],
+        background_noise=arrays["background_noise"],
+        change=ChangeSettings(**meta["change"]),
+        color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
+        forward=_forward(arrays, meta["forward_settings"], shape),
+        slope_sigma=meta["slope_sigma"] and SlopeSigma.from_dict(meta["slope_sigma"]),
+        untouched_change=meta["untouched_change"],
+        held_out=meta["held_out"],
+        training_digests=tuple(meta["training_digests"]),
+        settings=meta["settings"],
+        library_version=meta["library_version"],
+        created_utc=meta["created_utc"],
+        gamut=Gamut(arrays["gamut_distance"], arrays["gamut_low"], **meta["gamut"])
+        if meta.get("gamut")
+        else None,
+    )
+
+
+def _forward_arrays(forward: ForwardResponse | None) -> dict[str, NDArray[Any]]:
+    if forward is None:
+        return {}
+    return {"forward_coefficients": forward.coefficients, "forward_noise": forward.noise}
+
+
+def _forward(
+    arrays: dict[str, NDArray[Any]], settings: dict[str, Any] | None, shape: tuple[int, int]
+) -> ForwardResponse | None:
+    if settings is None:
+        return None
+    degrees = tuple(settings["position_degrees"])
+    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"])

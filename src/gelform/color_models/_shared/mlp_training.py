@@ -1,0 +1,121 @@
+"""Training of the `mlp` color model; needs torch, the extra `torch`. Nothing else imports it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.color_models._shared.layers import Layers
+from gelform.color_models._shared.least_squares import HUBER_SLOPE
+from gelform.errors import GelformError
+
+BATCH = 512
+LEARNING_RATE = 1e-2
+
+
+def train(
+    change: NDArray[Any],
+    place: NDArray[Any],
+    gradients: NDArray[Any],
+    weight: NDArray[Any],
+    *,
+    hidden: tuple[int, ...],
+    steps: int,
+    weight_decay: float,
+    seed: int,
+) -> Layers:
+    """Layers whose answer to (change, place) minus that to (0, place) is the gradient, in Huber's loss.
+
+    AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019), one thread, all randomness from `seed`.
+
+    Parameters
+    ----------
+    change : (N, 3), about 1 in size
+    place : (N, 2), -1 to 1
+    gradients : (N, 2), mm/mm
+    weight : (N,), >= 0
+    """
+    torch = _torch()
+    if not hidden or steps < 1 or len(change) < 2:
+        raise ValueError(f"Expected hidden layers, steps and samples, got {hidden}, {steps}, {len(change)}.")
+    with _one_thread(torch):
+        random = torch.Generator().manual_seed(seed)
+        touched, rest, target, share = _tensors(torch, change, place, gradients, weight)
+        layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
+        optimizer = torch.optim.AdamW(
+            [p for pair in layers for p in pair], lr=LEARNING_RATE, weight_decay=weight_decay
+        )
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+        for _ in range(steps):
+            rows = torch.randint(len(touched), (min(BATCH, len(touched)),), generator=random)
+            answers = _forward(torch, layers, torch.cat([touched[rows], rest[rows]]))
+            residual = torch.linalg.norm(answers[: len(rows)] - answers[len(rows) :] - target[rows], dim=1)
+            loss = (share[rows] * _huber(torch, residual)).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+        weights, biases = zip(*[[p.detach().numpy().copy() for p in pair] for pair in layers])
+    return Layers(weights, biases)
+
+
+def _torch() -> Any:
+    try:
+        import torch
+    except ImportError as problem:
+        raise GelformError(
+            "Training the color model mlp needs torch. Install it: pip install 'gelform[torch]'. "
+            "A calibration that holds one is used without."
+        ) from problem
+    return torch
+
+
+@contextmanager
+def _one_thread(torch: Any) -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _tensors(
+    torch: Any, change: NDArray[Any], place: NDArray[Any], gradients: NDArray[Any], weight: NDArray[Any]
+) -> tuple[Any, Any, Any, Any]:
+    """Inputs when touched, inputs at rest, targets, and weights of mean 1."""
+    touched = np.concatenate([change, place], axis=1)
+    rest = np.concatenate([np.zeros_like(change), place], axis=1)
+    share = np.asarray(weight) / max(float(np.mean(weight)), 1e-12)
+    touched, rest, target, share = (
+        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in (touched, rest, gradients, share)
+    )
+    return touched, rest, target, share
+
+
+def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any, Any]]:
+    """Weights by He's rule (ICCV 2015), biases spread so that the kinks lie inside the inputs' range."""
+    layers = []
+    for inputs, outputs in pairwise(sizes):
+        weight = torch.randn((outputs, inputs), generator=random) * (2 / inputs) ** 0.5
+        bias = (torch.rand((outputs,), generator=random) - 0.5) * (outputs > 2)
+        layers.append((weight.requires_grad_(), bias.requires_grad_()))
+    return layers
+
+
+def _forward(torch: Any, layers: list[tuple[Any, Any]], values: Any) -> Any:
+    for k, (weight, bias) in enumerate(layers):
+        values = torch.nn.functional.linear(values, weight, bias)
+        values = torch.relu(values) if k + 1 < len(layers) else values
+    return values
+
+
+def _huber(torch: Any, residual: Any) -> Any:
+    """Huber's loss of the residual's length, in units of its threshold."""
+    r = residual / HUBER_SLOPE
+    return torch.where(r < 1, 0.5 * r**2, r - 0.5)

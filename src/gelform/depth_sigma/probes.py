@@ -1,0 +1,170 @@
+"""Probes: random slope errors that are integrated, many at once, to see how far they move depth.
+
+Independent draws would leave a relative error of 1/sqrt(2 n) in a standard deviation from n probes. Here the
+draws of neighbouring places are orthogonal over the probes instead, as in probing for the diagonal of an
+inverse (J. Tang and Y. Saad, A probing method for computing the diagonal of a matrix inverse, Numer. Linear
+Algebra Appl. 19, 2012): places of one colour share a row of an orthogonal matrix, up to sign, and lie far
+apart. Depth depends on near slopes far more than on distant ones, so that what is left is half as large.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from gelform.depth_sigma.batched_cycle import solve_lanes
+from gelform.pool import Pool
+from gelform.solvers.multigrid.cycle import EAST, KERNEL, SOUTH
+from gelform.solvers.multigrid.solver import Hierarchy
+from gelform.solvers.system import Problem
+
+
+def white_draws(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Fields (count, H, W, 2) of variance 1, independent from place to place."""
+    return np.ascontiguousarray(_placed(count, shape, rng), dtype=np.float32)
+
+
+def correlated_draws(
+    count: int, shape: tuple[int, int], length: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Fields (count, H, W, 2) of variance 1 and correlation exp(-d^2/(2 length^2)).
+
+    The first is taken half a place to the right, the second half a place down: on the edges. Gaussians on a
+    lattice of spacing `length` are added up, which has that correlation to 1.4 %.
+    """
+    parts = []
+    for down, right in ((0.0, 0.5), (0.5, 0.0)):
+        rows, columns = _gaussians(shape[0], length, down), _gaussians(shape[1], length, right)
+        parts.append((rows, columns))
+    heights = _placed(count, (parts[0][0].shape[1], parts[0][1].shape[1]), rng)
+    fields = [
+        np.einsum("ay,kyx,bx->kab", rows, heights[..., c], columns, optimize=True)
+        for c, (rows, columns) in enumerate(parts)
+    ]
+    return np.ascontiguousarray(np.stack(fields, axis=-1), dtype=np.float32)
+
+
+def _gaussians(count: int, length: float, offset: float) -> NDArray[Any]:
+    """Gaussians (places, lattice points) whose squares add up to 1 at every place."""
+    half = int(np.ceil((count / 2) / length)) + 3
+    centres = np.arange(-half, half + 1) * length
+    places = np.arange(count) - (count - 1) / 2 + offset
+    bells = np.exp(-((places[:, None] - centres) ** 2) / length**2)
+    return np.asarray(bells / np.sqrt(np.sum(bells**2, axis=1, keepdims=True)))
+
+
+def _placed(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[Any]:
+    """Values (count, H, W, 2) of variance 1 over the probes, orthogonal where colours differ."""
+    rows = dct(np.eye(count), norm="ortho") * np.sqrt(count)
+    colour = _colours(max(count // 2, 1), shape)
+    columns = rng.permutation(count)[np.stack([2 * colour % count, (2 * colour + 1) % count], axis=-1)]
+    return np.asarray(rows[:, columns] * rng.choice([-1.0, 1.0], size=(*shape, 2)))
+
+
+def _colours(count: int, shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Colour (H, W) of each place: `column + turn row` modulo the count, with same colours far apart."""
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    return np.asarray((cols + _turn(count) * rows) % count)
+
+
+@lru_cache(maxsize=32)
+def _turn(count: int) -> int:
+    reach = np.arange(-count, count + 1)
+    y, x = np.meshgrid(reach, reach, indexing="ij")
+    away = (x**2 + y**2).astype(float)
+    away[(x == 0) & (y == 0)] = np.inf
+    nearest = [away[(x + turn * y) % count == 0].min() for turn in range(count)]
+    return int(np.argmax(nearest))
+
+
+class ProbeSolver:
+    """Depths of draws of slope errors, all with the same couplings; prepared once.
+
+    Parameters
+    ----------
+    white, common : (N, H, W, 2), as `white_draws` and `correlated_draws` make them
+    mm_per_px : (x, y), mm
+    """
+
+    def __init__(
+        self, white: NDArray[np.float32], common: NDArray[np.float32], mm_per_px: tuple[float, float]
+    ) -> None:
+        self._white, self._common = (
+            np.ascontiguousarray(np.moveaxis(draws, 0, -1)) for draws in (white, common)
+        )
+        self.mm_per_px = mm_per_px
+        self._pool = Pool(lambda: _Work(white.shape[1:3], len(white)))
+
+    def __call__(
+        self,
+        white: NDArray[np.float32],
+        common: NDArray[np.float32],
+        problem: Problem,
+        median: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Depths (H, W, N) to some percent, each up to a constant without an anchor.
+
+        Parameters
+        ----------
+        white, common : (H, W, 2), mm/mm
+            Standard deviation of the slopes: of errors that are white, and of correlated ones.
+        problem : couplings and anchor; its slopes count for nothing
+        median : (H, W, 2), optional
+            How much each slope counts in the median that is subtracted from all.
+        """
+        bias = np.zeros((2, self._white.shape[-1]), dtype=np.float32)
+        if median is not None:
+            bias += np.einsum("ijck,ijc->ck", self._white, white * median)
+            bias += np.einsum("ijck,ijc->ck", self._common, common * median)
+        depths = np.empty((*white.shape[:2], self._white.shape[-1]), dtype=np.float32)
+        scales = np.float32(0.5 * self.mm_per_px[0]), np.float32(0.5 * self.mm_per_px[1])
+        with self._pool.one() as work:
+            hierarchy, r, g, a = work.hierarchy, *work.lanes
+            hierarchy.load(problem, self.mm_per_px)
+            _draw(hierarchy.data, self._white, self._common, white, common, bias, *scales, r)
+            solve_lanes(hierarchy.data, hierarchy.levels, hierarchy.dense, r, g, a, depths)
+        return depths
+
+
+class _Work:
+    """Work arrays of all levels for one frame at a time."""
+
+    def __init__(self, shape: tuple[int, int], count: int) -> None:
+        self.hierarchy = Hierarchy(shape)
+        self.lanes = [np.zeros((*self.hierarchy.data.shape[1:], count), dtype=np.float32) for _ in range(3)]
+
+
+@njit(**KERNEL)  # type: ignore[misc]
+def _draw(
+    data: Any, w: Any, c: Any, white: Any, common: Any, bias: Any, scale_x: Any, scale_y: Any, r: Any
+) -> None:
+    """Right sides of the draws: white errors at pixels, whose mean an edge takes, and common ones on edges."""
+    height, width, _, lanes = w.shape
+    two = np.float32(2)
+    flux = np.zeros(lanes, dtype=np.float32)
+    for i in range(1, height + 1):
+        for j in range(1, width + 1):
+            for m in range(lanes):
+                r[i, j, m] = 0
+    for i in range(height):
+        for j in range(width):
+            for axis in range(2):
+                right, down = min(j + 1 - axis, width - 1), min(i + axis, height - 1)
+                tie = scale_y * data[SOUTH, i + 1, j + 1] if axis else scale_x * data[EAST, i + 1, j + 1]
+                if tie == 0:
+                    continue
+                a, b = white[i, j, axis], white[down, right, axis]
+                both = common[i, j, axis] + common[down, right, axis]
+                for m in range(lanes):
+                    flux[m] = a * w[i, j, axis, m] + b * w[down, right, axis, m]
+                for m in range(lanes):
+                    flux[m] = tie * (flux[m] + both * c[i, j, axis, m] - two * bias[axis, m])
+                for m in range(lanes):
+                    r[i + 1, j + 1, m] -= flux[m]
+                for m in range(lanes):
+                    r[down + 1, right + 1, m] += flux[m]

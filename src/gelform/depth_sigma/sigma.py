@@ -1,0 +1,261 @@
+"""How well depth is known: one standard deviation per pixel against the zero reference.
+
+Slope errors have a white part, which integration averages out, and a part that is correlated over some pixels
+(a color model's bias), which it does not: at equal size the second moves depth far more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_map, check_mask, check_mm_per_px
+from gelform.depth import Level, Zero, checked_anchor, fitted_surface, zero_region
+from gelform.depth_sigma.blocks import Cells, sigma_of_pixels, zeros
+from gelform.depth_sigma.closed_form import correlation_of_cells, variance_of_white, variance_within_cells
+from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
+from gelform.solvers.system import FLOOR
+
+# Probes are solved on cells (sigma is smooth): about so many of them, of so many pixels across.
+CELLS = 2300
+CELL_PX = 2, 6
+# Variance of the probes is averaged over so many cells (standard deviation).
+SMOOTHING_CELLS = 0.6
+
+
+class DepthSigma:
+    """One standard deviation of the depth, frame by frame: what does not depend on the frame is prepared once.
+
+    Immutable; a pure function of its arguments, and safe to share between threads.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    mm_per_px : float or (x, y), mm
+    correlation_px : float, >= 0
+        Distance over which the correlated part of the slope errors falls to exp(-1/2) (a Gaussian); 0: all of
+        the error is white.
+    correlated_share : float, 0-1
+        Share of the variance that is correlated, if `correlation_px` > 0.
+    probes : int, >= 2
+        Fields of random slope errors that are integrated; 32 leave an error of 3 to 9 % in the
+        median over the frame.
+    rng : numpy Generator
+        Draws the probes; a fixed seed if None, so that the same arguments give the same map.
+
+    Raises
+    ------
+    ValueError
+        A setting out of range.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        mm_per_px: float | Sequence[float],
+        correlation_px: float = 0.0,
+        correlated_share: float = 0.5,
+        probes: int = 32,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        self.shape = shape[0], shape[1]
+        self.pitch = check_mm_per_px(mm_per_px)
+        self.share = _checked_share(correlation_px, correlated_share)
+        if probes < 2:
+            raise ValueError(f"Expected probes >= 2, got {probes}.")
+        cell = self.cell = int(np.clip(round((shape[0] * shape[1] / CELLS) ** 0.5), *CELL_PX))
+        cells = -(-shape[0] // cell), -(-shape[1] // cell)
+        rng = rng or np.random.default_rng(0)
+        white = np.float32(np.sqrt(1 - self.share)) * white_draws(probes, cells, rng)
+        common = np.zeros_like(white)
+        if self.share > 0:
+            length, power = correlation_of_cells(correlation_px, cell)
+            common = np.float32(np.sqrt(self.share * power)) * correlated_draws(probes, cells, length, rng)
+        self._solver = ProbeSolver(white, common, (self.pitch[0] * cell, self.pitch[1] * cell))
+        aspect, area = self.pitch[0] / self.pitch[1], self.pitch[0] * self.pitch[1]
+        per_slope = variance_within_cells(aspect, cell)
+        self._within = np.array(per_slope, dtype=np.float32) * np.float32(area * (1 - self.share))
+
+    def __call__(
+        self,
+        gradients_sigma: ArrayLike,
+        *,
+        weights: ArrayLike | None = None,
+        mask: ArrayLike | None = None,
+        anchor: ArrayLike | None = None,
+        zero: Zero | NDArray[np.bool_] = "mean",
+        level: Level | None = None,
+    ) -> NDArray[np.float32]:
+        """Standard deviation of depth, (H, W) float32, mm, of one frame.
+
+        Parameters
+        ----------
+        gradients_sigma : (H, W, 2), or (H, W) for both slopes alike; mm/mm, > 0
+        weights, mask, anchor, zero, level
+            As for `depth_from_gradients`; weights per pixel.
+        """
+        shape = self.shape
+        sigma = _checked_sigma(gradients_sigma, shape)
+        weight = _ones(shape) if weights is None else _checked_weights(weights, shape)
+        inside = _ones(shape, bool) if mask is None else check_mask(mask, shape=shape)
+        hold = None if anchor is None else checked_anchor(anchor, shape)
+        region = zero_region(zero, shape)
+        if mask is not None:
+            weight = weight * inside
+        floor = np.float32(FLOOR) * weight.max()
+        cells = Cells(sigma, weight, inside, hold, region, floor, self.cell)
+        median = cells.share_in_median() if level == "slope" else None
+        depths = self._solver(cells.white, cells.common, cells.problem, median)
+        variance = _smoothed(_variance(depths, cells, level), cells.mask)
+        return self._of_pixels(variance, sigma, weight, floor, hold)
+
+    def _of_pixels(
+        self,
+        variance: NDArray[np.float32],
+        sigma: NDArray[np.float32],
+        weight: NDArray[np.float32],
+        floor: np.float32,
+        anchor: NDArray[np.float32] | None,
+    ) -> NDArray[np.float32]:
+        """Standard deviation of pixels from the variance of cells."""
+        size = variance.shape[1] * self.cell, variance.shape[0] * self.cell
+        pixels = cv2.resize(variance, size).reshape(size[1], size[0])
+        out = np.empty(self.shape, dtype=np.float32)
+        hold = zeros(self.shape) if anchor is None else anchor
+        sigma_of_pixels(pixels, sigma, self._within, weight, floor, hold, out)
+        return out
+
+
+def depth_sigma(
+    gradients_sigma: ArrayLike,
+    *,
+    mm_per_px: float | Sequence[float],
+    weights: ArrayLike | None = None,
+    mask: ArrayLike | None = None,
+    anchor: ArrayLike | None = None,
+    zero: Zero | NDArray[np.bool_] = "mean",
+    level: Level | None = None,
+    correlation_px: float = 0.0,
+    correlated_share: float = 0.5,
+    probes: int = 32,
+    rng: np.random.Generator | None = None,
+) -> NDArray[np.float32]:
+    """One standard deviation of the depth that `depth_from_gradients` gives with the same arguments.
+
+    For many frames of one shape prepare a `DepthSigma`, which takes these arguments in two parts.
+
+    Parameters
+    ----------
+    gradients_sigma : (H, W, 2), mm/mm, > 0
+        Standard deviation of the slopes, all causes included.
+    mm_per_px, weights, mask, anchor, zero, level
+        As for `depth_from_gradients`; weights per pixel.
+    correlation_px, correlated_share, probes, rng
+        As for `DepthSigma`.
+
+    Returns
+    -------
+    depth_sigma_mm : (H, W) float32, mm; without the uncertainty of the scale. Outside the mask: of the
+        pixels it was filled from.
+
+    Notes
+    -----
+    Uniform slope errors without weights, mask, anchor and correlation have a closed form in cosine modes; the
+    rest is Monte Carlo on a grid of cells of up to 6 pixels; what that grid cannot see is added from the
+    closed form.
+    """
+    pitch = check_mm_per_px(mm_per_px)
+    sigma = _checked_sigma(gradients_sigma)
+    shape = sigma.shape[0], sigma.shape[1]
+    uniform = weights is None and mask is None and anchor is None and level is None
+    constant = bool(np.all(sigma == sigma[0, 0]))
+    if uniform and constant and correlation_px == 0 and isinstance(zero, str) and zero == "mean":
+        per_x, per_y = variance_of_white(shape, pitch)
+        return np.sqrt(sigma[0, 0, 0] ** 2 * per_x + sigma[0, 0, -1] ** 2 * per_y).astype(np.float32)
+    settings = shape, pitch, float(correlation_px), float(correlated_share), probes
+    prepared = _prepared(*settings) if rng is None else _prepared.__wrapped__(*settings, rng)
+    return prepared(sigma, weights=weights, mask=mask, anchor=anchor, zero=zero, level=level)
+
+
+@lru_cache(maxsize=4)
+def _prepared(
+    shape: tuple[int, int],
+    pitch: tuple[float, float],
+    correlation_px: float,
+    correlated_share: float,
+    probes: int,
+    rng: np.random.Generator | None = None,
+) -> DepthSigma:
+    return DepthSigma(
+        shape,
+        mm_per_px=pitch,
+        correlation_px=correlation_px,
+        correlated_share=correlated_share,
+        probes=probes,
+        rng=rng,
+    )
+
+
+def _checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Standard deviations (H, W, 1 or 2)."""
+    sigma = np.asarray(gradients_sigma)
+    size = sigma.shape[:2]
+    alike = shape is not None and sigma.shape == tuple(shape)
+    if not alike and (sigma.ndim != 3 or sigma.shape[2] != 2 or shape not in (None, size)):
+        wanted = "(H, W, 2)" if shape is None else f"({shape[0]}, {shape[1]}, 2)"
+        raise ValueError(f"Expected gradients_sigma of shape {wanted}, got {sigma.shape}.")
+    flat = sigma.reshape(size[0], -1)
+    flat = check_map(flat, "gradients_sigma", nonnegative=True)
+    if flat.min() == 0:
+        raise ValueError("Expected gradients_sigma > 0, got 0: no slope is known exactly.")
+    return flat.reshape(*size, -1)
+
+
+def _checked_weights(weights: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+    array = check_map(weights, "weights", shape=shape, nonnegative=True)
+    if array.ndim != 2:
+        raise ValueError(f"Expected weights of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
+    return array
+
+
+def _checked_share(correlation_px: float, correlated_share: float) -> float:
+    if not 0 <= correlation_px < np.inf:
+        raise ValueError(f"Expected correlation_px >= 0, got {correlation_px}.")
+    if not 0 <= correlated_share <= 1:
+        raise ValueError(f"Expected correlated_share within 0-1, got {correlated_share}.")
+    return correlated_share if correlation_px > 0 else 0.0
+
+
+@lru_cache(maxsize=16)
+def _ones(shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
+    """A map of ones, shared: nobody writes to it."""
+    return np.ones(shape, dtype=dtype)
+
+
+def _variance(depths: NDArray[np.float32], cells: Cells, level: Level | None) -> NDArray[np.float32]:
+    """Mean square over the probes of depth (h, w, probes) against its zero."""
+    if not cells.anchored:
+        zero = cells.region if cells.region.any() else cells.mask.astype(np.float32)
+        flat = depths.reshape(-1, depths.shape[2])
+        depths -= (zero / zero.sum()).reshape(-1) @ flat
+    if level in ("plane", "quadratic"):
+        fields = np.moveaxis(depths, -1, 0)
+        surface = fitted_surface(fields, cells.region > 0, 1 if level == "plane" else 2)
+        depths = depths - np.moveaxis(surface, 0, -1)
+    return np.asarray(np.einsum("ijk,ijk->ij", depths, depths) / np.float32(depths.shape[2]))
+
+
+def _smoothed(variance: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Averaged over neighbours inside the mask."""
+    blur = (0, 0), SMOOTHING_CELLS
+    if mask.all():
+        return np.asarray(cv2.GaussianBlur(variance, *blur)).reshape(mask.shape)
+    inside = cv2.GaussianBlur(mask.astype(np.float32), *blur).reshape(mask.shape)
+    smooth = cv2.GaussianBlur(np.where(mask, variance, 0).astype(np.float32), *blur).reshape(mask.shape)
+    return np.asarray(smooth / np.maximum(inside, 1e-6), dtype=np.float32)

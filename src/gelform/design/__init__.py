@@ -1,0 +1,1 @@
+"""LED layouts compared before they are built."""

@@ -1,0 +1,259 @@
+"""Which sensor is better, before it is built: each design is simulated, calibrated and reconstructed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.fit import calibrate
+from gelform.calibration.presses.folder import Press, Presses
+from gelform.checks import check_positive
+from gelform.progress import Progress, no_progress
+from gelform.reconstruct import Reconstructor
+from gelform.simulate import (
+    Led,
+    Optics,
+    SimulatedPress,
+    SimulatedSensor,
+    exposed,
+    simulate_background,
+    simulate_ball_presses,
+)
+from gelform.simulate.gel.gel import Surface
+from gelform.simulate.light.light import irradiance_from_surface, spread_in_gel
+from gelform.simulate.sensor.camera import levels_from_irradiance
+from gelform.simulate.sensor.sensor import Triple
+from gelform.view import View
+
+SLOPE_STEP = 1e-3
+CELLS = (6, 8)  # of the map of depth errors
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How a design differs from the sensor that was given; factors, 1 for no change.
+
+    `whiteness` moves each light's colour from what it is (0) to white of the same sum (1).
+    """
+
+    name: str
+    led_height: float = 1.0
+    led_distance: float = 1.0
+    noise: float = 1.0
+    crosstalk: float = 1.0
+    relaxation: float = 1.0
+    whiteness: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.whiteness <= 1:
+            raise ValueError(f"Expected whiteness in 0-1, got {self.whiteness}.")
+        for what in ("led_height", "led_distance", "relaxation"):
+            check_positive(getattr(self, what), what)
+        if self.noise < 0 or self.crosstalk < 0:
+            raise ValueError(f"Expected noise and crosstalk >= 0, got {self.noise} and {self.crosstalk}.")
+
+    def of(self, sensor: SimulatedSensor) -> SimulatedSensor:
+        """The sensor so changed, exposed to the same mean levels."""
+        crosstalk = np.asarray(sensor.crosstalk, dtype=np.float64)
+        mixed = crosstalk * np.where(np.eye(3) > 0, 1, self.crosstalk)
+        changed = replace(
+            sensor,
+            leds=tuple(self._moved(led) for led in sensor.leds),
+            noise_sd=sensor.noise_sd * self.noise,
+            noise_gain=sensor.noise_gain * self.noise**2,
+            crosstalk=_rows(mixed),
+            relaxation_mm=sensor.relaxation_mm * self.relaxation,
+        )
+        means = simulate_background(sensor, None, quantise=False).mean(axis=(0, 1))
+        return exposed(changed, (float(means[0]), float(means[1]), float(means[2])))
+
+    def _moved(self, led: Led) -> Led:
+        x, y, z = led.position_mm
+        place = (x * self.led_distance, y * self.led_distance, z * self.led_height)
+        grey = sum(led.color) / 3
+        red, green, blue = ((1 - self.whiteness) * c + self.whiteness * grey for c in led.color)
+        return replace(led, position_mm=place, color=(red, green, blue))
+
+
+VARIATIONS = (
+    Variation("as given"),
+    Variation("lights 1.5 x higher", led_height=1.5),
+    Variation("lights 1.5 x lower", led_height=1 / 1.5),
+    Variation("lights half white", whiteness=0.5),
+    Variation("no crosstalk", crosstalk=0.0),
+    Variation("twice the noise", noise=2.0),
+    Variation("gel relaxes 1.5 x farther", relaxation=1.5),
+)
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """What a design can do.
+
+    Attributes
+    ----------
+    name : str
+    sensor : SimulatedSensor
+    condition : (H, W), condition number of the light matrix at rest: 1 is even, large is blind in some direction
+    slope_sigma : (H, W), the least standard deviation of a slope that one pixel's noise allows, mm/mm
+    depth_rmse_um : of test presses inside the contact
+    depth_rmse_se_um : its standard error over the presses: designs nearer than this are alike
+    depth_map_um : (6, 8), the same over the gel; NaN where no test press was
+    normal_deg : mean angle error of the normals inside the contact
+    """
+
+    name: str
+    sensor: SimulatedSensor
+    condition: NDArray[np.float64]
+    slope_sigma: NDArray[np.float64]
+    depth_rmse_um: float
+    depth_rmse_se_um: float
+    depth_map_um: NDArray[np.float64]
+    normal_deg: float
+
+
+def compare_designs(
+    sensor: SimulatedSensor,
+    variations: Sequence[Variation] = VARIATIONS,
+    *,
+    ball_diameters_mm: Sequence[float] = (6.0, 9.0),
+    presses: int = 14,
+    tests: int = 16,
+    seed: int = 0,
+    halved: bool = True,
+    color_model: str = "polynomial",
+    progress: Progress = no_progress,
+) -> tuple[DesignResult, ...]:
+    """Simulate, calibrate and reconstruct each variation of a sensor, on the same presses.
+
+    Parameters
+    ----------
+    presses, tests : how many to calibrate on, and others to measure on
+    halved : whether at half the resolution, which is four times as fast; noise is per pixel, so depth is a little noisier
+    """
+    if presses < 4 or tests < 1 or len(variations) == 0:
+        raise ValueError(
+            f"Expected presses >= 4, tests >= 1 and a variation, got {presses}, {tests}, {len(variations)}."
+        )
+    results = []
+    for k, variation in enumerate(variations):
+        progress(k, len(variations), variation.name)
+        design = variation.of(_halved(sensor) if halved else sensor)
+        train_rng, test_rng = np.random.default_rng(seed).spawn(2)
+        balls = list(ball_diameters_mm)
+        training = simulate_ball_presses(design, ball_diameters_mm=balls, count=presses, rng=train_rng)
+        held_out = simulate_ball_presses(design, ball_diameters_mm=balls, count=tests, rng=test_rng)
+        calibration = calibrate(
+            _as_read(training.presses, training.background, design), color_model=color_model
+        )
+        reconstruct = Reconstructor(calibration)
+        errors = [_errors(press, reconstruct(press.image)) for press in held_out.presses]
+        condition, sigma = light_quality(design)
+        results.append(DesignResult(variation.name, design, condition, sigma, *_summed(errors, design.shape)))
+    progress(len(variations), len(variations), "done")
+    return tuple(results)
+
+
+def _rows(matrix: NDArray[np.float64]) -> tuple[Triple, Triple, Triple]:
+    first, second, third = ((float(a), float(b), float(c)) for a, b, c in matrix)
+    return first, second, third
+
+
+def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Condition number (H, W) of the light matrix, and the least noise (H, W) of a slope.
+
+    The light matrix is the change of the three levels per slope, J (3x2), each divided by its noise, at the untouched
+    gel: by central differences of the whole simulated path but noise, so that crosstalk, ambient and scattered
+    light count. The slope's standard deviation is the square root of half the trace of (J^T J)^-1 (Cramer and Rao).
+    """
+    plain = replace(sensor, optics=Optics())
+    rest = _levels_of_slope(plain, 0.0, 0.0)
+    columns = [
+        (_levels_of_slope(plain, px, py) - _levels_of_slope(plain, -px, -py)) / (2 * SLOPE_STEP)
+        for px, py in ((SLOPE_STEP, 0.0), (0.0, SLOPE_STEP))
+    ]
+    variance = sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12  # the last: rounding to grey levels
+    matrix = np.stack(columns, axis=-1) / np.sqrt(variance)[..., None]
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    smallest = np.maximum(singular[..., 1], 1e-9 * singular[..., 0])
+    sigma = np.sqrt(0.5 * (singular[..., 0] ** -2.0 + smallest**-2.0))
+    return singular[..., 0] / smallest, sigma
+
+
+def _levels_of_slope(sensor: SimulatedSensor, p: float, q: float) -> NDArray[np.float64]:
+    """Levels of a gel that has the same slope everywhere and stays at its height."""
+    x, y = sensor.grid_mm()
+    gradients = np.empty((*sensor.shape, 2))
+    gradients[...] = p, q
+    surface = Surface(x, y, np.zeros(sensor.shape), gradients, np.zeros(sensor.shape, dtype=bool))
+    coating = sensor.coating
+    light = irradiance_from_surface(
+        surface, sensor.leds, specular=coating.specular, shininess=coating.shininess
+    )
+    return np.asarray(levels_from_irradiance(sensor, spread_in_gel(light, coating, sensor.mm_per_px)))
+
+
+def _halved(sensor: SimulatedSensor) -> SimulatedSensor:
+    height, width = sensor.shape
+    return replace(
+        sensor, shape=(height // 2, width // 2), mm_per_px=2 * sensor.mm_per_px, blur_px=sensor.blur_px / 2
+    )
+
+
+def _as_read(
+    presses: Sequence[SimulatedPress], background: NDArray[np.uint8], sensor: SimulatedSensor
+) -> Presses:
+    """Simulated presses as `read_presses` gives real ones, without labels: nothing to peek at."""
+    read = tuple(
+        Press(
+            f"{k:04d}",
+            press.image,
+            press.ball_diameter_mm,
+            None,
+            hashlib.sha256(press.image.tobytes()).hexdigest(),
+        )
+        for k, press in enumerate(presses)
+    )
+    pitch = float(sensor.mm_per_px)
+    return Presses(
+        folder="simulated",
+        presses=read,
+        background=background.astype(np.float32),
+        mm_per_px=pitch,
+        mm_per_px_sigma=None,
+        sensor_name=sensor.name,
+        serial=None,
+        gel_id=None,
+        view=View(),
+    )
+
+
+def _errors(press: SimulatedPress, result: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Where (N, 2), depth errors in mm and angles in degrees of the contact's pixels."""
+    inside = press.contact
+    found = np.concatenate([-result.gradients[inside], np.ones((int(inside.sum()), 1))], axis=-1)
+    found /= np.linalg.norm(found, axis=-1, keepdims=True)
+    cosine = np.clip(np.sum(found * press.normals[inside], axis=-1), -1, 1)
+    depth = result.depth_mm[inside] - press.depth_mm[inside]
+    return np.argwhere(inside), depth, np.rad2deg(np.arccos(cosine))
+
+
+def _summed(
+    errors: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]], shape: tuple[int, int]
+) -> tuple[float, float, NDArray[np.float64], float]:
+    """Depth RMSE in um, its standard error over the presses, its map over the gel, mean angle."""
+    where, depth, angle = (np.concatenate(parts) for parts in zip(*errors))
+    cell = where * np.array(CELLS) // np.array(shape)
+    number = np.ravel_multi_index((cell[:, 0], cell[:, 1]), CELLS)
+    count = np.bincount(number, minlength=CELLS[0] * CELLS[1])
+    square = np.bincount(number, weights=depth**2, minlength=CELLS[0] * CELLS[1])
+    mean = np.divide(square, count, out=np.full(square.shape, np.nan), where=count > 0)
+    rmse = float(np.sqrt(np.mean(depth**2)))
+    squares = [np.mean(one**2) for _, one, _ in errors]
+    scatter = float(np.std(squares) / np.sqrt(len(squares)) / (2 * rmse))  # of the root of their mean
+    return 1000 * rmse, 1000 * scatter, 1000 * np.sqrt(mean).reshape(CELLS), float(angle.mean())

@@ -1,0 +1,1 @@
+"""Files for others: press folders and simulated data sets."""

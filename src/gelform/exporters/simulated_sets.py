@@ -1,0 +1,191 @@
+"""Simulated data sets of any size, by several processes, the same bytes whatever their number."""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.exporters.press_folder import toml_string, truth_from_press, written_whole
+from gelform.progress import Progress, no_progress
+from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
+from gelform.simulate.like import Twin
+from gelform.simulate.press import ball_press_of_set
+from gelform.simulate.sensor.settings import settings_from_sensor
+
+COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px")
+
+
+@dataclass(frozen=True)
+class SetOfPresses:
+    """What a data set of ball presses is made from: everything that its bytes depend on.
+
+    With a `twin` the images are the twin's, and `sensor` is its sensor.
+    """
+
+    sensor: SimulatedSensor
+    ball_diameters_mm: tuple[float, ...]
+    count: int
+    seed: int
+    oversample: int = 3
+    twin: Twin | None = None
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or len(self.ball_diameters_mm) == 0:
+            raise ValueError(
+                f"Expected count >= 1 and a ball, got {self.count} and {list(self.ball_diameters_mm)}."
+            )
+        if self.seed < 0:
+            raise ValueError(f"Expected seed >= 0, got {self.seed}.")
+        for diameter in self.ball_diameters_mm:
+            check_positive(diameter, "ball_diameter_mm")
+
+    def press(self, k: int) -> SimulatedPress:
+        """The k-th press; it depends on no other."""
+        press = ball_press_of_set(
+            self.sensor, self.ball_diameters_mm, k, seed=self.seed, oversample=self.oversample
+        )
+        if self.twin is None:
+            return press
+        return self.twin.rendered(
+            press, np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k + 2, 0)))
+        )
+
+    def background(self) -> NDArray[np.uint8]:
+        """The untouched gel."""
+        if self.twin is not None:
+            return self.twin.background
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(0,)))
+        return np.asarray(simulate_background(self.sensor, rng), dtype=np.uint8)
+
+    def parameters(self) -> dict[str, Any]:
+        """All of it, as JSON can hold it."""
+        from gelform import __version__
+
+        return {
+            "sensor": settings_from_sensor(self.sensor),
+            "ball_diameters_mm": list(self.ball_diameters_mm),
+            "count": self.count,
+            "seed": self.seed,
+            "oversample": self.oversample,
+            "like": None if self.twin is None else self.twin.look.name,
+            "gelform_version": __version__,
+        }
+
+
+def save_simulated_set(
+    folder: str | os.PathLike[str],
+    presses: SetOfPresses,
+    *,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write ball presses as a press folder with labels, truth and all parameters.
+
+    Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ...
+    (depth_mm, gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`:
+    pose,
+    seed, number). Each press has its own random stream, so the bytes do not depend on the number of
+    workers. The folder appears whole or
+    not at all.
+
+    Raises
+    ------
+    DataError
+        The folder holds something already or cannot be written.
+    """
+    if workers < 1:
+        raise ValueError(f"Expected workers >= 1, got {workers}.")
+    target = Path(folder)
+    with written_whole(target) as partial:
+        for name in ("images", "truth"):
+            (partial / name).mkdir()
+        _write_png(partial / "background.png", presses.background())
+        rows = []
+        for row in _made(presses, partial, workers):
+            rows.append(row)
+            progress(len(rows), presses.count, "simulating")
+        with (partial / "presses.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        text = json.dumps(presses.parameters(), indent=1, sort_keys=True)
+        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
+        sensor = (
+            f"name = {toml_string(presses.sensor.name)}\nmm_per_px = {float(presses.sensor.mm_per_px)!r}\n"
+        )
+        (partial / "sensor.toml").write_text(sensor, encoding="utf-8")
+    return target
+
+
+def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[str, str]]:
+    """Write each press, in this process or in several; its lines of presses.csv in order."""
+    numbers: Sequence[int] = range(presses.count)
+    if workers == 1:
+        for k in numbers:
+            yield _write_press(presses, folder, k)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _one_thread) as pool:
+        jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
+        try:
+            for job in jobs:
+                yield job.result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+
+
+def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
+    press = presses.press(k)
+    _write_png(folder / f"images/{k:04d}.png", press.image)
+    write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
+    x, y = press.center_px
+    numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
+    return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers)))
+
+
+def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
+    """Write everything that is true of a press as .npz; `meta` joins its pose as JSON, `arrays` its arrays."""
+    pose = {
+        "depth_mm": press.press_depth_mm,
+        "center_mm": list(press.center_mm),
+        "spin_deg": press.pose.spin_deg,
+        "tilt_deg": list(press.pose.tilt_deg),
+        "time_s": press.time_s,
+    }
+    members: dict[str, Any] = {
+        **arrays,
+        **truth_from_press(press),
+        "albedo": press.albedo,
+        "shadowed": press.shadowed,
+        "saturated": press.saturated,
+        "markers_px": press.markers_px,
+        "markers_shift_mm": press.markers_shift_mm,
+        "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
+    }
+    with path.open("wb") as file:
+        np.savez_compressed(file, **members)
+
+
+def _write_png(path: Path, image: Any) -> None:
+    done, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise DataError(f"Cannot encode {path.name} as PNG.")
+    path.write_bytes(encoded.tobytes())

@@ -1,0 +1,1 @@
+"""Pictures of results, and of two calibrations side by side (extra `plots`)."""

@@ -1,0 +1,154 @@
+"""What two calibrations say of one image: figures, and a picture of both side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image, check_mm_per_px
+from gelform.errors import DataError
+from gelform.metrics import angle_deg
+from gelform.plots.result import canvas, pixels_of
+from gelform.reconstruction import Reconstruction
+
+FIRST, SECOND, FAINT, INK = "#f4731c", "#29a3e0", "#8a8a8a", "#222222"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two depth maps in one unit, and how they differ.
+
+    Attributes
+    ----------
+    unit : "mm", or "px" (widths of a pixel) where one of the two has no scale
+    depths : the two maps (H, W) float32, in that unit
+    peak_a, peak_b : their deepest points
+    difference_rms : RMS of B minus A over the frame
+    angle_deg : mean angle between their normals where either sees contact; None where neither does
+    curl_rms_a, curl_rms_b : how far the slopes are from those of a surface, slope per pixel
+    """
+
+    unit: str
+    depths: tuple[NDArray[np.float32], NDArray[np.float32]]
+    peak_a: float
+    peak_b: float
+    difference_rms: float
+    angle_deg: float | None
+    curl_rms_a: float
+    curl_rms_b: float
+
+    def figures(self) -> dict[str, Any]:
+        """All but the maps, as JSON can hold it."""
+        names = ("peak_a", "peak_b", "difference_rms", "angle_deg", "curl_rms_a", "curl_rms_b")
+        return {"unit": self.unit, **{name: getattr(self, name) for name in names}}
+
+
+def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
+    """Hold two results of the same image against each other.
+
+    Raises
+    ------
+    DataError
+        They are of different sizes.
+    """
+    if a.shape != b.shape:
+        raise DataError(
+            f"Expected two results of one size, got {a.shape[0]}x{a.shape[1]} and {b.shape[0]}x{b.shape[1]} px: "
+            "the calibrations crop or scale frames differently."
+        )
+    unit = "mm" if a.mm_per_px is not None and b.mm_per_px is not None else "px"
+    depths = (a.depth_mm, b.depth_mm) if unit == "mm" else (a.depth_px, b.depth_px)
+    touched = a.contact | b.contact
+    angle = angle_deg(b.gradients[touched], a.gradients[touched])
+    return Comparison(
+        unit=unit,
+        depths=depths,
+        peak_a=float(depths[0].max()),
+        peak_b=float(depths[1].max()),
+        difference_rms=float(np.sqrt(np.mean((depths[1] - depths[0]) ** 2, dtype=np.float64))),
+        angle_deg=float(angle.mean()) if angle.size else None,
+        curl_rms_a=a.curl_rms,
+        curl_rms_b=b.curl_rms,
+    )
+
+
+def comparison_picture(
+    a: Reconstruction, b: Reconstruction, image: ArrayLike, *, names: tuple[str, str] = ("A", "B")
+) -> NDArray[np.uint8]:
+    """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
+
+    Parameters
+    ----------
+    a, b : results of the same image
+    image : (H, W, 3) RGB
+    names : of the two calibrations
+
+    Returns
+    -------
+    picture : (h, w, 3) uint8, RGB
+
+    Raises
+    ------
+    GelformError
+        matplotlib is not installed.
+    """
+    compared = compare_results(a, b)
+    shown = check_image(image, shape=a.shape).astype(np.uint8)
+    first, second = compared.depths
+    row, column = np.unravel_index(int(np.argmax(cv2.GaussianBlur(first, (0, 0), 1))), first.shape)
+    tall = 3.0 * a.shape[0] / a.shape[1]
+    figure = canvas(14.0, tall + 4.0)
+    figure.suptitle(_headline(compared, names), x=0.012, ha="left", fontsize=11, color=INK)
+    top, bottom = figure.subfigures(2, 1, height_ratios=[tall + 0.5, 3.0])
+    axes = top.subplots(1, 4)
+    axes[0].imshow(shown, interpolation="nearest")
+    limits = {"vmin": min(first.min(), second.min()), "vmax": max(first.max(), second.max())}
+    for panel, depth in zip(axes[1:3], compared.depths):
+        map_shown = panel.imshow(depth, cmap="viridis", interpolation="nearest", **limits)
+        panel.axhline(row, color="white", linewidth=0.8, alpha=0.7)
+    top.colorbar(map_shown, ax=list(axes[1:3]), shrink=0.9, pad=0.01, label=f"depth ({compared.unit})")
+    far = max(float(np.abs(second - first).max()), 1e-6)
+    difference = axes[3].imshow(second - first, cmap="RdBu_r", vmin=-far, vmax=far, interpolation="nearest")
+    top.colorbar(difference, ax=axes[3], shrink=0.9, pad=0.01, label=f"{compared.unit}")
+    for panel, title in zip(axes, ("image", f"A: {names[0]}", f"B: {names[1]}", "B minus A")):
+        panel.set_title(title, fontsize=10, color=INK)
+        panel.set_xticks([])
+        panel.set_yticks([])
+    _draw_profiles(bottom.subplots(1, 1), compared, a, int(row), int(column), names)
+    return pixels_of(figure)
+
+
+def _headline(compared: Comparison, names: tuple[str, str]) -> str:
+    unit = compared.unit
+    angle = (
+        "no contact"
+        if compared.angle_deg is None
+        else f"normals {compared.angle_deg:.1f} deg apart in contact"
+    )
+    return (
+        f"deepest {compared.peak_a:.3f} and {compared.peak_b:.3f} {unit}   |   difference "
+        f"{compared.difference_rms:.3f} {unit} RMS   |   {angle}   |   curl {compared.curl_rms_a:.3f} and "
+        f"{compared.curl_rms_b:.3f}"
+    )
+
+
+def _draw_profiles(
+    axes: Any, compared: Comparison, a: Reconstruction, row: int, column: int, names: tuple[str, str]
+) -> None:
+    pitch = check_mm_per_px(a.mm_per_px)[0] if compared.unit == "mm" else 1.0
+    place = (np.arange(a.shape[1]) - column) * pitch
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    for depth, color, label in zip(compared.depths, (FIRST, SECOND), "AB"):
+        name = names[0] if label == "A" else names[1]
+        axes.plot(place, depth[row], color=color, linewidth=1.5, label=f"{label}: {name}")
+    axes.margins(x=0.01, y=0.12)
+    axes.grid(color="#e6e6e6", linewidth=0.7)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9)
+    axes.set_title("profiles along x through A's deepest point", fontsize=10, color=INK, loc="left")
+    axes.set_xlabel(f"distance from it ({compared.unit})")
+    axes.set_ylabel(f"depth ({compared.unit})")

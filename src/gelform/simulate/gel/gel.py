@@ -1,0 +1,171 @@
+"""The gel: its surface follows the indenter where it touches and relaxes beside it.
+
+The surface is a membrane under tension on an elastic bed, held up by the indenter: of all surfaces u that do
+not enter the indenter's face g, the one of least energy
+
+    min_u  integral |grad u|^2 + (u/L)^2      subject to  u >= g.
+
+So u = g in the contact, L^2 laplace(u) = u beside it (depth falls off over the relaxation length L), and the
+slope is continuous at the rim: the gel leaves the indenter a little inside the circle where the undeformed
+plane would cut it.
+
+Rubber keeps its volume: what is displaced rises beside the contact, over a length of about the gel's
+thickness. With w the membrane, b the bulge and h the thickness, the surface is
+
+    u = w - b,    b - h^2 laplace(b) = bulge w,    w the membrane over g + b.
+
+The volume of u is (1 - bulge) times that of w; with `bulge` = 0 nothing rises.
+
+The obstacle problem: Kinderlehrer and Stampacchia, An Introduction to Variational Inequalities, 1980; the
+elastic bed: Kerr, Elastic and viscoelastic foundation models, J. Appl. Mech. 31, 1964.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.checks import check_positive
+from gelform.simulate.gel.ball_press import ball_on_grid, ball_press, contact_radius_of_ball, depth_of_ball
+from gelform.simulate.gel.membrane import TOLERANCE, bulging_membrane_over, membrane_over
+from gelform.simulate.indenters.faces import Ball, Indenter
+
+__all__ = [
+    "Gel",
+    "Surface",
+    "contact_radius_of_ball",
+    "cropped",
+    "depth_of_ball",
+    "flat_surface",
+    "relaxation_from_gel",
+    "surface_from_ball",
+    "surface_from_indenter",
+]
+
+
+@dataclass(frozen=True)
+class Gel:
+    """What the gel is made of.
+
+    Attributes
+    ----------
+    thickness_mm : float
+        What is displaced rises within about this distance of the contact.
+    bulge : float, 0 to 0.95
+        Part of the displaced volume that rises beside the contact: 0 for a foam, near 1 for rubber.
+    friction : float, >= 0
+        How far the surface is dragged before it slips, per mm of depth.
+    """
+
+    thickness_mm: float = 3.0
+    bulge: float = 0.0
+    friction: float = 0.8
+
+    def __post_init__(self) -> None:
+        check_positive(self.thickness_mm, "thickness_mm")
+        if not 0 <= self.bulge <= 0.95:
+            raise ValueError(f"Expected bulge in 0-0.95, got {self.bulge}.")
+        if not 0 <= self.friction < np.inf:
+            raise ValueError(f"Expected friction >= 0, got {self.friction}.")
+
+
+def relaxation_from_gel(tension_n_per_m: float, stiffness_kpa: float, thickness_mm: float) -> float:
+    """Relaxation length in mm of a coating under tension T on a gel of Young's modulus E: sqrt(T h/E).
+
+    The bed's spring constant per area is E/h (Winkler), the membrane's equation `T laplace(u) = E/h u`.
+    """
+    tension, stiffness = (
+        check_positive(tension_n_per_m, "tension_n_per_m"),
+        check_positive(stiffness_kpa, "stiffness_kpa"),
+    )
+    return float(np.sqrt(tension * check_positive(thickness_mm, "thickness_mm") / stiffness))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A gel surface on a regular grid.
+
+    Attributes
+    ----------
+    x_mm, y_mm : (1, W) and (H, 1), coordinates of the samples
+    depth_mm : (H, W) float64, positive where pressed, negative where the gel rises beside the contact
+    gradients : (H, W, 2) float64, mm/mm
+    contact : (H, W) bool, where gel and indenter touch
+    """
+
+    x_mm: NDArray[np.float64]
+    y_mm: NDArray[np.float64]
+    depth_mm: NDArray[np.float64]
+    gradients: NDArray[np.float64]
+    contact: NDArray[np.bool_]
+
+
+def flat_surface(x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Surface:
+    """The untouched gel."""
+    shape = (y_mm.size, x_mm.size)
+    return Surface(x_mm, y_mm, np.zeros(shape), np.zeros((*shape, 2)), np.zeros(shape, dtype=bool))
+
+
+def surface_from_ball(
+    ball: Ball,
+    x_mm: NDArray[np.float64],
+    y_mm: NDArray[np.float64],
+    *,
+    center_mm: tuple[float, float],
+    depth_mm: float,
+    relaxation_mm: float,
+    gel: Gel | None = None,
+) -> Surface:
+    """The pressed gel under a ball: a cap, then Bessel functions K0 of r over the gel's lengths."""
+    gel = gel or Gel()
+    press = ball_press(
+        ball.radius_mm, depth_mm, relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
+    )
+    return Surface(x_mm, y_mm, *ball_on_grid(press, x_mm, y_mm, center_mm))
+
+
+def surface_from_indenter(
+    indenter: Indenter,
+    x_mm: NDArray[np.float64],
+    y_mm: NDArray[np.float64],
+    *,
+    center_mm: tuple[float, float],
+    depth_mm: float,
+    relaxation_mm: float,
+    gel: Gel | None = None,
+) -> Surface:
+    """The pressed gel under any indenter: the membrane solved on the grid, its slopes by central differences.
+
+    The grid must reach some relaxation lengths beyond what is looked at: no force acts across its border.
+    """
+    gel = gel or Gel()
+    face = depth_mm + indenter.face_mm(x_mm - center_mm[0], y_mm - center_mm[1])
+    pitch = float(x_mm[0, 1] - x_mm[0, 0])
+    if gel.bulge == 0:
+        obstacle = np.maximum(face, 0)
+        depth = membrane_over(obstacle, relaxation_px=relaxation_mm / pitch)
+        touching = (obstacle > 0) & (depth <= obstacle)
+    else:
+        obstacle = np.maximum(face, -depth_mm)  # the gel never rises that far
+        membrane, bulge = bulging_membrane_over(
+            obstacle, relaxation_px=relaxation_mm / pitch, bulge=gel.bulge, bulge_px=gel.thickness_mm / pitch
+        )
+        touching = (membrane > 0) & (membrane <= obstacle + bulge + TOLERANCE * depth_mm)
+        depth = np.where(touching, obstacle, membrane - bulge)
+    slope_y, slope_x = np.gradient(depth, pitch, edge_order=2)
+    return Surface(x_mm, y_mm, depth, np.stack([slope_x, slope_y], axis=-1), touching)
+
+
+def cropped(surface: Surface, margin: int) -> Surface:
+    """The surface without `margin` samples on each side."""
+    inner = slice(margin, -margin or None)
+    return replace(
+        surface,
+        x_mm=surface.x_mm[:, inner],
+        y_mm=surface.y_mm[inner],
+        depth_mm=surface.depth_mm[inner, inner],
+        gradients=surface.gradients[inner, inner],
+        contact=surface.contact[inner, inner],
+    )

@@ -1,0 +1,1 @@
+"""What is pressed into the gel."""

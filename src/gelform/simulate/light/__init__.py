@@ -1,0 +1,1 @@
+"""Lights, shadows and coating: what the surface looks like."""

@@ -1,0 +1,1 @@
+"""What a simulated sensor is, and what its camera makes of light."""

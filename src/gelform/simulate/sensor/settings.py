@@ -1,0 +1,161 @@
+"""A simulated sensor as plain settings, and back: what a TOML file or a data set's JSON holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from gelform.simulate.gel.gel import Gel
+from gelform.simulate.light.coating import Coating
+from gelform.simulate.light.light import led_color
+from gelform.simulate.press import exposed
+from gelform.simulate.sensor.layouts import LAYOUTS
+from gelform.simulate.sensor.optics import Optics
+from gelform.simulate.sensor.presets import PRESETS
+from gelform.simulate.sensor.sensor import Led, SimulatedSensor
+from gelform.simulate.sensor.timing import Timing
+
+SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
+OWN_KEYS = ("base", "exposed_levels")
+LED_KEYS = ("peak_nm", "width_nm", "power")
+
+
+def sensors_by_name() -> dict[str, SimulatedSensor]:
+    """Every ready sensor: presets, then layouts; a preset goes before a layout of the same name."""
+    return {**LAYOUTS, **PRESETS}
+
+
+def sensor_named(name: str) -> SimulatedSensor:
+    """A ready sensor; an unknown name gets the nearest one suggested."""
+    known = sensors_by_name()
+    if name not in known:
+        raise ValueError(f"Expected a sensor among {', '.join(known)}, got {name!r}.{_nearest(name, known)}")
+    return known[name]
+
+
+def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
+    """Everything about a sensor, in lists, numbers and words that JSON can hold; an albedo map as its
+    values."""
+    return {field.name: _plain(getattr(sensor, field.name)) for field in fields(sensor)}
+
+
+def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
+    """A sensor from settings.
+
+    Parameters
+    ----------
+    settings : mapping
+        `base` (a ready sensor to start from; without it `leds` is needed), the fields of
+        `SimulatedSensor`, `leds` as a list of
+        tables with the fields of `Led` (`peak_nm`, `width_nm` and `power` may stand for `color`), the tables
+        `gel`, `coating`, `optics`, `timing`, and `exposed_levels`, the wished mean level per channel.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An unknown key (the nearest known one is suggested), a value of the wrong kind or out of range.
+    """
+    _check_keys(settings, (*OWN_KEYS, *(field.name for field in fields(SimulatedSensor))), "the sensor")
+    _check_kinds(settings, SimulatedSensor)
+    given = {
+        key: _frozen(value) for key, value in settings.items() if key not in (*OWN_KEYS, *SECTIONS, "leds")
+    }
+    if "leds" in settings:
+        given["leds"] = tuple(_led(led) for led in _tables(settings["leds"]))
+    base = sensor_named(str(settings["base"])) if "base" in settings else None
+    if base is None and "leds" not in given:
+        raise ValueError(
+            f"Expected base (one of {', '.join(sensors_by_name())}) or a list of [[leds]], got neither."
+        )
+    for name, kind in SECTIONS.items():
+        if name in settings:
+            given[name] = _section(name, kind, settings[name], base)
+    sensor = SimulatedSensor(**given) if base is None else replace(base, **given)
+    return exposed(sensor, _frozen(settings["exposed_levels"])) if "exposed_levels" in settings else sensor
+
+
+def _section(name: str, kind: Any, table: Any, base: SimulatedSensor | None) -> Any:
+    if not isinstance(table, Mapping):
+        raise TypeError(f"Expected [{name}] as a table, got {table!r}.")
+    _check_keys(table, [field.name for field in fields(kind)], f"[{name}]")
+    _check_kinds(table, kind)
+    values = {
+        key: np.asarray(value) if key == "albedo" and value is not None else _frozen(value)
+        for key, value in table.items()
+    }
+    start = kind() if base is None else getattr(base, name)
+    return replace(start, **values)
+
+
+def _led(table: Mapping[str, Any]) -> Led:
+    _check_keys(table, (*LED_KEYS, *(field.name for field in fields(Led))), "[[leds]]")
+    _check_kinds(table, Led)
+    values = {key: _frozen(value) for key, value in table.items() if key not in LED_KEYS}
+    if "position_mm" not in values:
+        raise ValueError("Expected position_mm = [x, y, z] in every [[leds]], got one without.")
+    if "color" in values or "peak_nm" not in table:
+        if "color" not in values:
+            raise ValueError(
+                "Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without."
+            )
+        return Led(**values)
+    strength = float(table.get("power", 1.0))
+    red, green, blue = led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
+    return Led(color=(strength * red, strength * green, strength * blue), **values)
+
+
+def _tables(leds: Any) -> Sequence[Mapping[str, Any]]:
+    if not isinstance(leds, Sequence) or not all(isinstance(led, Mapping) for led in leds):
+        raise TypeError(f"Expected leds as tables, [[leds]], got {leds!r}.")
+    return leds
+
+
+def _check_keys(given: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    for key in given:
+        if key not in known:
+            raise ValueError(
+                f"Unknown key {key!r} in {where}.{_nearest(key, known)} Known: {', '.join(known)}."
+            )
+
+
+def _check_kinds(given: Mapping[str, Any], kind: Any) -> None:
+    """Refuse words where numbers belong and the like: a value is of the kind of its default."""
+    for field in fields(kind):
+        value, default = given.get(field.name), field.default
+        if field.name not in given or value is None:
+            continue
+        for what, kinds in (
+            ("true or false", bool),
+            ("a number", (int, float)),
+            ("text", str),
+            ("a list", (list, tuple)),
+        ):
+            wanted = isinstance(default, tuple if what == "a list" else kinds)
+            if wanted and not isinstance(value, kinds):
+                raise TypeError(f"Expected {field.name} as {what}, got {value!r}.")
+            if wanted:
+                break
+
+
+def _nearest(word: str, known: Any) -> str:
+    near = get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def _frozen(value: Any) -> Any:
+    """Lists as tuples, all the way down."""
+    return tuple(_frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return np.asarray(getattr(value, "values", value)).tolist()

@@ -1,0 +1,1 @@
+"""Weighted least squares without the pixels whose curl no surface has."""

@@ -1,0 +1,1 @@
+"""Weighted least squares by conjugate gradients, preconditioned by black-box multigrid."""

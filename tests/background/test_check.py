@@ -1,0 +1,205 @@
+"""Backgrounds that do not belong to an image, to a set of frames or to the sensor are refused with the figure."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.background.check import (
+    background_digest,
+    check_background,
+    check_background_of_frames,
+    check_own_background,
+)
+from gelform.errors import CalibrationError
+from gelform.sensors.files import read_image
+from made.touched_images import SHAPE, scene, touched
+
+
+def test_own_background_gives_no_finding():
+    rest = scene()
+    assert check_background(touched(scene(1)), rest) == ()
+
+
+@pytest.mark.parametrize("gain", [0.86, 1.15])
+def test_brightness_drift_is_a_warning_with_its_figure(gain):
+    (finding,) = check_background(np.clip(touched(scene(1)) * gain, 0, 255), scene())
+    assert finding.name == "background_ratio"
+    assert finding.figure == pytest.approx(gain, abs=0.03)
+    assert "new background" in finding.message
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_other_exposure_is_refused_with_its_figure(gain):
+    with pytest.raises(CalibrationError, match=rf"R {gain:.1f}\d, G [\d.]+, B [\d.]+ times as bright"):
+        check_background(np.clip(touched(scene(1)) * gain, 0, 255), scene())
+
+
+def test_other_scene_is_refused():
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    ours, theirs = (100 + 20 * np.sin(0.4 * np.stack([k, k, k], axis=-1)) for k in (x, y))
+    with pytest.raises(CalibrationError, match=r"correlate by -?0\.\d"):
+        check_background(theirs, ours)
+
+
+def test_reversed_channels_are_named():
+    with pytest.raises(CalibrationError, match="looks like BGR"):
+        check_background(touched(scene(1))[..., ::-1], scene())
+
+
+def test_a_third_of_the_frame_touched_is_no_other_background():
+    image = scene(1)
+    image[:, :27] += np.array([45, -35, 25], dtype=np.float32)
+    assert check_background(np.clip(image, 0, 255), scene()) == ()
+
+
+@pytest.mark.parametrize("gain", [(1.06, 1.06, 1.06), (1.0, 0.95, 1.0)])
+def test_exposure_is_a_finding_with_its_figures(gain):
+    (finding,) = check_background(touched(scene(1)) * gain, scene())
+    assert finding.name == "exposure"
+    assert f"R {100 * (gain[0] - 1):+.0f} %, G {100 * (gain[1] - 1):+.0f} %" in finding.message
+    assert finding.figure == pytest.approx(gain[1], abs=0.005)
+
+
+def tilted(background, amount):
+    """The light of another unit: a slope of brightness, another one for each channel."""
+    x = np.linspace(-1, 1, SHAPE[1])[None, :, None] * np.array([1, -0.5, 0.3])
+    return (background * (1 + amount * x)).astype(np.float32)
+
+
+def test_own_background_of_another_moment_passes():
+    assert check_own_background(scene(1), scene()) == ()
+    (finding,) = check_own_background(tilted(scene(1), 0.07), scene())
+    assert finding.name == "background_pattern"
+    assert 0.02 < finding.figure < 0.06
+
+
+def test_another_units_background_is_refused_with_its_figure():
+    with pytest.raises(
+        CalibrationError, match=r"half of it differs by \d\d\.\d % or more \(expected under 6 %\)"
+    ):
+        check_own_background(tilted(scene(1), 0.3), scene())
+
+
+def presses_of(background, count):
+    rng = np.random.default_rng(5)
+    places = rng.integers(0, [SHAPE[0] - 20, SHAPE[1] - 20], (count, 2))
+    images = []
+    for row, column in places:
+        image = background.copy()
+        image[row : row + 20, column : column + 20] += np.array([40, -30, 20], dtype=np.float32)
+        images.append(np.clip(image, 0, 255))
+    return images
+
+
+def test_the_background_of_other_frames_is_refused():
+    check_background_of_frames(presses_of(scene(1), 10), scene())
+    with pytest.raises(
+        CalibrationError, match=r"not of these images: .* a quarter of their median differs by"
+    ):
+        check_background_of_frames(presses_of(tilted(scene(1), 0.3), 10), scene())
+    check_background_of_frames(presses_of(tilted(scene(1), 0.3), 7), scene())  # too few to judge
+
+
+def test_digest_knows_its_own():
+    rest = scene()
+    assert background_digest(rest) == background_digest(rest.copy())
+    assert background_digest(rest.astype(np.uint8)) == background_digest(np.floor(rest))
+    other = rest.copy()
+    other[3, 4, 1] += 1
+    assert background_digest(other) != background_digest(rest)
+    assert background_digest(rest.transpose(1, 0, 2)) != background_digest(rest)
+
+
+def test_reconstructor_says_whose_background(calibration, simulated):
+    assert gelform.Reconstructor(calibration).own_background
+    assert gelform.Reconstructor(calibration, simulated.background).own_background
+    today = np.clip(simulated.background.astype(np.float32) * 0.95, 0, 255)
+    other = gelform.Reconstructor(calibration, today)
+    assert not other.own_background
+    assert [finding.name for finding in other.findings] == ["exposure"]
+    assert calibration.describe()["background_digest"] == background_digest(simulated.background)
+
+
+BACKGROUNDS = {
+    "mini A": "mini-ball/background.png",
+    "mini C": "mini-objects/background.png",
+    "digit": "digit-ball/background.png",
+    "bright": "gelsight-ball-deep/background.png",
+}
+
+
+def lying(image):
+    return image if image.shape[0] < image.shape[1] else np.ascontiguousarray(np.rot90(image))
+
+
+@pytest.mark.parametrize("ours", BACKGROUNDS)
+@pytest.mark.parametrize("theirs", BACKGROUNDS)
+def test_real_backgrounds_of_other_sensors_are_refused(data, ours, theirs):
+    """All pairs of four sensors, two of them of one model; a later moment of the same one passes, warned of."""
+    background = lying(read_image(data / BACKGROUNDS[ours]))
+    other = lying(read_image(data / BACKGROUNDS[theirs]))
+    if ours == theirs:
+        assert check_own_background(other, background) == ()
+        return
+    with pytest.raises(CalibrationError, match=r"background is not of|looks like BGR"):
+        check_own_background(other, background)
+
+
+@pytest.mark.parametrize("ours", BACKGROUNDS)
+def test_real_frames_of_another_sensor_are_refused_or_warned_of(data, ours):
+    """Another model is refused; another unit of the same model is warned of. Own frames are neither."""
+    frames = {
+        "mini A": sorted((data / "mini-ball").rglob("gelsight.png"))[::20],
+        "mini C": [data / "mini-objects" / f"{name}.png" for name in ("bead", "key", "seed")],
+        "digit": sorted((data / "digit-ball" / "images").iterdir())[::14],
+    }
+    background = lying(read_image(data / BACKGROUNDS[ours]))
+    for theirs, paths in frames.items():
+        for path in paths:
+            frame = lying(read_image(path))
+            if theirs[:4] != ours[:4]:
+                with pytest.raises(CalibrationError, match=r"not of this image|looks like BGR"):
+                    check_background(frame, background)
+                continue
+            warned = "background_differs" in [finding.name for finding in check_background(frame, background)]
+            assert warned == (theirs != ours), path
+
+
+def test_a_real_later_moment_is_warned_of(data):
+    later, ours = (
+        read_image(data / "digit-ball" / name) for name in ("background_other_moment.png", "background.png")
+    )
+    names = [finding.name for finding in check_own_background(later, ours)]
+    assert "background_pattern" in names
+
+
+def test_real_presses_know_their_background(data):
+    images = [read_image(path) for path in sorted((data / "mini-ball").rglob("gelsight.png"))[::4]]
+    check_background_of_frames(images, read_image(data / "mini-ball" / "background.png"))
+    with pytest.raises(CalibrationError, match="not of these images"):
+        check_background_of_frames(images, read_image(data / "mini-objects" / "background.png"))
+
+
+def brighter(image, gain=1.08):
+    return np.clip(np.rint(image.astype(float) * gain), 0, 255).astype(np.uint8)
+
+
+def test_another_exposure_gives_the_same_depth(calibration, simulated):
+    """8 % in every channel, rounded again: 2 um, where the depth of the press is 0.3 mm and more."""
+    reconstruct = gelform.Reconstructor(calibration)
+    for press in simulated.presses[:3]:
+        plain, other = reconstruct(press.image), reconstruct(brighter(press.image))
+        assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.002
+        (finding,) = [one for one in other.health if one.name == "exposure"]
+        assert finding.figure == pytest.approx(1.08, abs=0.01)
+        assert "R +8 %, G +8 %, B +8 %" in finding.message
+
+
+def test_another_exposure_gives_the_same_depth_of_real_presses(data):
+    """The same on a GelSight Mini, within 4 um; without compensation it is 120 um."""
+    presses = gelform.read_presses(data / "mini-ball")
+    calibration = gelform.calibrate(presses.subset(range(0, 67, 11)), color_model="polynomial")
+    reconstruct = gelform.Reconstructor(calibration)
+    for press in presses.presses[1::20]:
+        plain, other = reconstruct(press.image), reconstruct(brighter(press.image))
+        assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.004

@@ -1,0 +1,97 @@
+"""Exposure: the gain that was applied comes back, whatever touches the gel, and no touch is taken for one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelform.background.change import ChangeSettings, PreparedBackground
+from gelform.background.exposure import exposure_from_image
+from gelform.sensors.files import read_image
+from gelform.simulate import Ball, simulate_background, simulate_press
+
+GAINS = st.tuples(*[st.floats(0.85, 1.2)] * 3)
+
+
+def times(image, gain):
+    return np.clip(np.rint(image.astype(float) * gain), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def rest(sensor):
+    return simulate_background(sensor, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def pressed(sensor):
+    return simulate_press(
+        sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.5, 1), rng=np.random.default_rng(1)
+    ).image
+
+
+@settings(max_examples=30, deadline=None)
+@given(GAINS)
+def test_a_gain_comes_back_on_a_pressed_frame(rest, pressed, gain):
+    own = exposure_from_image(pressed, rest)
+    seen = exposure_from_image(times(pressed, gain), rest)
+    assert own.is_known
+    assert seen.is_known
+    assert np.abs(seen.gain / own.gain / gain - 1).max() < 0.004
+    assert np.abs(own.gain - 1).max() < 0.01
+
+
+def test_a_large_contact_does_not_pull_the_gain(sensor, rest):
+    """Two thirds of the frame slope: the third that does not still tells the gain."""
+    wide = replace(sensor, relaxation_mm=1.2, gel=replace(sensor.gel, thickness_mm=8.0))
+    press = simulate_press(wide, Ball(12.0), depth_mm=1.5, center_mm=(-4, 0), rng=np.random.default_rng(2))
+    sloping = np.linalg.norm(press.gradients, axis=-1) > 0.02
+    assert 0.55 < sloping.mean() < 0.8
+    seen = exposure_from_image(times(press.image, (1.08, 0.95, 1.0)), rest)
+    assert seen.is_known
+    assert np.abs(seen.gain / (1.08, 0.95, 1.0) - 1).max() < 0.01
+
+
+def test_too_little_untouched_is_said_and_compensates_nothing(rest):
+    """Every part of the frame has another colour change: nothing agrees on a gain."""
+    y, x = np.mgrid[: rest.shape[0], : rest.shape[1]] / rest.shape[0]
+    change = np.stack([0.4 * np.sin(3 * x + y), 0.4 * np.cos(4 * y), 0.4 * np.sin(5 * x - 2 * y)], axis=-1)
+    seen = exposure_from_image(times(rest, 1 + change), rest)
+    assert not seen.is_known
+    np.testing.assert_array_equal(seen.believed_gain, 1)
+    bare = PreparedBackground(rest, ChangeSettings())
+    np.testing.assert_array_equal(bare.change(rest, seen), bare.change(rest))
+
+
+def test_belief_grows_without_a_jump():
+    from gelform.background.exposure import Exposure
+
+    gains = [Exposure(np.full(3, 1.1), share, 0, 0).believed_gain[0] for share in np.linspace(0, 1, 101)]
+    assert gains[0] == 1
+    assert gains[-1] == pytest.approx(1.1)
+    assert np.all(np.diff(gains) >= 0)
+    assert np.diff(gains).max() < 0.01
+
+
+def test_dark_and_saturated_cells_tell_nothing():
+    rest = np.full((60, 80, 3), 120, dtype=np.uint8)
+    image = rest.copy()
+    image[:40] = 255  # cut off: it would tell 2.1
+    image[40:] = 126
+    assert exposure_from_image(image, rest).gain == pytest.approx([1.05] * 3, abs=1e-3)
+    nothing = exposure_from_image(np.zeros_like(rest), rest)
+    assert not nothing.is_known
+    np.testing.assert_array_equal(nothing.gain, 1)
+
+
+def test_real_presses_give_their_gain_back(data):
+    rest = read_image(data / "mini-ball" / "background.png")
+    for path in sorted((data / "mini-ball").rglob("gelsight.png"))[::9]:
+        image = read_image(path)
+        own = exposure_from_image(image, rest)
+        assert own.share > 0.5
+        assert np.abs(own.gain - 1).max() < 0.03
+        for gain in ((1.08, 1.08, 1.08), (0.93, 1.05, 1.0)):
+            seen = exposure_from_image(times(image, gain), rest)
+            assert np.abs(seen.gain / own.gain / gain - 1).max() < 0.003

@@ -1,0 +1,153 @@
+"""Other packages' folders give the same presses as a press folder of the same images."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration.presses.folder import kind_of_presses
+
+
+@pytest.fixture
+def py3dcal(folder, simulated, tmp_path):
+    """The simulated presses of the first ball as py3DCal lays them out."""
+    target = tmp_path / "py3dcal"
+    for name in ("annotations", "blank_images", "probe_images"):
+        (target / name).mkdir(parents=True)
+    shutil.copy(folder / "background.png", target / "blank_images" / "blank.png")
+    first = simulated.presses[0].ball_diameter_mm
+    rows = ["img_name,x_mm,y_mm,penetration_depth_mm,x_px,y_px"]
+    for k, press in enumerate(simulated.presses):
+        if press.ball_diameter_mm == first:
+            bgr = cv2.cvtColor(press.image, cv2.COLOR_RGB2BGR)
+            cv2.imwrite(str(target / "probe_images" / f"{k}_X1Y2.png"), bgr)
+            x, y = press.center_px
+            rows.append(f"{k}_X1Y2.png,1.0,2.0,0.5,{x},{y}")
+    (target / "annotations" / "annotations.csv").write_text("\n".join(rows) + "\n")
+    facts = {"px_per_mm": 1 / simulated.sensor.mm_per_px, "probe_radius_mm": first / 2}
+    (target / "annotations" / "metadata.json").write_text(json.dumps(facts))
+    return target
+
+
+@pytest.fixture
+def pack(simulated, tmp_path):
+    """The simulated presses as Taxim's dataPack.npz, as arrays to be spoilt and the path to save them at."""
+    arrays = {
+        "f0": simulated.background[..., ::-1],
+        "imgs": np.stack([press.image[..., ::-1] for press in simulated.presses]),
+        "touch_center": np.array([press.center_px for press in simulated.presses]),
+        "touch_radius": np.array([round(press.contact_radius_px) for press in simulated.presses]),
+        "names": np.array([f"frame_{k}.jpg" for k in range(len(simulated.presses))]),
+    }
+    return arrays, tmp_path / "dataPack.npz"
+
+
+def test_py3dcal_folder(py3dcal, simulated):
+    assert kind_of_presses(py3dcal) == "py3DCal folder"
+    read = gelform.read_presses(py3dcal)
+    truth = simulated.presses[::2]
+    assert len(read.presses) == len(truth)
+    for press, true in zip(read.presses, truth):
+        np.testing.assert_array_equal(press.image, true.image)
+        assert press.ball_diameter_mm == pytest.approx(true.ball_diameter_mm)
+        assert press.center_px == pytest.approx(true.center_px)
+        assert press.label is None  # the stage knows where, not how wide
+    assert read.mm_per_px == pytest.approx(simulated.sensor.mm_per_px)
+    np.testing.assert_array_equal(read.background, simulated.background)
+
+
+def test_py3dcal_metadata_beside_the_folders_and_what_is_given_goes_first(py3dcal):
+    shutil.move(py3dcal / "annotations" / "metadata.json", py3dcal / "metadata.json")
+    read = gelform.read_presses(py3dcal, mm_per_px=0.2, ball_diameter_mm=4)
+    assert (read.mm_per_px, read.presses[0].ball_diameter_mm) == (0.2, 4)
+
+
+def test_spoilt_py3dcal(py3dcal):
+    facts = py3dcal / "annotations" / "metadata.json"
+    facts.write_text('{"px_per_mm": 0, "probe_radius_mm": 2}')
+    with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
+        gelform.read_presses(py3dcal)
+    facts.write_text("{not json")
+    with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
+        gelform.read_presses(py3dcal)
+    facts.unlink()
+    with pytest.raises(gelform.DataError, match=r"Cannot read .*metadata\.json"):
+        gelform.read_presses(py3dcal)
+    (py3dcal / "blank_images" / "blank.png").unlink()
+    with pytest.raises(gelform.DataError, match=r"No background in .*blank_images"):
+        gelform.read_presses(py3dcal)
+
+
+def test_py3dcal_without_annotated_columns(py3dcal):
+    (py3dcal / "annotations" / "annotations.csv").write_text("img_name,x_mm,y_mm\na.png,1,2\n")
+    with pytest.raises(gelform.DataError, match="x_px, y_px missing"):
+        gelform.read_presses(py3dcal)
+
+
+@pytest.mark.parametrize("where", ["file", "folder"])
+def test_taxim_pack_is_turned_to_rgb(pack, simulated, where):
+    arrays, path = pack
+    np.savez(path, **arrays)
+    place = path if where == "file" else path.parent
+    assert kind_of_presses(place) == "Taxim dataPack"
+    read = gelform.read_presses(place, mm_per_px=0.1, ball_diameter_mm=5)
+    np.testing.assert_array_equal(read.background, simulated.background)
+    for k, (press, true) in enumerate(zip(read.presses, simulated.presses)):
+        np.testing.assert_array_equal(press.image, true.image)
+        assert press.name == f"frame_{k}.jpg"
+        assert press.label == pytest.approx((*true.center_px, round(true.contact_radius_px)))
+
+
+def test_what_counts_as_a_taxim_pack(pack, tmp_path):
+    arrays, _ = pack
+    np.savez(tmp_path / "renamed.npz", **arrays)
+    assert kind_of_presses(tmp_path / "renamed.npz") == "Taxim dataPack"
+    np.savez(tmp_path / "else.npz", depth=np.zeros(3))
+    assert kind_of_presses(tmp_path / "else.npz") is None
+    (tmp_path / "text.npz").write_text("no archive")
+    with pytest.raises(gelform.DataError, match="a file of another kind"):
+        gelform.read_presses(tmp_path / "text.npz")
+
+
+def test_taxim_pack_needs_a_ball_and_a_scale(pack):
+    arrays, path = pack
+    np.savez(path, **arrays)
+    with pytest.raises(gelform.DataError, match="which ball pressed"):
+        gelform.read_presses(path, mm_per_px=0.1)
+    with pytest.raises(gelform.DataError, match="No scale"):
+        gelform.read_presses(path, ball_diameter_mm=5)
+
+
+def test_taxim_pack_is_never_unpickled(pack):
+    class Trap:
+        def __reduce__(self):
+            return (pytest.fail, ("unpickled",))
+
+    arrays, path = pack
+    np.savez(path, **{**arrays, "imgs": np.array([Trap()], dtype=object)})
+    with pytest.raises(gelform.DataError, match=r"Python objects.*refused"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
+
+
+def test_spoilt_taxim_pack(pack):
+    arrays, path = pack
+    np.savez(path, **{**arrays, "touch_radius": arrays["touch_radius"][:3]})
+    with pytest.raises(gelform.DataError, match=r"touch_radius \(N,\)"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
+    del arrays["f0"]
+    np.savez(path, **arrays)
+    with pytest.raises(gelform.DataError, match="f0 missing"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(gelform.DataError, match="truncated or damaged"):
+        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
+
+
+def test_real_taxim_pack(data):
+    read = gelform.read_presses(data / "taxim-ball-lowres", mm_per_px=0.1, ball_diameter_mm=4)
+    assert len(read.presses) == 49
+    assert read.image_shape == (120, 160)
+    assert all(press.label is not None for press in read.presses)

@@ -1,0 +1,77 @@
+"""Sections: they say the figures, mark the chosen model, and render whatever a candidate was measured by."""
+
+import re
+
+import pytest
+
+from gelform.calibration.report.page.sections import (
+    coverage_section,
+    digits,
+    figures_section,
+    learning_section,
+    models_section,
+    place_in_words,
+)
+
+FACTS = {"image_shape": [240, 320], "mm_per_px": 0.1}
+
+
+def test_digits_keep_their_zeros():
+    assert [digits(v) for v in (2.0, 19.0, 0.5, 123.4)] == ["2.00", "19.0", "0.500", "123"]
+
+
+def test_figures_stand_with_their_intervals(content):
+    drawn = figures_section(content)
+    one = content["figures"]["normal_free_deg"]
+    assert (
+        f"<b>{digits(one['value'])}° <small>{digits(one['interval'][0])} – {digits(one['interval'][1])}"
+        in drawn
+    )
+    assert drawn.count("<tr>") == len(content["checks"]) + 1
+
+
+def test_a_figure_that_does_not_exist_is_a_dash(content):
+    figures = {name: one for name, one in content["figures"].items() if name != "off_contact_um"}
+    assert "no press leaves room for it" in figures_section({**content, "figures": figures})
+
+
+def test_every_figure_of_a_candidate_is_rendered():
+    rows = [
+        {"candidate": "a <1>", "normal_free_deg": 2.0, "standard_error_deg": 0.1, "chosen": False},
+        {"candidate": "b", "normal_free_deg": 1.5, "standard_error_deg": 0.1, "chosen": True}
+        | {"cap_free_um": 12.0, "cap_free_um_se": 1.0, "new_figure": 7.0, "radius_percent": float("nan")},
+    ]
+    drawn = models_section({"candidates": rows})
+    assert "a &lt;1&gt;" in drawn
+    for text in ("1.5 ± 0.1", "12 ± 1", "depth in contact, µm", "new figure", "smallest held-out error"):
+        assert text in drawn
+    assert re.search(r'<tr class="chosen"><td>b ← chosen', drawn)
+    rows[0]["chosen"], rows[1]["chosen"] = True, False
+    assert "the simpler" in models_section({"candidates": rows})
+    rows[0]["cap_free_um"], rows[1]["cap_free_um"] = 14.0, None
+    assert "The simplest one was chosen" in models_section({"candidates": rows})
+    assert "Only one was tried" in models_section({"candidates": rows[:1]})
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [
+        (10, 10, "upper left: (10, 10) px, 1.0 mm from the left, 1.0 mm from the top"),
+        (160, 120, "middle: (160, 120) px"),
+        (300, 120, "right: (300, 120) px"),
+        (160, 230, "lower: (160, 230) px"),
+    ],
+)
+def test_places_are_said_in_words(x, y, words):
+    assert place_in_words({"x_px": x, "y_px": y}, FACTS).startswith(words)
+
+
+def test_places_to_press_are_listed_in_order(content):
+    drawn = coverage_section(content)
+    assert drawn.count("<li>") >= 3
+    assert place_in_words(content["coverage"]["next"][0], content["calibration"]) in drawn
+
+
+def test_the_learning_sentence_is_there_or_why_not(content):
+    assert content["learning"]["sentence"] in learning_section(content)
+    assert "There is no learning curve" in learning_section({**content, "learning": None})

@@ -1,0 +1,110 @@
+"""The learning curve: its law is found again, its sentence follows the figures, the same presses give the same curve."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.calibration.report.learning import (
+    _with_expectation,
+    candidates_of,
+    floor_and_slope,
+    held_out_count,
+    learning_curve,
+    sizes_for,
+)
+from gelform.color_models import PolynomialModel
+
+
+@pytest.mark.parametrize(("floor", "slope"), [(4.0, 100.0), (0.0, 50.0), (6.25, 0.0)])
+def test_the_law_is_found_again(floor, slope):
+    n = np.array([10, 15, 20, 30, 50, 10, 30])
+    found = floor_and_slope(n, np.sqrt(floor + slope / n))
+    assert found == pytest.approx((floor, slope), abs=1e-6)
+
+
+@pytest.mark.parametrize("accepted", [8, 10, 25, 67, 300])
+def test_sizes_leave_the_held_out_alone(accepted):
+    sizes = sizes_for(accepted)
+    assert sizes == sorted(set(sizes))
+    assert sizes[-1] + held_out_count(accepted) == accepted
+
+
+def test_more_presses_are_better_and_said_so(learning, calibration):
+    points = learning["points"]
+    accepted = sum(row.accepted for row in calibration.report.presses)
+    assert [p["presses"] for p in points] == sizes_for(accepted)
+    assert points[-1]["mean_deg"] < points[0]["mean_deg"]
+    assert all(min(p["draws_deg"]) <= p["mean_deg"] <= max(p["draws_deg"]) for p in points)
+    expected = learning["expected"]
+    assert expected["presses_now"] == accepted
+    assert expected["floor_deg"] <= expected["more_deg"] <= expected["now_deg"]
+    assert f"{expected['now_deg']:.2f}° to {expected['more_deg']:.2f}°" in learning["sentence"]
+    assert learning["sentence"].startswith(f"More presses {expected['help']}: ")
+    low, high = expected["more_deg_range"]
+    assert low <= high
+    json.dumps(learning)
+
+
+def points(*rows):
+    return [
+        {"presses": n, "draws_deg": draws, "mean_deg": float(np.mean(draws)), "model": "m"}
+        for n, draws in rows
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (((5, [8.0, 9.0, 8.5]), (10, [6.0, 6.5, 6.2]), (15, [4.5, 5.0, 5.0])), "would help"),
+        (((5, [3.0, 3.1, 3.0]), (10, [3.0, 3.0, 3.1]), (15, [3.0, 3.1, 3.0])), "would not help much"),
+        (((5, [5.7, 13.0, 6.8]), (10, [3.6, 11.6, 3.3]), (15, [3.8, 6.0, 3.2])), "would help"),
+        (((5, [3.0, 6.0, 3.0]), (10, [3.0, 3.0, 3.0]), (15, [3.0, 3.0, 3.0])), "may help"),
+    ],
+)
+def test_one_draw_alone_convinces_nobody(rows, said):
+    """A hard draw moves the whole curve: a falling mean is not taken for a flat one, nor one draw for all."""
+    assert _with_expectation(points(*rows), 20)["expected"]["help"] == said
+
+
+def test_the_range_is_what_two_draws_of_three_say():
+    expected = _with_expectation(points(*((n, [3.0, 2.0, 3.0]) for n in (10, 15, 20))), 25)["expected"]
+    assert expected["more_deg_range"] == pytest.approx([2.5, 3.0])
+    assert expected["more_deg"] == pytest.approx(8 / 3)
+
+
+def test_one_point_tells_nothing():
+    assert _with_expectation(points((5, [3.0, 3.0, 3.0])), 8) is None
+
+
+def test_the_same_presses_give_the_same_curve(presses, calibration, learning):
+    again = learning_curve(presses, calibration, rng=np.random.default_rng(0))
+    assert again == learning
+
+
+def test_progress_is_told(presses, calibration):
+    calls = []
+    few = replace(calibration, report=replace(calibration.report, presses=calibration.report.presses[:8]))
+    learning_curve(presses, few, rng=np.random.default_rng(0), progress=lambda *call: calls.append(call))
+    assert {what for _, _, what in calls} == {"measuring the learning curve"}
+    assert calls[-1][0] == calls[-1][1]
+
+
+def test_too_few_presses_have_no_curve(presses, calibration):
+    few = replace(calibration, report=replace(calibration.report, presses=calibration.report.presses[:7]))
+    assert learning_curve(presses, few, rng=np.random.default_rng(0)) is None
+
+
+def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
+    (chosen,) = candidates_of(calibration, 10_000)
+    assert chosen.settings
+    assert dict(chosen.settings).items() <= calibration.settings.items()
+    polynomial = replace(
+        calibration,
+        color_model=PolynomialModel(np.zeros((9, 2)), (2, 1), (8, 8)),
+        settings={"zone": 0.8, "position_degrees": (2, 1)},
+    )
+    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20)] == [(1,), (2, 1)]
+    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40)] == [(2, 1)]
+    assert {c.zone for c in candidates_of(calibration, 6)} == {calibration.settings["zone"]}

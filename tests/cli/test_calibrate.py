@@ -1,0 +1,116 @@
+"""gelform calibrate: a folder in, a calibration and a report out; every missing thing is named."""
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.calibration.presses.folder import read_presses
+from gelform.calibration_file import load_calibration
+from gelform.simulate import LAYOUTS, Ball, Pose, simulate_sequence
+
+SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
+
+
+@pytest.fixture
+def folder(press_folder, tmp_path):
+    copy = tmp_path / "presses"
+    shutil.copytree(press_folder, copy, ignore=shutil.ignore_patterns("truth"))
+    return copy
+
+
+def test_a_calibration_and_its_report(run_json, folder, tmp_path):
+    output, report = tmp_path / "cal.npz", tmp_path / "deep" / "report"
+    said = run_json("calibrate", folder, "-o", output, "--report", report, "--model", "polynomial")
+    calibration = load_calibration(output)
+    assert calibration.image_shape == (120, 160)
+    assert said["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"] < 6
+    assert sorted(path.name for path in report.iterdir()) == ["circles.csv", "report.html", "report.json"]
+    content = json.loads((report / "report.json").read_text(encoding="utf-8"))
+    assert content["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"]
+    assert content["calibration"]["digest"] == calibration.digest
+    assert content["verdict"]["headline"] in (report / "report.html").read_text(encoding="utf-8")
+    truth = [press.label for press in read_presses(folder).presses]
+    with (report / "circles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    found = [(float(row["center_x_px"]), float(row["center_y_px"])) for row in rows]
+    assert np.median(np.hypot(*(np.array(found) - np.array(truth)[:, :2]).T)) < 1.5
+
+
+def test_circles_can_be_used_as_labels(run, folder, tmp_path):
+    assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--report", tmp_path / "r", "-q")[0] == 0
+    shutil.copy(tmp_path / "r" / "circles.csv", folder / "presses.csv")
+    assert all(press.label is not None for press in read_presses(folder).presses)
+
+
+def test_what_is_there_stays(fails, folder, tmp_path):
+    (tmp_path / "cal.npz").write_text("mine")
+    assert "already there" in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r" / "report.html").write_text("mine")
+    assert "already there" in fails(
+        "calibrate", folder, "-o", tmp_path / "new.npz", "--report", tmp_path / "r"
+    )
+    assert (tmp_path / "cal.npz").read_text() == (tmp_path / "r" / "report.html").read_text() == "mine"
+    assert not (tmp_path / "new.npz").exists()
+
+
+def test_missing_parts_are_named(fails, folder, tmp_path):
+    output = tmp_path / "cal.npz"
+    (folder / "sensor.toml").rename(tmp_path / "sensor.toml")
+    assert "--mm-per-px" in fails("calibrate", folder, "-o", output)
+    assert "mm_per_px > 0" in fails("calibrate", folder, "-o", output, "--mm-per-px", "0")
+    assert "gelsight-mini, digit" in fails("calibrate", folder, "-o", output, "--sensor", "mini")
+    (folder / "background.png").rename(tmp_path / "rest.png")
+    assert "--background" in fails("calibrate", folder, "-o", output, "--mm-per-px", "0.1268")
+    assert "Expected a folder" in fails("calibrate", tmp_path / "missing", "-o", output)
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ("image,ball\nimages/0000.png,6\n", "ball_diameter_mm missing"),
+        ("image,ball_diameter_mm\nimages/0000.png,0\n", "> 0"),
+        ("image,ball_diameter_mm\nimages/0000.png,six\n", "as a number"),
+        ("image,ball_diameter_mm\n", "No press"),
+        ("image,ball_diameter_mm\nimages/9999.png,6\n", "No file"),
+    ],
+)
+def test_wrong_tables_are_said(fails, folder, tmp_path, table, text):
+    (folder / "presses.csv").write_text(table)
+    assert text in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
+
+
+def test_wrong_options_are_usage(fails, folder, tmp_path):
+    output = tmp_path / "cal.npz"
+    assert "polynomial" in fails("calibrate", folder, "-o", output, "--model", "magic", status=2)
+    assert "LEFT,TOP,WIDTH,HEIGHT" in fails("calibrate", folder, "-o", output, "--crop", "1,2,3", status=2)
+
+
+def test_images_without_a_ball(fails, folder, tmp_path):
+    for path in (folder / "images").iterdir():
+        shutil.copy(folder / "background.png", path)
+    said = fails("calibrate", folder, "-o", tmp_path / "cal.npz")
+    assert "Expected at least 3 presses of a ball that fit, got 0 of 10" in said
+    assert not (tmp_path / "cal.npz").exists()
+
+
+def test_a_video(run, tmp_path):
+    rng, poses = np.random.default_rng(1), [Pose(-1)] * 12
+    for x, y in np.stack(np.meshgrid([-5, 0, 5], [-3.5, 0, 3.5]), axis=-1).reshape(-1, 2):
+        poses += [*[Pose(0.7, (x, y))] * 7, *[Pose(-1)] * 5]
+    path = tmp_path / "presses.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, SMALL.shape[::-1])
+    for press in simulate_sequence(SMALL, Ball(3), poses, rng=rng):
+        writer.write(cv2.cvtColor(press.image, cv2.COLOR_RGB2BGR))
+    writer.release()
+    given = ("--mm-per-px", SMALL.mm_per_px, "--ball-diameter-mm", 6)
+    code, _, err = run("calibrate", path, "-o", tmp_path / "cal.npz", "--model", "polynomial", *given)
+    assert code == 0, err
+    assert "9 of 9 presses used" in err
+    assert load_calibration(tmp_path / "cal.npz").image_shape == SMALL.shape

@@ -1,0 +1,41 @@
+"""gelform evaluate: the same figures as the library's, and which presses were seen."""
+
+from gelform.calibration.evaluate import evaluate
+from gelform.calibration.presses.folder import read_presses
+from gelform.calibration_file import load_calibration
+
+
+def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file):
+    said = run_json("evaluate", press_folder, "-c", calibration_file)
+    expected = evaluate(load_calibration(calibration_file), read_presses(press_folder))
+    assert said["summary"] == expected.summary
+    assert said["seen"] == expected.seen > 0
+    code, out, err = run("evaluate", press_folder, "-c", calibration_file)
+    assert code == 0
+    assert f"made from {expected.seen} of these presses" in err
+    assert out.count("(seen)") == expected.seen
+
+
+def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path):
+    import numpy as np
+
+    from gelform.plots.result import save_picture
+
+    grey = np.full((60, 80, 3), 90, dtype=np.uint8)
+    save_picture(tmp_path / "background.png", grey)
+    save_picture(tmp_path / "a.png", grey)
+    arguments = (
+        "evaluate",
+        tmp_path,
+        "-c",
+        calibration_file,
+        "--ball-diameter-mm",
+        "6",
+        "--mm-per-px",
+        "0.1",
+    )
+    assert "120x160" in fails(*arguments)
+
+
+def test_a_wrong_calibration(fails, press_folder, tmp_path):
+    assert "No file" in fails("evaluate", press_folder, "-c", tmp_path / "missing.npz")

@@ -1,0 +1,88 @@
+"""gelform info: what each kind of file is, and what a folder lacks."""
+
+import shutil
+
+import cv2
+import pytest
+
+from gelform.calibration_file import load_calibration
+from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import save_result
+from gelform.sensors.files import read_image
+
+
+def test_a_calibration(run, run_json, calibration_file):
+    said = run_json("info", calibration_file)
+    assert (said["kind"], said["sensor_name"], said["color_model"]) == ("calibration", "small", "polynomial")
+    assert said["training_presses"] == len(load_calibration(calibration_file).training_digests)
+    assert "0.1268" in run("info", calibration_file)[1]
+
+
+def test_a_result_and_an_image(run_json, calibration_file, press_folder, tmp_path):
+    path = press_folder / "images" / "0000.png"
+    result = Reconstructor(load_calibration(calibration_file))(read_image(path))
+    save_result(result, tmp_path / "x.npz")
+    said = run_json("info", tmp_path / "x.npz")
+    assert (said["kind"], said["size_px"], said["depth_mm"][1]) == (
+        "result",
+        [120, 160],
+        round(result.peak_mm, 4),
+    )
+    assert run_json("info", path)["size_px"] == [120, 160]
+
+
+def test_a_whole_folder(run, run_json, press_folder):
+    said = run_json("info", press_folder)
+    assert (said["presses"], said["balls_mm"], said["labelled"]) == (10, {"6": 5, "9": 5}, 10)
+    assert "nothing" in run("info", press_folder)[1]
+
+
+@pytest.mark.parametrize(
+    ("gone", "text"),
+    [("background.png", "untouched gel"), ("presses.csv", "ball_diameter_mm"), ("sensor.toml", "mm_per_px")],
+)
+def test_what_a_folder_lacks(run_json, press_folder, tmp_path, gone, text):
+    shutil.copytree(press_folder, tmp_path / "p")
+    (tmp_path / "p" / gone).unlink()
+    (missing,) = run_json("info", tmp_path / "p")["missing"]
+    assert text in missing
+
+
+def test_a_damaged_image_in_a_folder(run_json, press_folder, tmp_path):
+    shutil.copytree(press_folder, tmp_path / "p")
+    (tmp_path / "p" / "images" / "0004.png").write_bytes(b"x")
+    assert "0004.png" in run_json("info", tmp_path / "p")["missing"][0]
+
+
+def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
+    path = tmp_path / "presses.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (160, 120))
+    for _ in range(10):
+        writer.write(cv2.imread(str(press_folder / "background.png")))
+    writer.release()
+    said = run_json("info", path)
+    assert (said["kind"], said["size_px"], said["frames"]) == ("video", [120, 160], 10)
+    assert said["duration_s"] == pytest.approx(0.4)
+    assert [text for text in said["missing"] if "--ball-diameter-mm" in text]
+    assert [text for text in said["missing"] if "--mm-per-px" in text]
+    (tmp_path / "sensor.toml").write_text('name = "s"\nmm_per_px = 0.1\n')
+    assert len(run_json("info", path)["missing"]) == 1
+
+
+def test_folders_of_other_packages(run_json, press_folder, tmp_path):
+    (tmp_path / "d" / "6mm").mkdir(parents=True)
+    shutil.copy(press_folder / "background.png", tmp_path / "d")
+    shutil.copy(press_folder / "images" / "0000.png", tmp_path / "d" / "6mm" / "gelsight.png")
+    (tmp_path / "d" / "catalog.csv").write_text("experiment_reldir,diameter(mm)\n6mm,6\n")
+    said = run_json("info", tmp_path / "d")
+    assert said["kind"] == "gs_sdk folder"
+    assert "No scale" in said["missing"][0]
+    shutil.copy(press_folder / "sensor.toml", tmp_path / "d")
+    assert run_json("info", tmp_path / "d")["presses"] == 1
+
+
+def test_mistakes_are_one_line(fails, calibration_file, tmp_path):
+    content = calibration_file.read_bytes()
+    (tmp_path / "cut.npz").write_bytes(content[: len(content) // 2])
+    assert "damaged" in fails("info", tmp_path / "cut.npz")
+    assert "No file or folder" in fails("info", tmp_path / "missing")

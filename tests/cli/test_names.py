@@ -1,0 +1,92 @@
+"""No two inputs ever share a result, and no result replaces an input."""
+
+import os
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelform.cli.names import check_results, make_folder, result_paths
+from gelform.errors import DataError
+
+part = st.sampled_from(["a", "b", "a.b", "gelsight", "ä ö", "0", "1"])
+image = st.builds(
+    lambda folders, stem, suffix: "/".join(["/data", *folders, stem + suffix]),
+    st.lists(part, max_size=3),
+    part,
+    st.sampled_from([".png", ".jpg", ".PNG", ""]),
+)
+
+
+@given(st.lists(image, min_size=1, max_size=12, unique=True))
+def test_names_are_never_shared_and_stay_in_the_folder(tmp_path_factory, inputs):
+    folder = tmp_path_factory.getbasetemp() / "out"
+    try:
+        paths = result_paths([type(folder)(one) for one in inputs], folder, ("npz", "png"))
+    except DataError:  # refused, which test_what_cannot_be_told_apart_is_refused looks at
+        return
+    results = [str(path) for one in paths for path in one.values()]
+    assert len(set(results)) == 2 * len(inputs)
+    assert all(os.path.commonpath([folder, one]) == str(folder) for one in results)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "names"),
+    [
+        (["x/frame.png"], ["frame"]),
+        (["9.5mm/0/gelsight.png", "9.5mm/1/gelsight.png"], ["0/gelsight", "1/gelsight"]),
+        (["a/x.png", "b/c/x.png"], ["a/x", "b/c/x"]),
+        (["a/x.png", "a/x.jpg", "a/y.png"], ["x.png", "x.jpg", "y"]),
+        (["x.tar.png"], ["x.tar"]),
+        (["../up/x.png", "y.png"], ["up/x", "here/y"]),
+    ],
+)
+def test_a_result_lies_below_the_common_folder(tmp_path, monkeypatch, inputs, names):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    paths = result_paths([type(tmp_path)(one) for one in inputs], tmp_path / "out", ("npz",))
+    assert [one["npz"].relative_to(tmp_path / "out").as_posix() for one in paths] == [
+        f"{name}.npz" for name in names
+    ]
+
+
+def test_what_cannot_be_told_apart_is_refused(tmp_path):
+    with pytest.raises(DataError, match="given twice"):
+        result_paths([tmp_path / "a.png", tmp_path / "b" / ".." / "a.png"], tmp_path, ("npz",))
+    with pytest.raises(DataError, match=r"both be called a\.png"):
+        result_paths([tmp_path / "a.png", tmp_path / "a.jpg", tmp_path / "a.png.bmp"], tmp_path, ("npz",))
+
+
+def test_results_that_are_there_and_inputs_are_protected(tmp_path):
+    first, second, source = (tmp_path / name for name in ("0.npz", "1.npz", "image.png"))
+    first.touch()
+    second.touch()
+    source.touch()
+    with pytest.raises(DataError, match=r"0\.npz is already there and 1 more.*--overwrite"):
+        check_results([{"npz": first}, {"npz": second}], overwrite=False, protected=[source])
+    check_results([{"npz": first}, {"npz": second}], overwrite=True, protected=[source])
+    for overwrite in (False, True):
+        with pytest.raises(DataError, match="would replace an input"):
+            check_results([{"png": tmp_path / "." / "image.png"}], overwrite=overwrite, protected=[source])
+
+
+def test_folders_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="got the file"):
+        make_folder(tmp_path / "file")
+    with pytest.raises(DataError, match="Cannot make the folder"):
+        make_folder(tmp_path / "file" / "below")
+    assert make_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_a_user_is_told_of_the_first_compilation(monkeypatch):
+    """Nobody waits seconds in front of a silent screen: once, and only where there is something to compile."""
+    from gelform.cli.console import warm
+    from gelform.depth_sigma import warmup
+
+    told = []
+    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
+    warm(lambda *call: told.append(call))
+    monkeypatch.setattr(warmup, "is_compiled", lambda: True)
+    warm(lambda *call: told.append(call))
+    assert told == [(0, 1, warmup.MESSAGE)]

@@ -1,0 +1,161 @@
+"""gelform simulate: a folder that calibrate reads, with its truth; height maps; the same bytes for a seed."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.calibration.presses.folder import read_presses
+from gelform.plots.result import save_picture
+from gelform.sensors.files import read_image
+from gelform.simulate import LAYOUTS
+
+
+@pytest.fixture(autouse=True)
+def small_layout(monkeypatch):
+    from tests.cli.conftest import SMALL
+
+    monkeypatch.setitem(LAYOUTS, "small", SMALL)
+
+
+def test_presses_with_their_truth(run_json, tmp_path):
+    arguments = ("simulate", "--layout", "small", "--count", "3", "--ball-diameter-mm", "5", "--seed", "4")
+    assert run_json(*arguments, "-o", tmp_path / "a")["presses"] == 3
+    presses = read_presses(tmp_path / "a")
+    assert [press.ball_diameter_mm for press in presses.presses] == [5, 5, 5]
+    assert all(press.label is not None for press in presses.presses)
+    with np.load(tmp_path / "a" / "truth" / "0001.npz") as truth:
+        assert truth["depth_mm"].shape == presses.image_shape
+    run_json(*arguments, "-o", tmp_path / "b")
+    for path in (tmp_path / "a").rglob("*.png"):
+        assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes()
+
+
+def test_a_height_map(run, tmp_path):
+    _, x = np.mgrid[-2:2:41j, -2:2:41j]
+    np.save(tmp_path / "roof.npy", -0.3 * np.abs(x))
+    arguments = ("--height-map", tmp_path / "roof.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
+    code, _, err = run("simulate", "-o", tmp_path / "out", "--layout", "small", *arguments)
+    assert code == 0, err
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        assert np.isclose(truth["depth_mm"].max(), 0.4, atol=0.02)
+        assert truth["contact"].any()
+    assert (tmp_path / "out" / "image.png").is_file()
+
+
+def test_a_grey_image_is_a_height_map_and_all_truth_is_written(run, fails, tmp_path):
+    grey = np.zeros((60, 60), np.uint8)
+    grey[20:40, 20:40] = 255
+    cv2.imwrite(str(tmp_path / "block.png"), grey)
+    face = ("--height-map", tmp_path / "block.png", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.3")
+    arguments = ("simulate", "-o", tmp_path / "out", "--layout", "small", *face)
+    assert "--height-map-range-mm" in fails(*arguments)
+    code, _, err = run(*arguments, "--height-map-range-mm", "0.5", "--seed", "7")
+    assert code == 0, err
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        assert truth["contact"].sum() * 0.1268**2 == pytest.approx(4, rel=0.25)
+        assert {"depth_mm", "gradients", "albedo", "shadowed", "saturated", "markers_px"} <= set(truth.files)
+        assert json.loads(str(truth["meta"]))["seed"] == 7
+        assert truth["mm_per_px"] == 0.1268
+    said = json.loads((tmp_path / "out" / "parameters.json").read_text())
+    assert said["seed"] == 7
+    assert said["sensor"]["shape"] == [120, 160]
+
+
+def test_mistakes_are_one_line(fails, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    (tmp_path / "text.npy").write_text("hello")
+    np.savez(tmp_path / "many.npz", a=np.zeros(3))
+    np.save(tmp_path / "nan.npy", np.full((4, 4), np.nan))
+    height_map = (
+        "simulate",
+        "-o",
+        tmp_path / "out",
+        "--layout",
+        "small",
+        "--height-map-mm-per-px",
+        "0.1",
+        "--height-map",
+    )
+    assert "holds something" in fails(
+        "simulate", "-o", tmp_path / "full", "--layout", "small", "--count", "1"
+    )
+    assert "ball" in fails("simulate", "-o", tmp_path / "out", "--layout", "small", "--ball-diameter-mm", "0")
+    assert "damaged" in fails(*height_map, tmp_path / "text.npy")
+    assert "got an archive" in fails(*height_map, tmp_path / "many.npz")
+    assert "NaN" in fails(*height_map, tmp_path / "nan.npy")
+    assert "No file" in fails(*height_map, tmp_path / "missing.npy")
+    assert "three-edges" in fails("simulate", "-o", tmp_path / "out", "--layout", "x", status=2)
+    assert "--height-map-mm-per-px" in fails(
+        "simulate", "-o", tmp_path / "out", "--height-map", tmp_path / "nan.npy", status=2
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_sensor_of_ones_own_and_several_workers(run_json, fails, tmp_path):
+    (tmp_path / "mine.toml").write_text('base = "digit"\nshape = [40, 30]\nmm_per_px = 0.4\n')
+    arguments = ("simulate", "--sensor", tmp_path / "mine.toml", "--count", "2")
+    assert run_json(*arguments, "-o", tmp_path / "one")["sensor"] == "digit"
+    assert read_presses(tmp_path / "one").image_shape == (40, 30)
+    (tmp_path / "bad.toml").write_text('base = "digit"\nshap = [40, 30]\n')
+    line = fails("simulate", "--sensor", tmp_path / "bad.toml", "-o", tmp_path / "out")
+    assert "Did you mean 'shape'" in line
+    assert "Did you mean 'digit'" in fails("simulate", "--sensor", "digi", "-o", tmp_path / "out", status=2)
+
+
+def test_presses_like_a_calibration(run_json, calibration_file, tmp_path):
+    arguments = ("simulate", "--like", calibration_file, "--count", "2")
+    said = run_json(*arguments, "-o", tmp_path / "twin")
+    assert said["sensor"] == f"like {calibration_file}"
+    assert len(read_presses(tmp_path / "twin").presses) == 2
+    run_json(*arguments, "-o", tmp_path / "again", "--workers", "2")
+    for path in (p for p in (tmp_path / "twin").rglob("*") if p.is_file()):
+        assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "twin")).read_bytes()
+    assert json.loads((tmp_path / "twin/parameters.json").read_text())["like"]
+    run_json(*arguments, "-o", tmp_path / "other", "--seed", "5")
+    flat = [read_image(tmp_path / name / "images/0001.png")[:20, :20] for name in ("twin", "other")]
+    assert np.any(flat[0] != flat[1])
+
+
+def test_a_height_map_like_a_calibration(run, calibration_file, tmp_path):
+    _, x = np.mgrid[-2:2:41j, -2:2:41j]
+    np.save(tmp_path / "roof.npy", -0.3 * np.abs(x))
+    face = ("--height-map", tmp_path / "roof.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
+    code, _, err = run("simulate", "-o", tmp_path / "out", "--like", calibration_file, *face)
+    assert code == 0, err
+    image, rest = (read_image(tmp_path / "out" / f"{n}.png").astype(float) for n in ("image", "background"))
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        pressed = truth["depth_mm"] > 0.2
+    assert np.abs(image - rest)[pressed].mean() > 5 * np.abs(image - rest)[:8].mean()
+
+
+def test_presses_like_taxims_tables(run_json, fails, tmp_path):
+    table = np.zeros((90, 90, 6))
+    table[..., 5] = np.arange(90)[:, None]
+    np.savez(tmp_path / "polycalib.npz", bins=90, grad_r=table, grad_g=table, grad_b=table)
+    arguments = ("simulate", "--like", tmp_path / "polycalib.npz", "--count", "1")
+    run_json(*arguments, "--mm-per-px", "0.0634", "-o", tmp_path / "grey")
+    presses = read_presses(tmp_path / "grey")
+    assert presses.image_shape == (240, 320)
+    assert np.all(presses.background == 110)
+    assert presses.presses[0].image.max() > 125
+    save_picture(tmp_path / "rest.png", np.full((60, 80, 3), 90, np.uint8))
+    rest = ("--background", tmp_path / "rest.png", "--mm-per-px", "0.25")
+    run_json(*arguments, *rest, "-o", tmp_path / "own")
+    assert np.all(read_presses(tmp_path / "own").background == 90)
+    assert "--mm-per-px" in fails(*arguments, "-o", tmp_path / "x", status=2)
+    assert "--background" in fails("simulate", *rest[:2], "-o", tmp_path / "x", status=2)
+
+
+def test_a_mesh(run, fails, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((4, 3, 2)).export(tmp_path / "box.stl")
+    code, _, err = run(
+        "simulate", "--mesh", tmp_path / "box.stl", "--layout", "small", "-o", tmp_path / "out"
+    )
+    assert code == 0, err
+    with np.load(tmp_path / "out" / "truth.npz") as truth:
+        assert truth["contact"].sum() * 0.1268**2 == pytest.approx(12, rel=0.1)
+    assert "Expected a mesh as" in fails("simulate", "--mesh", tmp_path / "box.step", "-o", tmp_path / "b")

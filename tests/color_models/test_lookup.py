@@ -1,0 +1,181 @@
+"""The lookup table: a multilinear law is met, smooth at zero, honest off its gamut; imported tables as they say."""
+
+import cv2
+import numpy as np
+import pytest
+
+import gelform
+from gelform.color_models import Samples
+from gelform.color_models.lookup import OFF_GAMUT_SIGMA, LookupModel
+from gelform.importers.tables import read_lut
+from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
+
+FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
+
+
+def linear_samples(count=4000, seed=0, noise=0.0):
+    """Slopes that are linear in colour, the more so to the right: multilinear in colour and place."""
+    rng = np.random.default_rng(seed)
+    change = rng.uniform(-0.3, 0.4, (count, 3))
+    x, y = rng.uniform(0, SHAPE[1] - 1, count), rng.uniform(0, SHAPE[0] - 1, count)
+    gradients = change @ np.array([[1.0, 0.2], [-0.4, 0.8], [0.1, -0.9]]) * (1 + x / SHAPE[1])[:, None]
+    gradients += noise * rng.standard_normal(gradients.shape)
+    return Samples(change, x, y, gradients, np.ones(count), SHAPE)
+
+
+def test_a_multilinear_law_is_met():
+    model = LookupModel.fit(linear_samples(), nodes=8, positions=(2, 2), smoothness=1e-6)
+    unseen = linear_samples(seed=1)
+    found = model.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
+    inside = (np.abs(unseen.color_change - 0.05) < 0.33).all(axis=1)
+    assert np.sqrt(np.mean((found - unseen.gradients)[inside] ** 2)) < 0.01
+    assert np.quantile(np.abs(found - unseen.gradients)[inside], 0.99) < 0.03
+
+
+def test_positions_follow_lights_that_turn():
+    samples, unseen = ball_samples(shading_change), ball_samples(shading_change, seed=4)
+    errors = []
+    for positions in ((1, 1), (2, 3)):
+        model = LookupModel.fit(samples, positions=positions)
+        found = model.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
+        errors.append(np.sqrt(np.mean((found - unseen.gradients) ** 2)))
+    assert errors[1] < 0.006
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_zero_is_exact_and_smooth():
+    model = LookupModel.fit(ball_samples(shading_change), positions=(2, 2))
+    place = np.array([10.0]), np.array([30.0])
+    assert np.abs(model.gradients_at(np.zeros((1, 3)), *place)).max() == 0
+    red, green, blue = np.rint(-model.low / model.step).astype(int)
+    np.testing.assert_allclose(model.low + model.step * (red, green, blue), 0, atol=1e-12)
+    assert np.abs(model.table[:, :, red, green, blue, :2]).max() == 0
+    for direction in np.eye(3):
+        up, down = (model.gradients_at(s * 1e-3 * direction[None], *place) for s in (1, -1))
+        assert np.linalg.norm(up) > 1e-4
+        np.testing.assert_allclose(up, -down, atol=0.35 * np.linalg.norm(up))
+
+
+def test_empty_corners_follow_their_neighbours_and_are_marked():
+    """A slab of red that no sample had: the fill goes on as the samples did, and says that it is a guess."""
+    samples = linear_samples(6000)
+    red = samples.color_change[:, 0]
+    kept = (red < 0.0) | (red > 0.25)
+    columns = (samples.color_change, samples.x_px, samples.y_px, samples.gradients, samples.weight)
+    model = LookupModel.fit(Samples(*(c[kept] for c in columns), SHAPE), nodes=15, positions=(1, 2))
+    gap = samples.color_change[~kept & (red > 0.1) & (red < 0.15)]
+    wanted = samples.gradients[~kept & (red > 0.1) & (red < 0.15)]
+    places = (c[~kept & (red > 0.1) & (red < 0.15)] for c in (samples.x_px, samples.y_px))
+    error = model.gradients_at(gap, *places) - wanted
+    assert np.sqrt(np.mean(error**2)) < 0.25 * np.sqrt(np.mean(wanted**2))
+    prepared = model.prepare(FLAT, SHAPE)
+    inside, outside = (np.full((*SHAPE, 3), (r, 0.05, 0.05), dtype=np.float32) for r in (0.125, -0.1))
+    assert prepared.gradients_from_color(inside)[1].min() > 0.5 * OFF_GAMUT_SIGMA
+    assert prepared.gradients_from_color(outside)[1].max() < 0.1
+
+
+def test_off_gamut_colours_have_a_large_deviation():
+    model = LookupModel.fit(ball_samples(lambertian_change), positions=(1, 1))
+    prepared = model.prepare(FLAT, SHAPE)
+    at_home = lambertian_change(np.full((SHAPE[0] * SHAPE[1], 2), 0.3), None, None).reshape(*SHAPE, 3)
+    assert prepared.gradients_from_color(at_home.astype(np.float32))[1].max() < 0.1
+    odd = np.zeros((*SHAPE, 3), dtype=np.float32) + np.array([0.6, 0.6, 0.6], dtype=np.float32)
+    assert prepared.gradients_from_color(odd)[1].min() > 0.5 * OFF_GAMUT_SIGMA
+    assert np.isfinite(prepared.gradients_from_color(odd * 100)[0]).all()
+
+
+def test_deviation_is_that_of_the_noise():
+    quiet, loud = (
+        LookupModel.fit(linear_samples(1500, noise=noise), nodes=6, positions=(2, 2)).table[..., 2]
+        for noise in (0.02, 0.1)
+    )
+    for found, noise in ((quiet, 0.02), (loud, 0.1)):  # of samples that were not fitted: more than the noise
+        assert noise < np.median(found[found < OFF_GAMUT_SIGMA]) < 1.6 * noise
+
+
+def test_the_reconstructor_lowers_confidence_off_gamut(calibration, simulated):
+    from dataclasses import replace
+
+    table = np.zeros((1, 1, 4, 4, 4, 3), dtype=np.float32)
+    table[..., 2] = 0.02
+    table[:, :, 3, 3, 3, 2] = OFF_GAMUT_SIGMA
+    model = LookupModel(table, np.full(3, -1.0), np.full(3, 0.5), calibration.image_shape)
+    lit = np.clip(calibration.background * 1.0, 5, 250).astype(np.uint8)
+    lit[40:60, 50:70] = np.clip(lit[40:60, 50:70] * 1.5 + 20, 0, 254)
+    result = gelform.Reconstructor(replace(calibration, color_model=model, gamut=None))(lit)
+    assert result.confidence[45:55, 55:65].max() < 0.5
+    assert result.gradients_sigma[45:55, 55:65].min() > 0.1
+    assert np.median(result.confidence[:20]) > 0.5
+
+
+def test_settings_out_of_range():
+    for settings in ({"nodes": 3}, {"positions": (0, 2)}):
+        with pytest.raises(ValueError, match="Expected at least 4 nodes"):
+            LookupModel.fit(linear_samples(100), **settings)
+    with pytest.raises(ValueError, match="as calibrated, got 10x10"):
+        LookupModel.fit(linear_samples(500), nodes=4).prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def lut_file(path, bins=90):
+    """A table as its package writes it: linear in the differences, at the bins' centres, indexed b, g, r."""
+    at = (np.arange(bins) + 0.5) * 180 / bins - 90
+    blue, green, red = np.meshgrid(at, at, at, indexing="ij")
+    table = np.stack([0.004 * red - 0.002 * blue + 0.1, 0.003 * green + 0.001 * blue - 0.2], axis=-1)
+    np.save(path, table)
+    return path
+
+
+def test_an_imported_table_answers_with_its_own_gain(tmp_path):
+    rng = np.random.default_rng(0)
+    background = rng.uniform(60, 160, (*SHAPE, 3)).astype(np.float32)
+    image = np.clip(background + rng.uniform(-20, 20, background.shape), 0, 255).astype(np.float32)
+    path = lut_file(tmp_path / "table_smooth.npy")
+    model = read_lut(path, background)
+    found, sigma = model.prepare(background, SHAPE).gradients_from_color(
+        (image - background) / np.float32(255)
+    )
+    gain = 1 + 2 * ((background + 1).mean() / (background + 1) - 1)
+    red, green, blue = np.moveaxis((image - background) * gain, -1, 0)
+    wanted = np.stack([0.004 * red - 0.002 * blue, 0.003 * green + 0.001 * blue], axis=-1)
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert sigma is None
+    flipped = read_lut(path, background, depth_sign=-1)
+    turned = flipped.prepare(background, SHAPE).gradients_from_color((image - background) / np.float32(255))[
+        0
+    ]
+    np.testing.assert_allclose(turned, -found, atol=1e-5)
+    rows, columns = np.array([3, 20]), np.array([50, 1])
+    change = ((image - background) / 255)[rows, columns]
+    np.testing.assert_allclose(model.gradients_at(change, columns, rows), found[rows, columns], atol=1e-5)
+    again = LookupModel.from_arrays(*model.to_arrays())
+    change = ((image - background) / np.float32(255)).astype(np.float32)
+    np.testing.assert_array_equal(again.prepare(background, SHAPE).gradients_from_color(change)[0], found)
+
+
+def test_the_blur_of_imported_tables_is_as_wide_as_theirs(tmp_path):
+    calibration = gelform.import_calibration(
+        lut_file(tmp_path / "table.npy", bins=8), "lut", background=np.full((*SHAPE, 3), 100, np.uint8)
+    )
+    spot = np.zeros(SHAPE, dtype=np.float32)
+    spot[20, 30] = 1
+    theirs = cv2.GaussianBlur(spot, (3, 3), 0)
+    ours = cv2.GaussianBlur(spot, (0, 0), calibration.change.blur_px)
+    x = np.arange(SHAPE[1]) - 30.0
+    assert np.sum(ours * x**2) == pytest.approx(np.sum(theirs * x**2), rel=0.06)
+
+
+def test_other_tables_are_refused(tmp_path):
+    path = tmp_path / "table.npy"
+    with pytest.raises(gelform.DataError, match="No file"):
+        read_lut(path, FLAT)
+    for array, why in (
+        (np.zeros((5, 5, 5, 3)), "shape"),
+        (np.zeros((5, 5, 6, 2)), "shape"),
+        (np.full((5, 5, 5, 2), np.nan), "finite"),
+        (np.array([object()]), "no array file"),
+    ):
+        np.save(path, array)
+        with pytest.raises(gelform.DataError, match=why):
+            read_lut(path, FLAT)
+    with pytest.raises(ValueError, match="depth_sign"):
+        read_lut(path, FLAT, depth_sign=2)

@@ -1,0 +1,78 @@
+"""Draws of slope errors: of the variance and correlation that they say, orthogonal where they are near."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
+from gelform.solvers import SparseSolver
+from gelform.solvers.system import problem_from_gradients
+
+
+@pytest.mark.parametrize("count", [2, 7, 32])
+def test_white_draws_have_variance_one_at_every_place(count):
+    draws = white_draws(count, (13, 17), np.random.default_rng(1))
+    assert draws.shape == (count, 13, 17, 2)
+    assert np.mean(draws**2, axis=0) == pytest.approx(1, abs=1e-5)
+
+
+def test_near_draws_are_orthogonal():
+    """Within 4 places of each other, and the two slopes of a place; random ones would have 1/sqrt(32)."""
+    draws = white_draws(32, (13, 17), np.random.default_rng(1)).reshape(32, -1)
+    gram = draws.T @ draws / 32
+    rows, cols, slope = np.indices((13, 17, 2)).reshape(3, -1)
+    away = np.hypot(rows[:, None] - rows, cols[:, None] - cols)
+    near = (away < 4) & ((away > 0) | (slope[:, None] != slope))
+    assert np.abs(gram[near]).max() < 1e-5
+    assert np.abs(gram[(away > 4) & (away < 5)]).max() > 0.9
+
+
+def test_correlated_draws_have_the_correlation_that_they_say():
+    many = np.concatenate(
+        [correlated_draws(64, (12, 15), 2.5, np.random.default_rng(k)) for k in range(40)]
+    ).astype(np.float64)
+    assert np.mean(many**2, axis=0) == pytest.approx(1, abs=0.12)
+    for down, right in ((0, 2), (3, 0), (2, 2)):
+        product = many[:, : 12 - down, : 15 - right] * many[:, down:, right:]
+        expected = np.exp(-(down**2 + right**2) / (2 * 2.5**2))
+        assert product.mean() == pytest.approx(expected, abs=0.02)
+    assert np.mean(many[..., 0] * many[..., 1]) == pytest.approx(0, abs=0.02)
+
+
+def test_errors_of_the_two_slopes_lie_on_their_edges():
+    """With a lattice point as origin, the first slope's field is the second's, moved by half a place each."""
+    draws = correlated_draws(8, (9, 9), 4.0, np.random.default_rng(2))
+    steps = [np.abs(np.diff(draws[..., 0], axis=axis)).max() for axis in (1, 2)]
+    assert min(steps) > 0
+    assert max(steps) < 1.0
+
+
+@pytest.mark.parametrize("median", [False, True])
+def test_depths_are_those_of_the_slope_errors(median):
+    rng = np.random.default_rng(3)
+    shape, pitch = (11, 14), (0.2, 0.3)
+    draws = white_draws(4, shape, rng)
+    white = rng.uniform(0.5, 1, (*shape, 2)).astype(np.float32)
+    weights = rng.uniform(0.3, 1, shape).astype(np.float32)
+    anchor = np.full(shape, 0.05, dtype=np.float32)
+    count = np.full((*shape, 2), 1 / 154, dtype=np.float32) if median else None
+    problem = problem_from_gradients(np.zeros_like(white), weights, None, anchor)
+    depths = ProbeSolver(draws, np.zeros_like(draws), pitch)(white, np.zeros_like(white), problem, count)
+    for k in range(4):
+        errors = draws[k] * white
+        errors = errors - errors.mean(axis=(0, 1)) if median else errors
+        exact = SparseSolver(shape, pitch)(errors, weights, None, anchor).depth_mm
+        assert np.sqrt(np.mean((depths[..., k] - exact) ** 2)) < 0.08 * np.std(exact)
+
+
+def test_common_errors_of_a_tilt_give_a_tilt():
+    shape, pitch = (11, 14), (0.2, 0.3)
+    tilt = np.ones((2, *shape, 2), dtype=np.float32) * np.array([0.3, -0.2], dtype=np.float32)
+    one, none = np.ones((*shape, 2), dtype=np.float32), np.zeros((*shape, 2), dtype=np.float32)
+    problem = problem_from_gradients(none, None, None, None)
+    depths = ProbeSolver(np.zeros_like(tilt), tilt, pitch)(none, one, problem)
+    rows, cols = np.indices(shape)
+    expected = 0.3 * 0.2 * cols - 0.2 * 0.3 * rows
+    off = depths[..., 0] - expected
+    assert np.std(off) < 0.02 * np.std(expected)

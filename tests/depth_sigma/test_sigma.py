@@ -1,0 +1,199 @@
+"""The standard deviation of depth, against Monte Carlo through the door itself."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from gelform.depth import depth_from_gradients
+from gelform.depth_sigma.sigma import DepthSigma, depth_sigma
+from scenes import gaussian, scene, with_liars
+
+SHAPE = (72, 96)
+PITCH = 0.2
+
+
+def correlated(shape, length, rng):
+    """Errors of variance 1 with correlation exp(-d^2/(2 length^2)), from a margin of white noise."""
+    blur = length / np.sqrt(2)
+    margin = int(5 * blur) + 1
+    noise = rng.standard_normal((shape[0] + 2 * margin, shape[1] + 2 * margin, 2))
+    impulse = np.zeros(2 * margin + 1)
+    impulse[margin] = 1
+    gain = np.sum(gaussian_filter(impulse, blur) ** 2)
+    return gaussian_filter(noise, (blur, blur, 0))[margin:-margin, margin:-margin] / gain
+
+
+def monte_carlo(sigma, length, share, count=400, **arguments):
+    rng = np.random.default_rng(1)
+    errors = np.sqrt(1 - share) * sigma * rng.standard_normal((count, *sigma.shape))
+    if share:
+        errors += np.sqrt(share) * sigma * np.stack([correlated(SHAPE, length, rng) for _ in range(count)])
+    depth = depth_from_gradients(errors, mm_per_px=PITCH, **arguments)
+    return np.sqrt(np.mean(np.square(depth, dtype=np.float64), axis=0))
+
+
+def uneven():
+    """Confidence as a calibration gives it: clean; noisier on the left, hopeless specks; anchors."""
+    rng = np.random.default_rng(2)
+    truth, gradients, _ = scene(gaussian(1.0, 2.5), SHAPE, PITCH)
+    sigma = np.full(SHAPE, 0.05)
+    sigma[:, :30] = 0.08
+    lying = ~with_liars(gradients, 0.1, rng).valid
+    sigma[lying] = np.where(rng.uniform(size=np.count_nonzero(lying)) < 0.5, 0.25, 3.0)
+    weights = np.minimum(1, (0.05 / sigma) ** 2)
+    return np.repeat(sigma[..., None], 2, axis=-1), weights, np.where(truth < 0.01, 1e-2, 0)
+
+
+def deviation(sigma, expected):
+    return np.abs(sigma / expected - 1)
+
+
+@pytest.mark.parametrize("shape", [(24, 40), (31, 17), (1, 20)])
+@pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.05, 0.08)])
+def test_closed_form_of_white_errors_is_exact(shape, pitch):
+    """Against the sum over every single slope error, solved one by one."""
+    unit = np.eye(2 * shape[0] * shape[1]).reshape(-1, *shape, 2)
+    depth = depth_from_gradients(unit, mm_per_px=pitch).astype(np.float64)
+    expected = 0.05 * np.sqrt(np.sum(depth**2, axis=0))
+    assert depth_sigma(np.full((*shape, 2), 0.05), mm_per_px=pitch) == pytest.approx(expected, rel=1e-4)
+
+
+def test_closed_form_takes_sigma_of_x_and_y_apart():
+    unit = np.eye(2 * 15 * 20).reshape(-1, 15, 20, 2) * np.array([0.02, 0.07])
+    depth = depth_from_gradients(unit, mm_per_px=0.1).astype(np.float64)
+    sigma = depth_sigma(np.broadcast_to([0.02, 0.07], (15, 20, 2)), mm_per_px=0.1)
+    assert sigma == pytest.approx(np.sqrt(np.sum(depth**2, axis=0)), rel=1e-4)
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+@pytest.mark.parametrize(("length", "share"), [(0, 0.0), (3, 0.3), (10, 0.5)])
+def test_agrees_with_monte_carlo_weighted_anchored_and_correlated(anchored, length, share):
+    sigma, weights, anchor = uneven()
+    arguments = {"weights": weights, "anchor": anchor if anchored else None}
+    expected = monte_carlo(sigma, length, share, **arguments)
+    found = depth_sigma(
+        sigma, mm_per_px=PITCH, correlation_px=length, correlated_share=share, probes=200, **arguments
+    )
+    off = deviation(found, expected)
+    assert np.median(off) < 0.1
+    assert np.mean(off < 0.25) > 0.93
+
+
+@pytest.mark.parametrize("arguments", [{"zero": "border"}, {"level": "plane"}, {"level": "slope"}])
+def test_follows_the_zero_reference_and_the_level(arguments):
+    sigma, weights, _ = uneven()
+    expected = monte_carlo(sigma, 0, 0.0, weights=weights, **arguments)
+    found = depth_sigma(sigma, mm_per_px=PITCH, weights=weights, probes=200, **arguments)
+    assert np.median(deviation(found, expected)) < 0.12
+
+
+def test_few_probes_are_as_good_as_said():
+    sigma, weights, anchor = uneven()
+    arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 10}
+    many = depth_sigma(sigma, probes=600, **arguments)
+    few = depth_sigma(sigma, probes=32, rng=np.random.default_rng(3), **arguments)
+    assert np.median(deviation(few, many)) < 0.6 / np.sqrt(32) * 1.2
+
+
+def test_correlated_errors_move_depth_more_than_white_ones():
+    sigma = np.full((*SHAPE, 2), 0.05)
+    white = depth_sigma(sigma, mm_per_px=PITCH)
+    both = depth_sigma(sigma, mm_per_px=PITCH, correlation_px=20, correlated_share=0.5)
+    assert np.median(both) > 3 * np.median(white)
+
+
+def test_scales_with_the_slope_errors_and_repeats():
+    sigma, weights, anchor = uneven()
+    arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 8}
+    once = depth_sigma(sigma, **arguments)
+    assert np.array_equal(once, depth_sigma(sigma, **arguments))
+    assert depth_sigma(3 * sigma, **arguments) == pytest.approx(3 * once, rel=1e-3)
+
+
+def test_anchored_pixels_are_known_better():
+    sigma, weights, anchor = uneven()
+    free = depth_sigma(sigma, mm_per_px=PITCH, weights=weights, correlation_px=10)
+    held = depth_sigma(sigma, mm_per_px=PITCH, weights=weights, anchor=anchor, correlation_px=10)
+    assert np.median(held[anchor > 0]) < 0.5 * np.median(free[anchor > 0])
+
+
+def test_odd_sizes_and_masks():
+    sigma = np.full((37, 51, 2), 0.05)
+    mask = np.zeros((37, 51), dtype=bool)
+    mask[3:30, 5:47] = True
+    found = depth_sigma(sigma, mm_per_px=PITCH, mask=mask)
+    assert found.shape == (37, 51)
+    assert np.all(np.isfinite(found))
+    assert found[mask].min() > 0
+
+
+def test_prepared_once_gives_the_same_and_keeps_nothing():
+    sigma, weights, anchor = uneven()
+    prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=8)
+    first = prepared(sigma, weights=weights, anchor=anchor)
+    prepared(2 * sigma, weights=weights**2, level="plane")
+    assert np.array_equal(prepared(sigma, weights=weights, anchor=anchor), first)
+    arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 8}
+    assert np.array_equal(depth_sigma(sigma, **arguments), first)
+    assert prepared(sigma[..., 0], weights=weights, anchor=anchor) == pytest.approx(first, rel=1e-4)
+
+
+def test_threads_share_a_prepared_one():
+    sigma, weights, anchor = uneven()
+    prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=8)
+    jobs = [k % 3 + 1 for k in range(12)]
+    alone = {k: prepared(k * sigma, weights=weights**k, anchor=anchor) for k in (1, 2, 3)}
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda k: prepared(k * sigma, weights=weights**k, anchor=anchor), jobs))
+    assert all(np.array_equal(f, alone[k]) for f, k in zip(found, jobs))
+
+
+def test_default_probes_meet_monte_carlo():
+    """What the frame of a Reconstructor gets: anchored off a contact, correlated errors, 32 probes."""
+    sigma, weights, anchor = uneven()
+    expected = monte_carlo(sigma, 10, 0.5, weights=weights, anchor=anchor)
+    prepared = DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=10)
+    off = deviation(prepared(sigma, weights=weights, anchor=anchor), expected)
+    assert np.median(off) < 0.1
+    assert np.mean(off < 0.25) > 0.9
+
+
+def test_a_hole_without_any_slope_follows_its_fill():
+    """Monte Carlo through the door, which fills slopes of weight 0 from their neighbours."""
+    sigma = np.full((*SHAPE, 2), 0.05)
+    weights = np.ones(SHAPE)
+    weights[20:50, 30:70] = 0
+    expected = monte_carlo(sigma, 10, 0.5, weights=weights)
+    off = deviation(DepthSigma(SHAPE, mm_per_px=PITCH, correlation_px=10)(sigma, weights=weights), expected)
+    assert np.median(off) < 0.16
+    assert np.median(off[20:50, 30:70]) < 0.22
+
+
+def test_prepared_settings_and_arguments_are_checked():
+    with pytest.raises(ValueError, match="Expected probes >= 2, got 1"):
+        DepthSigma(SHAPE, mm_per_px=PITCH, probes=1)
+    with pytest.raises(ValueError, match=r"gradients_sigma of shape \(72, 96, 2\), got \(4, 5\)"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones((4, 5)))
+    with pytest.raises(ValueError, match=r"weights of shape \(72, 96\), got \(2, 72, 96\)"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), weights=np.ones((2, *SHAPE)))
+    with pytest.raises(ValueError, match="Expected weights with at least one value > 0"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), weights=np.zeros(SHAPE))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"gradients_sigma": np.ones((4, 5))}, r"gradients_sigma of shape \(H, W, 2\), got \(4, 5\)"),
+        ({"gradients_sigma": np.zeros((4, 5, 2))}, "Expected gradients_sigma > 0, got 0"),
+        ({"correlation_px": -1.0}, "Expected correlation_px >= 0"),
+        ({"correlation_px": 3.0, "correlated_share": 1.5}, "Expected correlated_share within 0-1"),
+    ],
+)
+def test_bad_input_is_refused(change, text):
+    arguments = {"gradients_sigma": np.ones((4, 5, 2)), "mm_per_px": 0.1, "zero": "border"} | change
+    with pytest.raises(ValueError, match=text):
+        depth_sigma(arguments.pop("gradients_sigma"), **arguments)

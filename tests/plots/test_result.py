@@ -1,0 +1,96 @@
+"""Pictures show what they are given where it is: depth the right way round."""
+
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.errors import DataError, GelformError
+from gelform.plots.result import _round_length, picture, save_picture
+from gelform.reconstruction import Reconstruction
+from gelform.sensors.files import read_image
+
+pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
+
+
+def result_with_bump(row, column, *, shape=(48, 64), contact=True):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    depth = np.exp(-((x - column) ** 2 + (y - row) ** 2) / 20).astype(np.float32)
+    slopes = np.stack(np.gradient(depth, 0.05)[::-1], axis=-1)
+    return Reconstruction(
+        depth_mm=depth,
+        depth_sigma_mm=None,
+        gradients=slopes,
+        gradients_sigma=None,
+        confidence=np.ones(shape, dtype=np.float32),
+        contact=(depth > 0.3) & contact,
+        known=np.ones(shape, dtype=bool),
+        mm_per_px=0.05,
+    )
+
+
+def near(image, color, tolerance=12):
+    """Where the picture has a colour."""
+    return np.abs(image.astype(int) - color).max(axis=-1) <= tolerance
+
+
+def largest_patch(drawn):
+    """(left, top, width, height) of the largest thing that is not white: the depth map."""
+    boxes = cv2.connectedComponentsWithStats((drawn.min(axis=-1) < 200).astype(np.uint8))[2]
+    return boxes[1 + np.argmax(boxes[1:, 4])][:4]
+
+
+VIRIDIS_TOP = (253, 231, 37)
+
+
+@pytest.mark.parametrize(("row", "column"), [(8, 8), (8, 56), (40, 8), (40, 56)])
+def test_the_depth_is_shown_where_it_is(row, column):
+    drawn = picture(result_with_bump(row, column))
+    left, top, width, height = largest_patch(drawn)
+    rows, columns = np.nonzero(near(drawn[top : top + height, left : left + width], VIRIDIS_TOP))
+    assert drawn.dtype == np.uint8
+    assert np.allclose((rows.mean() / height, columns.mean() / width), (row / 48, column / 64), atol=0.03)
+
+
+def test_the_image_is_shown_and_no_image_is_needed():
+    result = result_with_bump(20, 30)
+    magenta = np.zeros((48, 64, 3), dtype=np.uint8)
+    magenta[..., [0, 2]] = 255
+    assert near(picture(result, magenta), (255, 0, 255)).sum() > 10_000
+    assert near(picture(result), (255, 0, 255)).sum() == 0
+    with pytest.raises(ValueError, match="48x64"):
+        picture(result, magenta[:-1])
+
+
+@pytest.mark.parametrize("shape", [(24, 96), (96, 24), (2, 2)])
+def test_odd_shapes_and_an_empty_contact(shape):
+    assert picture(result_with_bump(1, 1, shape=shape, contact=False)).shape[2] == 3
+
+
+@pytest.mark.parametrize(
+    ("length", "rounded"),
+    [(1, 1), (1.99, 1), (2, 2), (4.9, 2), (5.07, 5), (0.03, 0.02), (99, 50), (1000, 1000)],
+)
+def test_scale_bars_are_of_round_lengths(length, rounded):
+    assert np.isclose(_round_length(length), rounded)
+
+
+def test_pictures_are_saved_as_they_are(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    save_picture(tmp_path / "x.png", pixels)
+    assert np.array_equal(read_image(tmp_path / "x.png"), pixels)
+    with pytest.raises(DataError, match="already there"):
+        save_picture(tmp_path / "x.png", pixels)
+    save_picture(tmp_path / "x.png", pixels, overwrite=True)
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(GelformError, match=r"pip install 'gelform\[plots\]'"):
+        picture(result_with_bump(20, 30))
+
+
+def test_pyplot_is_not_touched():
+    picture(result_with_bump(20, 30))
+    assert "matplotlib.pyplot" not in sys.modules

@@ -1,0 +1,127 @@
+"""Presses that look like a calibrated sensor's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.background.change import color_change_from_image
+from gelform.color_models import Samples
+from gelform.color_models._shared.forward import ForwardResponse
+from gelform.simulate import Ball, Pose
+from gelform.simulate.gel.gel import contact_radius_of_ball
+from gelform.simulate.like import (
+    GEL,
+    RELAXATION_MM,
+    RIM_MM,
+    CalibratedLook,
+    Twin,
+    press_depth_of_rim,
+)
+
+
+def test_an_untouched_twin_is_the_background(calibration):
+    image = Twin(calibration).press(Ball(3), Pose(0.0), rng=None).image
+    assert np.abs(image - calibration.background).max() <= 0.5 + 1e-4
+
+
+def test_the_colour_is_the_calibrations_forward_response(calibration):
+    press = Twin(calibration).press(Ball(3), Pose(0.5), rng=None)
+    y, x = (axis.ravel() for axis in np.mgrid[: press.depth_mm.shape[0], : press.depth_mm.shape[1]])
+    expected = calibration.forward.color_from_gradients(
+        press.gradients.reshape(-1, 2), x, y, depth_mm=press.depth_mm.ravel()
+    ).reshape(*press.gradients.shape[:2], 3)
+    seen = color_change_from_image(
+        press.image, calibration.background, replace(calibration.change, blur_px=0.0)
+    )
+    level = 0.51 / (calibration.background + calibration.change.offset)
+    assert np.all(np.abs(seen - expected)[~press.saturated] <= level[~press.saturated] + 1e-5)
+    assert np.abs(seen).max() > 0.1
+
+
+def test_the_calibration_recovers_the_depth_of_its_twin(calibration):
+    from gelform import Reconstructor
+
+    press = Twin(calibration).press(Ball(3), Pose(0.5, (1.0, 0.5)), rng=np.random.default_rng(0))
+    found = Reconstructor(calibration)(press.image)
+    inside = press.contact
+    assert np.sqrt(np.mean((found.depth_mm - press.depth_mm)[inside] ** 2)) < 0.1
+    assert abs(found.depth_mm.max() - 0.5) < 0.12
+
+
+def test_steep_slopes_are_rendered_as_the_steepest_known(calibration):
+    look = CalibratedLook(calibration, steepest=0.8)
+    depth = np.full(calibration.image_shape, 0.3)
+    steep, limit = np.zeros((2, *calibration.image_shape, 2))
+    steep[..., 0], limit[..., 0] = 3.0, 0.8
+    np.testing.assert_allclose(look.color_change(steep, depth), look.color_change(limit, depth), atol=1e-6)
+    limit[..., 0] = 0.4
+    assert np.abs(look.color_change(steep, depth) - look.color_change(limit, depth)).max() > 0.02
+
+
+def test_without_depths_the_colour_is_that_of_the_slope(calibration):
+    forward = calibration.forward
+    count = len(forward.coefficients) - len(
+        ForwardResponse.fit(_samples(), depth_mm=np.ones(50)).coefficients
+    )
+    assert count == 0  # the calibration knows depths
+    older = replace(
+        forward, coefficients=forward.coefficients[: len(ForwardResponse.fit(_samples()).coefficients)]
+    )
+    look = CalibratedLook(replace(calibration, forward=older))
+    gradients = np.full((*calibration.image_shape, 2), 0.2, dtype=np.float32)
+    depth = np.full(calibration.image_shape, 0.3)
+    np.testing.assert_array_equal(
+        look.color_change(gradients, depth), calibration.color_from_gradients(gradients)
+    )
+
+
+def _samples():
+    rng = np.random.default_rng(0)
+    return Samples(
+        rng.normal(size=(50, 3)),
+        np.arange(50),
+        np.arange(50),
+        rng.normal(size=(50, 2)),
+        np.ones(50),
+        (60, 60),
+    )
+
+
+def test_the_noise_is_that_of_the_images(calibration, presses):
+    look = CalibratedLook(calibration)
+    np.testing.assert_array_equal(look.noise, calibration.settings["image_noise"])
+    flat = Pose(0.0)
+    noisy = Twin(calibration).press(Ball(3), flat, rng=np.random.default_rng(0)).image.astype(float)
+    apart = (noisy - calibration.background).std(axis=(0, 1))
+    np.testing.assert_allclose(apart, np.sqrt(look.noise**2 + 1 / 12), rtol=0.1)
+    uneven = CalibratedLook(replace(calibration, settings={"image_noise": [1.0, 2.0, 4.0]}))
+    noisy = Twin(uneven).press(Ball(3), flat, rng=np.random.default_rng(0)).image.astype(float)
+    apart = (noisy - calibration.background).std(axis=(0, 1))
+    np.testing.assert_allclose(apart, np.sqrt(np.array([1, 4, 16]) + 1 / 12), rtol=0.1)
+    older = {k: v for k, v in calibration.settings.items() if k != "image_noise"}
+    np.testing.assert_array_equal(
+        CalibratedLook(replace(calibration, settings=older)).noise, calibration.background_noise
+    )
+
+
+def test_a_rim_that_is_seen_says_how_deep_a_ball_stands():
+    deep, deeper = (press_depth_of_rim(3.0, rim) for rim in (1.5, 1.8))
+    assert 0.2 < deep < deeper < 1.5
+    contact = contact_radius_of_ball(3.0, deep, RELAXATION_MM, thickness_mm=GEL.thickness_mm, bulge=GEL.bulge)
+    assert contact == pytest.approx(1.5 - RIM_MM, abs=1e-6)
+
+
+def test_the_same_seed_gives_the_same_presses_with_noise(calibration):
+    twin = Twin(calibration)
+    one, two, other = (
+        twin.ball_presses(ball_diameters_mm=[6.0], count=2, rng=np.random.default_rng(seed))
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one.presses[1].image, two.presses[1].image)
+    assert np.any(one.presses[1].image != other.presses[1].image)
+
+
+def test_pixels_that_are_not_square_are_refused(calibration):
+    with pytest.raises(ValueError, match="square pixels"):
+        Twin(replace(calibration, mm_per_px=(0.06, 0.07)))

@@ -1,0 +1,118 @@
+"""Calibration files: the same after a round trip, refused when damaged, altered or newer."""
+
+import json
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration_file import KIND
+from gelform.errors import CalibrationError
+from gelform.npz_files import write_npz
+
+
+@pytest.fixture
+def saved(calibration, tmp_path):
+    path = tmp_path / "cal.npz"
+    calibration.save(path)
+    return path
+
+
+def test_round_trip_gives_the_same_answers(calibration, saved, simulated):
+    again = gelform.load_calibration(saved)
+    assert again.digest == calibration.digest
+    assert again.describe().keys() == calibration.describe().keys()
+    assert again.held_out == calibration.held_out
+    image = simulated.presses[0].image
+    a, b = (gelform.Reconstructor(c)(image) for c in (calibration, again))
+    np.testing.assert_array_equal(a.depth_mm, b.depth_mm)
+
+
+def test_no_pickles_and_readable_settings(saved):
+    with np.load(saved, allow_pickle=False) as file:
+        meta = json.loads(str(file["meta"]))
+        assert meta["format"] == "gelform calibration"
+        assert meta["format_version"] == 2
+        assert meta["mm_per_px"] == pytest.approx(0.1153)
+        assert file["background"].dtype == np.float32
+
+
+def test_existing_file_is_kept(calibration, saved):
+    before = saved.read_bytes()
+    with pytest.raises(gelform.CalibrationError, match="already there"):
+        calibration.save(saved)
+    assert saved.read_bytes() == before
+    calibration.save(saved, overwrite=True)
+
+
+@pytest.mark.parametrize("keep", [0, 10, 0.5, 0.99])
+def test_truncated_file_is_refused(saved, keep):
+    content = saved.read_bytes()
+    saved.write_bytes(content[: int(keep * len(content)) if isinstance(keep, float) else keep])
+    with pytest.raises(gelform.CalibrationError, match="truncated or damaged"):
+        gelform.load_calibration(saved)
+
+
+def rewritten(path, **changes):
+    """The file with some members exchanged and the digest left as it was."""
+    with np.load(path) as file:
+        members = dict(file)
+    meta = json.loads(str(members["meta"]))
+    meta.update({k: v for k, v in changes.items() if k in meta})
+    members.update({k: v for k, v in changes.items() if k in members})
+    members["meta"] = np.array(json.dumps(meta))
+    np.savez(path, **members)
+
+
+def test_altered_array_is_refused(saved):
+    with np.load(saved) as file:
+        background = file["background"] + 1
+    rewritten(saved, background=background)
+    with pytest.raises(gelform.CalibrationError, match="altered"):
+        gelform.load_calibration(saved)
+
+
+def test_altered_scale_is_refused(saved):
+    rewritten(saved, mm_per_px=0.05)
+    with pytest.raises(gelform.CalibrationError, match="altered"):
+        gelform.load_calibration(saved)
+
+
+def test_newer_format_names_the_version_to_install(saved):
+    rewritten(saved, format_version=99, gelform_version="7.0.0")
+    with pytest.raises(gelform.CalibrationError, match=r"7\.0\.0"):
+        gelform.load_calibration(saved)
+
+
+def test_a_result_is_no_calibration(calibration, simulated, tmp_path):
+    path = tmp_path / "result.npz"
+    gelform.save_result(gelform.Reconstructor(calibration)(simulated.presses[0].image), path)
+    with pytest.raises(
+        gelform.CalibrationError, match="Expected a gelform calibration, got a gelform result"
+    ):
+        gelform.load_calibration(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(gelform.CalibrationError, match="No file"):
+        gelform.load_calibration(tmp_path / "nothing.npz")
+
+
+def test_forward_response_wants_a_frame(calibration):
+    with pytest.raises(ValueError, match="Expected gradients of shape"):
+        calibration.color_from_gradients(np.zeros((3, 3, 2)))
+
+
+def test_the_first_format_is_read_for_ever(calibration, simulated, tmp_path):
+    """Version 1 had a law of two figures for sigma and no gamut."""
+    arrays, meta = calibration._contents()
+    arrays = {name: array for name, array in arrays.items() if not name.startswith("gamut")}
+    del meta["gamut"]
+    meta["slope_sigma"] = {"rest": 0.02, "growth": 0.1, "clean": 0.04, "correlation_px": 9.0}
+    write_npz(tmp_path / "old.npz", arrays, meta, kind=KIND, version=1, error=CalibrationError)
+    old = gelform.load_calibration(tmp_path / "old.npz")
+    assert old.gamut is None
+    assert old.slope_sigma.clean == 0.04
+    image = simulated.presses[0].image
+    fresh = gelform.Reconstructor(calibration, solver="dct")(image)
+    np.testing.assert_array_equal(gelform.Reconstructor(old, solver="dct")(image).depth_mm, fresh.depth_mm)
