@@ -11,6 +11,7 @@ import pytest
 
 import gelform
 from gelform.simulate import LAYOUTS, SimulatedPresses, SimulatedSensor, simulate_ball_presses
+from kernel_agreement import usable_isas
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
@@ -60,3 +61,9 @@ def presses(folder):
 def calibration(presses):
     """A calibration made from the folder alone."""
     return gelform.calibrate(presses)
+
+
+@pytest.fixture(params=usable_isas())
+def usable_isa(request) -> str:
+    """Each instruction set that this processor runs: for `kernel.on(usable_isa)`."""
+    return request.param

@@ -32,6 +32,7 @@ LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
 # Whose same-level neighbours they may use, said in ARCHITECTURE.md.
 NEIGHBOURS = {
+    ("_native", "errors"),
     ("view", "lens"),
     ("calibration_file", "confidence"),
     ("reconstruction", "normals"),

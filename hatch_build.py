@@ -1,0 +1,108 @@
+"""Compile native/ into src/gelform/_native, as part of building a wheel or an editable installation, or by itself.
+
+`python hatch_build.py` rebuilds a checkout. `CC` names another compiler and its flags (`CC="cc -g -O0"`); `GELFORM_TARGET`
+another platform (`aarch64-linux-gnu.2.17`), cross-compiled by zig. See docs/native.md.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+ROOT = Path(__file__).parent
+ZIG = "ziglang==0.17.1"  # one version: everyone gets the same bits
+FLAGS = "-std=c11 -O3 -Wall -Wextra -fPIC -shared -fvisibility=hidden -ffp-contract=off -fno-math-errno -fno-trapping-math"
+FLAGS_OF = {"base": "", "v3": "-mavx2 -mfma"}  # for each instruction set, the same sources
+TAGS = {  # of wheels for other platforms, by zig's name of the target
+    "x86_64-linux-gnu.2.17": "manylinux_2_17_x86_64.manylinux2014_x86_64",
+    "aarch64-linux-gnu.2.17": "manylinux_2_17_aarch64.manylinux2014_aarch64",
+    "x86_64-macos.11.0": "macosx_11_0_x86_64",
+    "aarch64-macos.11.0": "macosx_11_0_arm64",
+    "x86_64-windows-gnu": "win_amd64",
+}
+
+
+def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
+    """Compile every file of native/ into one library for each instruction set of the platform; their paths."""
+    target = os.environ.get("GELFORM_TARGET", "")
+    machine, system = (target or f"{platform.machine()}-{sys.platform}").lower().split("-")[:2]
+    suffix = ".dll" if system.startswith("win") else ".so"
+    sources = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "native").rglob("*.c"))
+    built = []
+    for isa in FLAGS_OF if machine in ("x86_64", "amd64") else ["base"]:
+        built.append(folder / f"kernels_{isa}{suffix}")
+        unfinished = built[-1].with_suffix(
+            f"{suffix}.{os.getpid()}"
+        )  # a running process may have the old one open
+        own = shlex.split(os.environ.get("CC", ""))[1:]
+        run(
+            [*compiler(target), *FLAGS.split(), *FLAGS_OF[isa].split(), *own, "-o", str(unfinished), *sources]
+        )
+        unfinished.replace(built[-1])
+    return built
+
+
+def compiler(target: str) -> list[str]:
+    """The command that compiles C: CC where it is set, else zig."""
+    if "CC" in os.environ:
+        if target:
+            raise SystemExit("GELFORM_TARGET is compiled by zig alone: unset CC.")
+        return shlex.split(os.environ["CC"])[:1]
+    if find_spec("ziglang") is None:
+        raise SystemExit(
+            f'gelform compiles its C kernels: run pip install "{ZIG}", or set CC to a C compiler.'
+        )
+    where = ["-target", target] if target else []
+    return [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        *where,
+        "-mcpu=baseline",
+    ]  # without it zig builds for this CPU alone
+
+
+def run(command: list[str]) -> None:
+    """Run a compiler in the checkout; where it fails, its own words are the message."""
+    if not shutil.which(command[0]):
+        raise SystemExit(f'No compiler "{command[0]}" on PATH: install it, or unset CC to compile with zig.')
+    with tempfile.TemporaryDirectory() as cache:
+        home = os.name == "nt" or os.access(os.environ.get("HOME", ""), os.W_OK)  # zig keeps its cache there
+        environment = os.environ if home else {"ZIG_GLOBAL_CACHE_DIR": cache, **os.environ}
+        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{shlex.join(command)}\n{done.stderr}\nThe C kernels do not compile.")
+
+
+class KernelHook(BuildHookInterface):
+    """Hatchling calls this for wheels, editable ones included."""
+
+    def dependencies(self) -> list[str]:
+        """What pip installs for the time of the build."""
+        return [] if "CC" in os.environ else [ZIG]
+
+    def initialize(self, version: str, build_data: dict) -> None:
+        """Compile, and name the wheel: one for each platform, for all Pythons."""
+        if self.target_name != "wheel":
+            return
+        build_data["artifacts"] += [str(path.relative_to(ROOT)) for path in compile_kernels()]
+        target = os.environ.get("GELFORM_TARGET")
+        if target and target not in TAGS:
+            raise SystemExit(f"Expected GELFORM_TARGET to be one of {', '.join(TAGS)}, got {target}.")
+        tag = TAGS[target] if target else sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        build_data |= {"pure_python": False, "tag": f"py3-none-{tag}"}
+
+
+if __name__ == "__main__":
+    compile_kernels()

@@ -1,0 +1,53 @@
+// What every kernel uses: what is exported, and sums whose order no instruction set changes.
+#ifndef GELFORM_COMMON_H
+#define GELFORM_COMMON_H
+
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+// What a kernel returns: one of these, or a positive number that its caller understands.
+enum { OK = 0, NO_MEMORY = -1, WRONG_SIZE = -2 };
+
+// A float sum has to be taken in one fixed order, or wider vectors would change its last bits. Value j goes to lane
+// j % LANES, whatever the vectors' width; the lanes are added from the first to the last.
+enum { LANES = 16 };
+
+static inline float lanes_total(const float lanes[LANES]) {
+  float total = 0;
+  for (int k = 0; k < LANES; k++) total += lanes[k];
+  return total;
+}
+
+static inline float sum(const float *restrict a, ptrdiff_t n) {
+  float lanes[LANES] = {0};
+  ptrdiff_t j = 0;
+  for (; j + LANES <= n; j += LANES)
+    for (int k = 0; k < LANES; k++) lanes[k] += a[j + k];
+  for (int k = 0; j + k < n; k++) lanes[k] += a[j + k];
+  return lanes_total(lanes);
+}
+
+static inline float dot(const float *a, const float *b, ptrdiff_t n) {
+  float lanes[LANES] = {0};
+  ptrdiff_t j = 0;
+  for (; j + LANES <= n; j += LANES)
+    for (int k = 0; k < LANES; k++) lanes[k] += a[j + k] * b[j + k];
+  for (int k = 0; j + k < n; k++) lanes[k] += a[j + k] * b[j + k];
+  return lanes_total(lanes);
+}
+
+// Written as comparisons, which become one vector instruction each; fminf and fmaxf treat NaN specially and do not.
+static inline float smaller(float a, float b) { return a < b ? a : b; }
+static inline float larger(float a, float b) { return a > b ? a : b; }
+static inline float clamp(float x, float low, float high) { return smaller(larger(x, low), high); }
+
+#endif

@@ -1,0 +1,58 @@
+"""Find and load the compiled kernels: one shared library for each instruction set, from the same sources."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from ctypes import CDLL
+from functools import cache
+from pathlib import Path
+
+from gelform.errors import GelformError
+
+ISAS = {
+    "base": 1,
+    "v3": 3,
+}  # name -> the level of the processor that it needs, as `cpu_level` in native/cpu.c counts
+_FOLDER = Path(__file__).parent
+_SUFFIX = ".dll" if sys.platform == "win32" else ".so"
+
+
+@cache
+def library(isa: str) -> CDLL:
+    """The kernels compiled for one instruction set, loaded once.
+
+    Raises
+    ------
+    GelformError
+        The file is missing or made for another platform, or the processor lacks the instructions; says what to install.
+    """
+    if isa not in ISAS:
+        raise ValueError(f"Expected GELFORM_ISA to be one of {', '.join(ISAS)}, got {isa!r}.")
+    if isa != "base" and library("base").cpu_level() < ISAS[isa]:
+        raise GelformError(f"This processor cannot run the kernels for {isa!r}. Unset GELFORM_ISA.")
+    path = _FOLDER / f"kernels_{isa}{_SUFFIX}"
+    here = f"{sys.platform} {platform.machine()}"
+    if not path.exists():
+        raise GelformError(
+            f"gelform's compiled kernels for {here} are missing ({path}). "
+            "Install gelform with pip, which compiles them; in a checkout run: python hatch_build.py"
+        )
+    try:
+        return CDLL(str(path))
+    except OSError as error:
+        raise GelformError(
+            f"gelform's compiled kernels do not load on {here} ({error}). "
+            "Install gelform on this machine itself: pip install --force-reinstall --no-binary gelform gelform"
+        ) from error
+
+
+@cache
+def instruction_set() -> str:
+    """The instruction set in use: the environment's GELFORM_ISA, else the best that this processor has."""
+    wanted = os.environ.get("GELFORM_ISA")
+    if wanted:
+        return wanted
+    best = library("base").cpu_level()
+    return max((isa for isa in ISAS if ISAS[isa] <= best), key=ISAS.__getitem__)

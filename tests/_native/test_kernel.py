@@ -1,0 +1,102 @@
+"""The door: what does not fit a kernel's declaration never reaches C."""
+
+import gc
+import re
+
+import numpy as np
+import pytest
+
+from gelform._native import Handle, Kernel, is_finite, library
+
+ZEROS = np.zeros((3, 4), np.float32)
+
+
+def checked(declaration: str) -> Kernel:
+    """A kernel whose arguments are checked, and which is never called: its function is not in the library."""
+    return Kernel("no_such_kernel", declaration)
+
+
+def refusal(declaration: str, *arguments) -> str:
+    with pytest.raises((TypeError, ValueError)) as caught:
+        checked(declaration)(*arguments)
+    return str(caught.value)
+
+
+def test_a_fitting_call_reaches_c():
+    with pytest.raises(AttributeError, match="no_such_kernel"):
+        checked("f32[h,w] a, f32[w] b, out f32[h,w] c, f32 d")(ZEROS, ZEROS[0], ZEROS.copy(), 1.0)
+
+
+def test_refuses_wrong_dtype():
+    told = refusal("f32[h,w] depth", np.zeros((3, 4)))
+    assert told == "no_such_kernel: expected depth as an array of float32, got float64."
+    assert "got list" in refusal("f32[h,w] depth", [[1.0]])
+    assert "got NoneType" in refusal("f32[h,w] depth", None)
+
+
+def test_refuses_wrong_shape():
+    told = refusal("f32[h,w] a, f32[w] b", ZEROS, np.zeros(3, np.float32))
+    assert told == "no_such_kernel: expected b of shape (w), h = 3, w = 4, got (3,)."
+    assert "of shape (h, w, 2)" in refusal("f32[h,w,2] gradients", np.zeros((3, 4, 3), np.float32))
+    assert "of shape (h, w)" in refusal("f32[h,w] a", np.zeros(4, np.float32))
+    assert "count = 12" in refusal("f32[...] a, f32[...,3] b", ZEROS, np.zeros((11, 3), np.float32))
+    assert "of shape (count, 3)" in refusal("f32[...,3] b", np.zeros((), np.float32))
+
+
+def test_refuses_wrong_order_and_read_only_outputs():
+    assert "C order" in refusal("f32[h,w] a", ZEROS.T)
+    fixed = ZEROS.copy()
+    fixed.flags.writeable = False
+    assert "writeable" in refusal("out f32[h,w] a", fixed)
+
+
+def test_refuses_what_is_not_finite():
+    bad = ZEROS.copy()
+    bad[1, 2] = np.inf
+    assert (
+        refusal("finite f32[h,w] depth", bad) == "no_such_kernel: expected finite depth, got NaN or infinity."
+    )
+    assert "finite" in refusal("finite f64[h,w] depth", bad.astype(np.float64))
+
+
+def test_refuses_a_wrong_number_of_arguments():
+    assert "expected 2 arguments, got 1" in refusal("f32[h] a, f32 b", ZEROS[0])
+
+
+def test_refuses_a_declaration_that_it_cannot_read():
+    with pytest.raises(ValueError, match=re.escape("'f16[h] a'")):
+        checked("f16[h] a")
+
+
+def test_refuses_what_is_no_handle():
+    assert 'expected Handle("solver", ...), got None' in refusal("solver* prepared", None)
+
+
+def test_an_optional_array_may_be_none():
+    with pytest.raises(AttributeError):
+        checked("f32[h]? a, f32[h] b")(None, ZEROS[0])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", [0, 15, 16, 30])
+def test_finite_sees_every_place(bad, place, usable_isa, monkeypatch):
+    monkeypatch.setattr("gelform._native.parameter.library", lambda _: library(usable_isa))
+    values = np.full(31, 3e38, np.float32)
+    assert is_finite(values)
+    values[place] = bad
+    assert not is_finite(values)
+    assert not is_finite(np.repeat(values, 2)[::2])
+
+
+def test_arrays_that_may_only_be_read_are_taken():
+    fixed = ZEROS.copy()
+    fixed.flags.writeable = False
+    for array in (fixed, np.zeros((0, 4), np.float32)):
+        with pytest.raises(AttributeError):
+            checked("f32[h,w] a")(array)
+
+
+def test_a_missing_handle_is_an_error_of_the_caller():
+    with pytest.raises(AttributeError, match="no_such_handle_new"):
+        Handle("no_such_handle", 3)
+    gc.collect()

@@ -1,0 +1,69 @@
+"""Which library is loaded, and what is said where there is none."""
+
+import platform
+from pathlib import Path
+
+import pytest
+
+from gelform._native import ISAS, instruction_set, library
+from gelform.errors import GelformError
+from kernel_agreement import usable_isas
+
+
+@pytest.fixture
+def anew(monkeypatch):
+    """Nothing is loaded yet; what a test loads is forgotten."""
+    library.cache_clear()
+    instruction_set.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    library.cache_clear()
+    instruction_set.cache_clear()
+
+
+def test_the_best_is_chosen(anew):
+    anew.delenv("GELFORM_ISA", raising=False)
+    assert instruction_set() == usable_isas()[-1]
+
+
+def test_cpu_level_agrees_with_the_system():
+    """An independent witness: what Linux says of the processor."""
+    try:
+        flags = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        pytest.skip("no /proc/cpuinfo here")
+    if platform.machine() != "x86_64":
+        assert library("base").cpu_level() == 1
+    else:
+        assert (library("base").cpu_level() == 3) == (" avx2 " in flags and " fma " in flags)
+
+
+def test_the_environment_chooses(anew):
+    anew.setenv("GELFORM_ISA", "base")
+    assert instruction_set() == "base"
+
+
+def test_an_unknown_set_is_refused(anew):
+    anew.setenv("GELFORM_ISA", "v9")
+    with pytest.raises(ValueError, match="one of base, v3, got 'v9'"):
+        library(instruction_set())
+
+
+def test_a_missing_library_says_how_to_get_it(anew, tmp_path):
+    anew.setattr("gelform._native.loader._FOLDER", tmp_path)
+    with pytest.raises(GelformError, match=r"missing .*python hatch_build\.py"):
+        library("base")
+
+
+def test_a_library_for_another_platform_says_so(anew, tmp_path):
+    anew.setattr("gelform._native.loader._FOLDER", tmp_path)
+    anew.setattr("gelform._native.loader._SUFFIX", ".so")
+    (tmp_path / "kernels_base.so").write_bytes(b"MZ of some other system")
+    with pytest.raises(GelformError, match=r"do not load on .*pip install"):
+        library("base")
+
+
+def test_a_processor_without_the_instructions_is_refused(anew):
+    anew.setitem(ISAS, "v3", 99)
+    with pytest.raises(GelformError, match=r"cannot run the kernels for 'v3'. Unset GELFORM_ISA"):
+        library("v3")
