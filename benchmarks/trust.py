@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.metrics import angle_deg, ball_center, ball_gradients
+from gelform.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from report import RESULTS, table, write
 
@@ -99,9 +99,8 @@ def _slopes(bench: Bench, calibration: gelform.Calibration, index: int) -> tuple
     rho = np.hypot(x - cx, y - cy)
     zone = rho < SCORED_ZONE * contact
     radius = press.ball_diameter_mm / 2 / calibration.mm_per_px
-    center = ball_center(result.gradients[zone], x[zone], y[zone], (cx, cy), radius)
-    truth = ball_gradients(x[zone], y[zone], center, radius)
-    within = np.abs(result.gradients[zone] - truth) < result.gradients_sigma[zone]
+    score = score_slopes(result.gradients[zone], x[zone], y[zone], (cx, cy), radius)
+    within = np.abs(score.errors) < result.gradients_sigma[zone]
     far = rho > 3 * contact
     rest = (np.abs(result.gradients[far]) < result.gradients_sigma[far]).mean() if far.any() else np.nan
     slope = np.linalg.norm(result.gradients[zone], axis=-1)
@@ -132,8 +131,8 @@ def _true_and_found(
     y, x = np.mgrid[: gradients.shape[0], : gradients.shape[1]]
     zone = np.hypot(x - cx, y - cy) < SCORED_ZONE * contact
     radius = press.ball_diameter_mm / 2 / calibration.mm_per_px
-    center = ball_center(gradients[zone], x[zone], y[zone], (cx, cy), radius)
-    return ball_gradients(x[zone], y[zone], center, radius), gradients[zone]
+    score = score_slopes(gradients[zone], x[zone], y[zone], (cx, cy), radius)
+    return score.true_gradients, gradients[zone]
 
 
 def _gain(true: np.ndarray, seen: np.ndarray) -> float:

@@ -33,6 +33,7 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__in
 NEIGHBOURS = {
     ("_native", "errors"),
     ("view", "lens"),
+    ("metrics", "ball"),
     ("calibration_file", "confidence"),
     ("reconstruction", "normals"),
     ("depth_sigma", "depth"),

@@ -1,9 +1,10 @@
-"""Angles, balls and sphere fits against what they must be."""
+"""Angles and errors of a press against what they must be."""
 
 import numpy as np
 import pytest
 
-from gelform.metrics import angle_deg, ball_center, ball_gradients, fit_sphere, press_errors
+from gelform.ball import ball_gradients
+from gelform.metrics import angle_deg, press_errors, score_slopes
 
 MM_PER_PX = 0.06
 BALL_MM = 3.0
@@ -23,46 +24,11 @@ def pressed_ball(center=(80.3, 59.6), contact_px=30.0):
     return depth, gradients, inside
 
 
-def test_ball_slopes_fall_away_from_the_middle():
-    slopes = ball_gradients([70.0, 90.0], [60.0, 60.0], (80.0, 60.0), 50.0)
-    np.testing.assert_allclose(slopes[:, 0], [10 / np.sqrt(2400), -10 / np.sqrt(2400)])
-    np.testing.assert_allclose(slopes[:, 1], 0)
-
-
-def test_ball_slopes_are_those_of_its_depth():
-    depth, gradients, inside = pressed_ball()
-    numeric = np.stack(np.gradient(depth, MM_PER_PX)[::-1], axis=-1)
-    core = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]][::-1] - np.array([80.3, 59.6])[:, None, None])) < 25
-    np.testing.assert_allclose(gradients[core], numeric[core], atol=5e-4)
-    assert inside.sum() > core.sum()
-
-
 def test_angles():
     assert angle_deg([0.0, 0.0], [1.0, 0.0]) == pytest.approx(45)
     assert angle_deg([1.0, 0.0], [-1.0, 0.0]) == pytest.approx(90)
     assert angle_deg([0.3, -0.2], [0.3, -0.2]) == pytest.approx(0, abs=1e-12)
     assert angle_deg([1e-5, 0.0], [0.0, 0.0]) == pytest.approx(np.degrees(1e-5))
-
-
-def test_center_is_found_despite_a_bad_third():
-    y, x = (axis.ravel() for axis in np.mgrid[40:80, 60:100])
-    gradients = ball_gradients(x, y, (80.3, 59.6), 50.0)
-    gradients[x > 90] += 0.4
-    robust, plain = (
-        np.hypot(*np.subtract(ball_center(gradients, x, y, (77.0, 62.0), 50.0, scale=s), (80.3, 59.6)))
-        for s in (0.05, 100.0)
-    )
-    assert robust < 0.8
-    assert robust < 0.25 * plain
-    exact = ball_center(ball_gradients(x, y, (80.3, 59.6), 50.0), x, y, (77.0, 62.0), 50.0)
-    np.testing.assert_allclose(exact, (80.3, 59.6), atol=1e-3)
-
-
-def test_sphere_fit_recovers_the_ball():
-    depth, _, inside = pressed_ball()
-    fit = fit_sphere(depth, inside, mm_per_px=MM_PER_PX, radius_mm=2.0)
-    assert fit.radius_mm == pytest.approx(BALL_MM, rel=1e-3)
-    np.testing.assert_allclose(fit.center_mm[:2], (80.3 * MM_PER_PX, 59.6 * MM_PER_PX), atol=1e-3)
 
 
 def test_perfect_press_has_no_error():
@@ -104,3 +70,15 @@ def test_wrong_circle_costs_the_label_but_not_the_free_centre():
     assert errors.normal_deg > 1.0
     assert errors.normal_free_deg < 0.2
     assert errors.cap_free_um < 1 < errors.cap_um
+
+
+def test_a_score_finds_its_centre_and_reads_the_errors_put_in():
+    y, x = (axis.ravel() for axis in np.mgrid[40:80, 60:100])
+    truth = ball_gradients(x, y, (80.3, 59.6), 50.0)
+    score = score_slopes(truth, x, y, (78.0, 61.0), 50.0)
+    np.testing.assert_allclose(score.center_px, (80.3, 59.6), atol=1e-3)
+    assert score.normal_deg < 1e-3
+    np.testing.assert_allclose(score.errors, 0, atol=1e-4)
+    steeper = score_slopes(1.1 * truth, x, y, (78.0, 61.0), 50.0)
+    np.testing.assert_allclose(steeper.errors, 0.1 * truth, atol=5e-3)
+    assert steeper.normal_deg == pytest.approx(angle_deg(1.1 * truth, truth).mean(), rel=0.05)

@@ -1,40 +1,14 @@
-"""How far a result is from the truth: angles in degrees, depth in mm, the sphere that a press should be."""
+"""How far a result is from the truth: angles between normals in degrees, depth in um, radii in per cent."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
-from gelform.checks import check_mm_per_px
-
-STEEPEST_FRACTION = 0.97
-
-
-def ball_gradients(
-    x_px: ArrayLike, y_px: ArrayLike, center_px: tuple[float, float], radius_px: float | tuple[float, float]
-) -> NDArray[np.float64]:
-    """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` of a ball, u and v its pixel distances from the centre.
-
-    Parameters
-    ----------
-    x_px, y_px : (...) pixel positions
-    center_px : (x, y)
-    radius_px : the ball's radius, px; or (x, y) where pixels are not square
-
-    Returns
-    -------
-    gradients : (..., 2) float64; beyond 0.97 R the slope is held, since it grows without bound at R
-    """
-    rx, ry = np.broadcast_to(np.asarray(radius_px, dtype=np.float64), (2,))
-    u = (np.asarray(x_px, dtype=np.float64) - center_px[0]) / rx
-    v = (np.asarray(y_px, dtype=np.float64) - center_px[1]) / ry
-    height = np.sqrt(np.maximum(1 - u * u - v * v, 1 - STEEPEST_FRACTION**2))
-    return np.stack([-u / height, -v / height], axis=-1)
+from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere
 
 
 def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
@@ -46,69 +20,37 @@ def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SphereFit:
-    """A sphere fitted to a depth map: centre (x, y, z) and radius, mm."""
+class SlopeScore:
+    """Slopes of a contact's pixels against those of the ball that pressed it.
 
-    center_mm: tuple[float, float, float]
-    radius_mm: float
+    Attributes
+    ----------
+    center_px : (x, y) of the ball, fitted to the slopes: the centre of a contact circle is off by a pixel
+    true_gradients : (N, 2) slopes of the ball of known radius at that centre
+    errors : (N, 2) slopes minus true slopes
+    normal_deg : mean angle to the ball's normals, degrees
+    """
 
-
-def fit_sphere(
-    depth_mm: ArrayLike, region: NDArray[np.bool_], *, mm_per_px: float | Sequence[float], radius_mm: float
-) -> SphereFit:
-    """Sphere through a region of a depth map by soft-l1 (20 um) least squares; starts from `radius_mm`."""
-    hx, hy = check_mm_per_px(mm_per_px)
-    rows, cols = np.nonzero(region)
-    if rows.size < 10:
-        raise ValueError(f"Expected at least 10 pixels to fit a sphere to, got {rows.size}.")
-    z = np.asarray(depth_mm, dtype=np.float64)[region]
-    x, y = cols * hx, rows * hy
-
-    def distances(t: NDArray[Any]) -> NDArray[Any]:
-        return np.sqrt((x - t[0]) ** 2 + (y - t[1]) ** 2 + (z - t[2]) ** 2) - t[3]
-
-    start = [x.mean(), y.mean(), z.max() - radius_mm, radius_mm]
-    fit = least_squares(distances, start, loss="soft_l1", f_scale=0.02)
-    return SphereFit((fit.x[0], fit.x[1], fit.x[2]), float(abs(fit.x[3])))
+    center_px: tuple[float, float]
+    true_gradients: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    normal_deg: float
 
 
-def ball_center(
+def score_slopes(
     gradients: NDArray[Any],
     x_px: NDArray[Any],
     y_px: NDArray[Any],
     start_px: tuple[float, float],
-    radius_px: float,
-    *,
-    scale: float = 0.05,
-    rounds: int = 30,
-) -> tuple[float, float]:
-    """Centre (x, y) in px of the ball of known radius whose slopes agree best with gradients (N, 2).
+    ball_radius_px: float,
+) -> SlopeScore:
+    """Score slopes (N, 2) at pixels x_px, y_px (N,) of one contact against a ball of known radius.
 
-    Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
+    `start_px` is where the search for the ball's centre begins: the centre of the contact circle.
     """
-    center = np.array(start_px, dtype=np.float64)
-    for _ in range(rounds):
-        ball = ball_gradients(x_px, y_px, (center[0], center[1]), radius_px)
-        residual = gradients - ball
-        weight = np.repeat(1 / np.sqrt(1 + np.sum(residual**2, axis=-1) / scale**2), 2)
-        jacobian = _center_jacobian(ball, radius_px).reshape(-1, 2)
-        weighted = jacobian * weight[:, None]
-        move = np.linalg.solve(weighted.T @ jacobian + 1e-12 * np.eye(2), weighted.T @ residual.ravel())
-        center += np.clip(move, -0.2 * radius_px, 0.2 * radius_px)
-        if np.hypot(*move) < 1e-3:
-            break
-    return float(center[0]), float(center[1])
-
-
-def _center_jacobian(ball: NDArray[np.float64], radius_px: float) -> NDArray[np.float64]:
-    """Derivative (N, 2, 2) of a ball's slopes by its centre: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`."""
-    p, q = ball[:, 0], ball[:, 1]
-    length = np.sqrt(1 + p * p + q * q) / radius_px
-    jacobian = np.empty((len(ball), 2, 2))
-    jacobian[:, 0, 0] = (1 + p * p) * length
-    jacobian[:, 1, 1] = (1 + q * q) * length
-    jacobian[:, 0, 1] = jacobian[:, 1, 0] = p * q * length
-    return jacobian
+    center = ball_center(gradients, x_px, y_px, start_px, ball_radius_px)
+    truth = ball_gradients(x_px, y_px, center, ball_radius_px)
+    return SlopeScore(center, truth, gradients - truth, float(angle_deg(gradients, truth).mean()))
 
 
 @dataclass(frozen=True)

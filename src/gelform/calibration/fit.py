@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gelform import __version__
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.background.check import check_background_of_frames
+from gelform.ball import ball_center
 from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of
 from gelform.calibration.circles.markers import change_without_markers
 from gelform.calibration.circles.refine import Refined, refine
@@ -44,7 +45,7 @@ from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.markers import MarkerFinder
-from gelform.metrics import PressErrors, ball_center
+from gelform.metrics import PressErrors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 

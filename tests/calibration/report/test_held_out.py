@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.ball import ball_gradients
 from gelform.calibration.report.held_out import (
     SLOPE_EDGES,
     HeldOutSample,
@@ -15,7 +16,6 @@ from gelform.calibration.report.held_out import (
     share_within_sigma,
     stated_sigma,
 )
-from gelform.metrics import ball_gradients
 from gelform.reconstruct import Reconstructor
 
 SHAPE = (60, 80)

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import gelform
+from gelform.ball import ball_center, ball_gradients
 from gelform.calibration.selection.slope_errors import LAGS, _lag_products, correlation_from_products, gain_of
-from gelform.metrics import ball_center, ball_gradients
 
 
 @pytest.mark.parametrize(("length", "share"), [(4.0, 0.8), (8.0, 0.5), (6.0, 1.0)])

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.ball import STEEPEST_FRACTION, ball_center
 from gelform.calibration.circles.find import Contact, moved, scale_of, why_no_contact
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
 from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel
-from gelform.metrics import STEEPEST_FRACTION, ball_center
 from gelform.progress import Progress, no_progress
 
 ROUNDS = 5

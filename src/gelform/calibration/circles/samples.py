@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.ball import STEEPEST_FRACTION, ball_gradients
 from gelform.calibration.circles.find import Contact
 from gelform.color_models import ColorModel, Samples
-from gelform.metrics import STEEPEST_FRACTION, ball_gradients
 
 TOTAL_SAMPLES = 40_000
 REST_WEIGHT = 0.3

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.ball import ball_gradients
 from gelform.calibration.report.held_out import HeldOutSample, cells_of
-from gelform.metrics import ball_gradients
 
 DIRECTIONS = 8
 COLUMNS = 8

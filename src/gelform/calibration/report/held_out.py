@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 from gelform.calibration.presses.folder import Press
-from gelform.metrics import STEEPEST_FRACTION, angle_deg, ball_center, ball_gradients
+from gelform.metrics import angle_deg
 from gelform.reconstruct import Reconstructor
 
 MAX_PIXELS = 2000

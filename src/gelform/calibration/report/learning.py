@@ -18,7 +18,7 @@ from gelform.calibration.presses.folder import Presses
 from gelform.calibration.selection.candidates import Candidate, candidates_for
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS, ColorModel
-from gelform.metrics import angle_deg, ball_center, ball_gradients
+from gelform.metrics import score_slopes
 from gelform.progress import Progress, no_progress
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)
@@ -126,9 +126,7 @@ def _normal_deg(press: PreparedPress, found: Contact, model: ColorModel) -> floa
     zone = max(1 - RIM_PX * scale_of(press.size.shape) / found.radius_px, 0.5)
     rows, cols = press.pixels(found, zone, 800)
     gradients = press.gradients(model, rows, cols)
-    center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
-    truth = ball_gradients(cols, rows, center, press.ball_radius_px)
-    return float(angle_deg(gradients, truth).mean())
+    return score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).normal_deg
 
 
 def _best_point(

@@ -27,7 +27,7 @@ from gelform.calibration.selection.candidates import DEFAULT_ZONE, ZONES, Candid
 from gelform.calibration.selection.folds import Fold
 from gelform.color_models import ColorModel
 from gelform.depth import depth_from_gradients
-from gelform.metrics import angle_deg, ball_center, ball_gradients
+from gelform.metrics import score_slopes
 from gelform.progress import Progress, no_progress
 
 INSET_PX = 3.0  # of the contact's rim, at 240 rows: as `metrics.press_errors` has it
@@ -251,12 +251,8 @@ def press_score(press: PreparedPress, found: Contact, model: ColorModel) -> Pres
     zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
     rows, cols = press.pixels(found, zone, SCORED_PIXELS)
     gradients = press.gradients(model, rows, cols)
-    center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
-    truth = ball_gradients(cols, rows, center, press.ball_radius_px)
-    return PressScore(
-        float(angle_deg(gradients, truth).mean()),
-        _cap_error_px(press, found, model, center, rows, cols, zone),
-    )
+    score = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    return PressScore(score.normal_deg, _cap_error_px(press, found, model, score.center_px, rows, cols, zone))
 
 
 def _cap_error_px(

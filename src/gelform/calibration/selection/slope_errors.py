@@ -12,7 +12,7 @@ from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
 from gelform.calibration.selection.folds import Fold
 from gelform.color_models import ColorModel
 from gelform.confidence import SlopeErrors, SlopeSigma
-from gelform.metrics import ball_center, ball_gradients
+from gelform.metrics import score_slopes
 
 LAGS = 24
 PER_PRESS = 2_000
@@ -91,8 +91,7 @@ def _residual_map(
     """
     rows, cols = press.pixels(found, ZONE)
     gradients = press.gradients(model, rows, cols)
-    center = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
-    error = gradients - ball_gradients(cols, rows, center, press.ball_radius_px)
+    error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
     box = (int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2)
     maps = np.full((2, *box), np.nan)
     for values, into in zip((gradients, error), maps):

@@ -1,0 +1,103 @@
+"""Geometry of a pressed ball: its slopes, its centre from slopes, a sphere through a depth map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from gelform.checks import check_mm_per_px
+
+STEEPEST_FRACTION = 0.97  # of the radius: beyond it the slopes of a ball are held
+
+
+def ball_gradients(
+    x_px: ArrayLike, y_px: ArrayLike, center_px: tuple[float, float], radius_px: float | tuple[float, float]
+) -> NDArray[np.float64]:
+    """Slopes `p = -u/sqrt(R^2 - u^2 - v^2)` of a ball, u and v its pixel distances from the centre.
+
+    Parameters
+    ----------
+    x_px, y_px : (...) pixel positions
+    center_px : (x, y)
+    radius_px : the ball's radius, px; or (x, y) where pixels are not square
+
+    Returns
+    -------
+    gradients : (..., 2) float64; beyond 0.97 R the slope is held, since it grows without bound at R
+    """
+    rx, ry = np.broadcast_to(np.asarray(radius_px, dtype=np.float64), (2,))
+    u = (np.asarray(x_px, dtype=np.float64) - center_px[0]) / rx
+    v = (np.asarray(y_px, dtype=np.float64) - center_px[1]) / ry
+    height = np.sqrt(np.maximum(1 - u * u - v * v, 1 - STEEPEST_FRACTION**2))
+    return np.stack([-u / height, -v / height], axis=-1)
+
+
+def ball_center(
+    gradients: NDArray[Any],
+    x_px: NDArray[Any],
+    y_px: NDArray[Any],
+    start_px: tuple[float, float],
+    radius_px: float,
+    *,
+    scale: float = 0.05,
+    rounds: int = 30,
+) -> tuple[float, float]:
+    """Centre (x, y) in px of the ball of known radius whose slopes agree best with gradients (N, 2).
+
+    Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
+    """
+    center = np.array(start_px, dtype=np.float64)
+    for _ in range(rounds):
+        ball = ball_gradients(x_px, y_px, (center[0], center[1]), radius_px)
+        residual = gradients - ball
+        weight = np.repeat(1 / np.sqrt(1 + np.sum(residual**2, axis=-1) / scale**2), 2)
+        jacobian = _center_jacobian(ball, radius_px).reshape(-1, 2)
+        weighted = jacobian * weight[:, None]
+        move = np.linalg.solve(weighted.T @ jacobian + 1e-12 * np.eye(2), weighted.T @ residual.ravel())
+        center += np.clip(move, -0.2 * radius_px, 0.2 * radius_px)
+        if np.hypot(*move) < 1e-3:
+            break
+    return float(center[0]), float(center[1])
+
+
+def _center_jacobian(ball: NDArray[np.float64], radius_px: float) -> NDArray[np.float64]:
+    """Derivative (N, 2, 2) of a ball's slopes by its centre: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`."""
+    p, q = ball[:, 0], ball[:, 1]
+    length = np.sqrt(1 + p * p + q * q) / radius_px
+    jacobian = np.empty((len(ball), 2, 2))
+    jacobian[:, 0, 0] = (1 + p * p) * length
+    jacobian[:, 1, 1] = (1 + q * q) * length
+    jacobian[:, 0, 1] = jacobian[:, 1, 0] = p * q * length
+    return jacobian
+
+
+@dataclass(frozen=True)
+class SphereFit:
+    """A sphere fitted to a depth map: centre (x, y, z) and radius, mm."""
+
+    center_mm: tuple[float, float, float]
+    radius_mm: float
+
+
+def fit_sphere(
+    depth_mm: ArrayLike, region: NDArray[np.bool_], *, mm_per_px: float | Sequence[float], radius_mm: float
+) -> SphereFit:
+    """Sphere through a region of a depth map by soft-l1 (20 um) least squares; starts from `radius_mm`."""
+    hx, hy = check_mm_per_px(mm_per_px)
+    rows, cols = np.nonzero(region)
+    if rows.size < 10:
+        raise ValueError(f"Expected at least 10 pixels to fit a sphere to, got {rows.size}.")
+    z = np.asarray(depth_mm, dtype=np.float64)[region]
+    x, y = cols * hx, rows * hy
+
+    def distances(t: NDArray[Any]) -> NDArray[Any]:
+        return np.sqrt((x - t[0]) ** 2 + (y - t[1]) ** 2 + (z - t[2]) ** 2) - t[3]
+
+    start = [x.mean(), y.mean(), z.max() - radius_mm, radius_mm]
+    fit = least_squares(distances, start, loss="soft_l1", f_scale=0.02)
+    return SphereFit((fit.x[0], fit.x[1], fit.x[2]), float(abs(fit.x[3])))
