@@ -1,10 +1,12 @@
-"""A frame: what one look of a camera gave, and when."""
+"""A frame: what one look of a camera gave, and when; and the identity of pixels."""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 
@@ -27,3 +29,11 @@ class Frame:
     time_s: float
     wall_time_ns: int
     index: int
+
+
+def pixels_digest(pixels: NDArray[Any]) -> str:
+    """SHA-256 (hex) of an image's shape and bytes: how presses and backgrounds are recognised again.
+
+    The same picture in another dtype has another digest.
+    """
+    return hashlib.sha256(repr(pixels.shape).encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()

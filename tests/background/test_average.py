@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.background.average import background_from_frames, noise_from_background
+from gelform.background.average import background_from_frames, noise_from_image, trimmed_mean
 from gelform.errors import DataError
 
 SHAPE = (48, 64)
@@ -106,4 +106,17 @@ def test_a_stream_is_thinned_evenly():
 
 
 def test_noise_of_a_slope_is_none():
-    assert noise_from_background(truth()) == pytest.approx([0] * 3, abs=1e-4)
+    assert noise_from_image(truth()) == pytest.approx([0] * 3, abs=1e-4)
+
+
+def test_a_trimmed_mean_ignores_a_passing_speck_and_leaves_no_frame_out():
+    images = frames(24)
+    images[3][10:15, 10:15] = 250
+    images = [
+        np.clip(image * gain, 0, 255).astype(np.uint8) for image, gain in zip(images, np.linspace(1, 0.8, 24))
+    ]
+    mean, noise = trimmed_mean(images)
+    assert np.abs(mean - 0.9 * truth())[10:15, 10:15].max() < 3.5
+    assert (noise > 2).all()
+    with pytest.raises(DataError, match="another exposure"):
+        background_from_frames(images)

@@ -73,13 +73,18 @@ def background_from_frames(
             f"Expected frames of the untouched gel that agree, got {len(left_out)} of {len(kept)} that differ from "
             f"the median of all ({listed}). Take them again with nothing on the gel and the exposure fixed."
         )
-    average, noise = _trimmed_mean(good)
+    average, noise = trimmed_mean(good)
     return Background(average, noise, tuple(left_out.items()))
 
 
-def noise_from_background(background: NDArray[Any]) -> NDArray[np.float64]:
-    """Standard deviation (3,) of a pixel of one frame, grey levels, from second differences along rows (robust)."""
-    pixels = np.asarray(background, dtype=np.float32)
+def noise_from_image(image: NDArray[Any]) -> NDArray[np.float64]:
+    """Standard deviation (3,) of a pixel, grey levels, from second differences along rows (robust).
+
+    Parameters
+    ----------
+    image : (H, W, 3), or the difference of two images: whatever is smooth along rows but for its noise
+    """
+    pixels = np.asarray(image, dtype=np.float32)
     second = pixels[:, 2:] - 2 * pixels[:, 1:-1] + pixels[:, :-2]
     middle = np.median(np.abs(second), axis=(0, 1)).astype(np.float64)
     return np.asarray(1.4826 * middle / np.sqrt(6), dtype=np.float64)
@@ -119,10 +124,22 @@ def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
     return odd
 
 
-def _trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Per-pixel trimmed mean, and the frames' noise, some rows at a time."""
+def trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Mean of frames of the untouched gel without each pixel's fifth highest and lowest values, and their noise.
+
+    No frame is left out: for frames that are known to be untouched.
+
+    Parameters
+    ----------
+    images : (H, W, 3) each, of one size
+
+    Returns
+    -------
+    background : (H, W, 3) float32
+    noise : (3,) float64, standard deviation of a pixel in one frame, grey levels
+    """
     if len(images) == 1:
-        return images[0].astype(np.float32), noise_from_background(images[0])
+        return images[0].astype(np.float32), noise_from_image(images[0])
     height = images[0].shape[0]
     cut = int(TRIMMED_SHARE * len(images))
     rows = max(1, ROWS_BYTES // (len(images) * images[0][0].nbytes))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.background.exposure import Exposure, cells_from_image, exposure_from_cells
 from gelform.errors import CalibrationError
+from gelform.frames import pixels_digest
 
 RATIO_WARN = (0.9, 1.1)
 RATIO_REFUSE = (0.7, 1.4)
@@ -102,8 +102,7 @@ def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArr
 
 def background_digest(background: NDArray[Any]) -> str:
     """SHA-256 of an untouched image's pixels: how a calibration knows its own."""
-    pixels = np.ascontiguousarray(background, dtype="<f4")
-    return hashlib.sha256(repr(pixels.shape).encode() + pixels.tobytes()).hexdigest()
+    return pixels_digest(np.asarray(background, dtype="<f4"))
 
 
 def compared(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[Exposure, tuple[Finding, ...]]:

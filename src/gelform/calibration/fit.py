@@ -10,9 +10,9 @@ from dataclasses import asdict, replace
 from datetime import datetime, timezone
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform import __version__
+from gelform.background.average import noise_from_image
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.background.check import check_background_of_frames
 from gelform.ball import ball_center
@@ -238,7 +238,7 @@ def _draft(
         mm_per_px=presses.mm_per_px,
         mm_per_px_sigma=presses.mm_per_px_sigma,
         background=presses.background,
-        background_noise=_pixel_noise(presses.background)
+        background_noise=noise_from_image(presses.background)
         if presses.background_noise is None
         else presses.background_noise,
         change=change_settings(presses, chosen.change_offset),
@@ -370,12 +370,3 @@ def _untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Conta
         if far.any():
             sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
     return float(np.median(sizes)) if sizes else 0.03
-
-
-def _pixel_noise(background: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Standard deviation of a pixel per channel, grey levels, from second differences (robust)."""
-    second = background[:, 2:] - 2 * background[:, 1:-1] + background[:, :-2]
-    noise: NDArray[np.float64] = (
-        1.4826 * np.median(np.abs(second), axis=(0, 1)).astype(np.float64) / np.sqrt(6)
-    )
-    return noise

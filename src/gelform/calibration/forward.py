@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.background.average import noise_from_image
 from gelform.calibration.circles.find import Contact
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.color_models._shared.forward import ForwardResponse
@@ -42,13 +43,10 @@ def depth_in_contact(
 
 
 def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Standard deviation of an image's pixel per channel, grey levels, from second differences (robust).
+    """Standard deviation (3,) of an image's pixel, grey levels: the median over some of the images.
 
     A background is often an average of frames, and quieter than the images that are taken beside it.
     """
-    found = []
-    for image in images[:: max(1, len(images) // MAX_NOISE_IMAGES)]:
-        change = image.astype(np.float32) - background
-        second = change[:, 2:] - 2 * change[:, 1:-1] + change[:, :-2]
-        found.append(1.4826 * np.median(np.abs(second), axis=(0, 1)) / np.sqrt(6))
+    some = images[:: max(1, len(images) // MAX_NOISE_IMAGES)]
+    found = [noise_from_image(image.astype(np.float32) - background) for image in some]
     return np.asarray(np.median(found, axis=0), dtype=np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.checks import check_positive
+from gelform.frames import pixels_digest
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import (
@@ -215,7 +215,7 @@ def _as_read(
             press.image,
             press.ball_diameter_mm,
             None,
-            hashlib.sha256(press.image.tobytes()).hexdigest(),
+            pixels_digest(press.image),
         )
         for k, press in enumerate(presses)
     )

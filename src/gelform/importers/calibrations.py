@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform import __version__
+from gelform.background.average import noise_from_image
 from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration
 from gelform.checks import check_image, check_positive
@@ -81,7 +82,7 @@ def import_calibration(
         mm_per_px=None if mm_per_px is None else check_positive(mm_per_px, "mm_per_px"),
         mm_per_px_sigma=None,
         background=image,
-        background_noise=_pixel_noise(image),
+        background_noise=noise_from_image(image),
         change=change,
         color_model=model,
         forward=None,
@@ -111,10 +112,3 @@ def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, 
     if package == "lut":
         return {"depth_sign": -1 if flip_depth else 1}
     return {} if position is None else {"position": position}
-
-
-def _pixel_noise(background: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Standard deviation of a pixel per channel, grey levels, from second differences (robust)."""
-    second = background[:, 2:] - 2 * background[:, 1:-1] + background[:, :-2]
-    noise: NDArray[np.float64] = 1.4826 * np.median(np.abs(second), axis=(0, 1)).astype(np.float64)
-    return noise / np.sqrt(6)

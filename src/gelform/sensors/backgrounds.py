@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gelform.background.average import Background, background_from_frames, noise_from_background
+from gelform.background.average import Background, background_from_frames
 from gelform.errors import DataError
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 
@@ -59,6 +59,5 @@ __all__ = [
     "Background",
     "averaged_background",
     "background_files",
-    "noise_from_background",
     "read_background",
 ]

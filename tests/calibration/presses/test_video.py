@@ -9,7 +9,6 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.presses.video import background_from_frames
 from gelform.simulate import (
     Ball,
     Pose,
@@ -225,17 +224,6 @@ def test_light_that_drifts_is_noted(filmed, sensor):
     read = gelform.presses_from_frames(frames, ball_diameter_mm=BALL_MM, mm_per_px=sensor.mm_per_px)
     assert len(read.presses) == COUNT
     assert any("light drifted" in note and "R 0.9" in note for note in read.notes)
-
-
-def test_background_from_frames_ignores_a_passing_speck():
-    rng = np.random.default_rng(0)
-    clean = np.full((40, 50, 3), 100.0)
-    images = [(clean + rng.normal(0, 2, clean.shape)).round().astype(np.uint8) for _ in range(24)]
-    images[3][10:15, 10:15] = 250
-    mean, noise = background_from_frames(images)
-    assert np.abs(mean[10:15, 10:15] - 100).max() < 2.5
-    assert noise == pytest.approx([2.0] * 3, rel=0.1)
-    assert background_from_frames(images[:3])[1] is None
 
 
 def test_a_real_video_of_a_moving_finger_has_no_press(data):

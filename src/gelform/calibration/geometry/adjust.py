@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.errors import DataError
+from gelform.frames import pixels_digest
 from gelform.view import View, image_from_frame, image_px_from_frame_px
 
 
@@ -55,7 +55,6 @@ def with_view(presses: Presses, view: View, source: str) -> Presses:
 
 def _through(press: Press, view: View) -> Press:
     image = np.ascontiguousarray(image_from_frame(press.image, view))
-    digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()
     label = None
     if press.label is not None:
         x, y, radius = press.label
@@ -63,4 +62,4 @@ def _through(press: Press, view: View) -> Press:
         center, *rim = image_px_from_frame_px(ring, view)
         distances = [float(np.hypot(*(point - center))) for point in rim]
         label = (float(center[0]), float(center[1]), float(np.mean(distances)))
-    return replace(press, image=image, digest=digest, label=label)
+    return replace(press, image=image, digest=pixels_digest(image), label=label)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from gelform.calibration.geometry.measured import Geometry
 from gelform.checks import check_positive
 from gelform.errors import DataError
+from gelform.frames import pixels_digest
 from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import profile_named
 from gelform.view import View, image_from_frame
@@ -180,5 +180,6 @@ class Source:
 def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:
     """A press whose image is the frame seen through the view."""
     image = np.ascontiguousarray(image_from_frame(frame, view))
-    digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()
-    return Press(listed.name, image, listed.ball_diameter_mm, listed.label, digest, listed.center_px)
+    return Press(
+        listed.name, image, listed.ball_diameter_mm, listed.label, pixels_digest(image), listed.center_px
+    )

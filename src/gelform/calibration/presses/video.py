@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.background.average import trimmed_mean
 from gelform.calibration.presses.press_set import Asked, Listed, Presses, press_from_frame
 from gelform.calibration.presses.stills import (
     MIN_STILL,
@@ -156,7 +157,9 @@ def _presses(
         else:
             rest_images.append(np.ascontiguousarray(view(frame.image)))
         progress(len(presses), len(picked), "taking the stills")
-    mean, noise = background_from_frames(rest_images) if rest_images else (None, None)
+    mean, noise = trimmed_mean(rest_images) if rest_images else (None, None)
+    if len(rest_images) < MIN_STILL:
+        noise = None  # too few to tell it
     notes = (*_notes(thumbs, found), *_drift(thumbs, rest))
     if rest_reference is not None:
         mean = rest_reference.astype(np.float32)
@@ -218,34 +221,6 @@ def _check_presses(found: list[Stretch], touch: NDArray[np.float64], noise: floa
             f"No press in {name}: {len(found)} contacts, none of them rests ({'; '.join(reasons)}). Press the ball "
             "down, hold it still for half a second, lift it, and go to the next place."
         )
-
-
-def background_from_frames(
-    images: list[NDArray[Any]],
-) -> tuple[NDArray[np.float32], NDArray[np.float64] | None]:
-    """The untouched image and its noise from several frames of it.
-
-    Parameters
-    ----------
-    images : N of (H, W, 3)
-
-    Returns
-    -------
-    background : (H, W, 3) float32, the mean of the middle half of the frames at each pixel
-    noise : (3,) standard deviation of a pixel in one frame, grey levels: the root of the median over the
-        pixels of the variance over time; None for fewer than 5 frames
-    """
-    height = images[0].shape[0]
-    background = np.empty(images[0].shape, dtype=np.float32)
-    variance = np.empty(images[0].shape, dtype=np.float32)
-    cut = len(images) // 4
-    for top in range(0, height, 32):  # a band at a time: memory
-        band = np.sort(np.stack([image[top : top + 32] for image in images]).astype(np.float32), axis=0)
-        background[top : top + 32] = band[cut : len(images) - cut].mean(axis=0)
-        variance[top : top + 32] = band.var(axis=0, ddof=1) if len(images) > 1 else 0
-    if len(images) < MIN_STILL:
-        return background, None
-    return background, np.sqrt(np.median(variance.astype(np.float64), axis=(0, 1)))
 
 
 def _spread(indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
