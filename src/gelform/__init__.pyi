@@ -56,7 +56,7 @@ from .reconstruction import Reconstruction as Reconstruction
 from .reconstruction import save_result as save_result
 from .reconstruction import load_result as load_result
 from .plots.result import picture as picture
-from .plots.result import save_picture as save_picture
+from .plots.canvas import save_picture as save_picture
 from .metrics import press_errors as press_errors
 from .exporters.press_folder import save_press_folder as save_press_folder
 from .exporters.press_folder import save_simulated_presses as save_simulated_presses

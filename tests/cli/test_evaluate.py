@@ -19,7 +19,7 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
 def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path):
     import numpy as np
 
-    from gelform.plots.result import save_picture
+    from gelform.plots.canvas import save_picture
 
     grey = np.full((60, 80, 3), 90, dtype=np.uint8)
     save_picture(tmp_path / "background.png", grey)

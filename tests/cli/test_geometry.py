@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration_file import load_calibration
-from gelform.plots.result import save_picture
+from gelform.plots.canvas import save_picture
 from gelform.simulate import Punch, Screw, simulate_background, simulate_press
 
 SMALL_PITCH = 0.1268

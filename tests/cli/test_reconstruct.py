@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from gelform.plots.result import save_picture
+from gelform.plots.canvas import save_picture
 from gelform.reconstruction import load_result
 from gelform.sensors.files import read_image
 

@@ -6,10 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.errors import DataError, GelformError
-from gelform.plots.result import _round_length, picture, save_picture
+from gelform.plots.result import _round_length, picture
 from gelform.reconstruction import Reconstruction
-from gelform.sensors.files import read_image
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
 
@@ -74,21 +72,6 @@ def test_odd_shapes_and_an_empty_contact(shape):
 )
 def test_scale_bars_are_of_round_lengths(length, rounded):
     assert np.isclose(_round_length(length), rounded)
-
-
-def test_pictures_are_saved_as_they_are(tmp_path):
-    pixels = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    save_picture(tmp_path / "x.png", pixels)
-    assert np.array_equal(read_image(tmp_path / "x.png"), pixels)
-    with pytest.raises(DataError, match="already there"):
-        save_picture(tmp_path / "x.png", pixels)
-    save_picture(tmp_path / "x.png", pixels, overwrite=True)
-
-
-def test_without_matplotlib_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(GelformError, match=r"pip install 'gelform\[plots\]'"):
-        picture(result_with_bump(20, 30))
 
 
 def test_pyplot_is_not_touched():

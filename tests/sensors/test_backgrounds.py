@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.errors import DataError
-from gelform.plots.result import save_picture
+from gelform.plots.canvas import save_picture
 from gelform.sensors.backgrounds import averaged_background, read_background
 from gelform.simulate import simulate_background
 

@@ -42,7 +42,7 @@ def test_ball_presses_are_spread_and_some_are_cut_by_the_border():
     done = []
     simulated = simulate_ball_presses(
         SMALL, ball_diameters_mm=[6.31, 9.5], count=30, rng=np.random.default_rng(0), oversample=1,
-        progress=lambda k, n: done.append((k, n)),
+        progress=lambda k, n, what: done.append((k, n)),
     )  # fmt: skip
     assert done[0] == (1, 30)
     assert done[-1] == (30, 30)

@@ -16,7 +16,6 @@ from gelform.cli.console import (
     Json,
     MmPerPx,
     Overwrite,
-    Progress,
     Quiet,
     Sensor,
     figure,
@@ -42,6 +41,7 @@ from gelform.cli.geometry import (
 )
 from gelform.cli.names import make_folder
 from gelform.errors import CalibrationError, DataError
+from gelform.progress import Progress
 
 if TYPE_CHECKING:
     from gelform.calibration.presses.folder import Presses

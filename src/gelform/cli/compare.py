@@ -55,7 +55,7 @@ def compare(
         raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
     paths: list[dict[str, Path]] = [{} for _ in images]
     if output is not None:
-        from gelform.plots.result import check_matplotlib
+        from gelform.plots.canvas import check_matplotlib
 
         check_matplotlib()
         paths = result_paths(images, output, ["png"])
@@ -102,7 +102,7 @@ def _compare_one(
     except (GelformError, ValueError) as problem:
         raise GelformError(f"{path}: {problem}") from problem
     if picture is not None:
-        from gelform.plots.result import save_picture
+        from gelform.plots.canvas import save_picture
 
         make_folder(picture.parent)
         shown = image_from_frame(frame, pair[0].calibration.view)

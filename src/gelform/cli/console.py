@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from gelform.progress import Progress, no_progress
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show neither progress nor tables.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")]
@@ -36,14 +38,12 @@ Crop = Annotated[
     typer.Option(metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."),
 ]
 
-Progress = Callable[[int, int, str], None]
-
 
 @contextmanager
 def progress_shown(quiet: bool) -> Iterator[Progress]:
     """A bar for each kind of work on standard error, where that is a terminal; gives what to call."""
     if quiet or not sys.stderr.isatty():
-        yield lambda done, total, what: None
+        yield no_progress
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn

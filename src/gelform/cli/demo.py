@@ -10,7 +10,6 @@ import typer
 
 from gelform.cli.console import (
     Json,
-    Progress,
     Quiet,
     json_bytes,
     print_json,
@@ -19,6 +18,7 @@ from gelform.cli.console import (
     show_table,
     warm,
 )
+from gelform.progress import Progress
 
 if TYPE_CHECKING:
     from gelform.calibration_file import Calibration
@@ -45,7 +45,7 @@ def demo(
       gelform demo -o somewhere --json
     """
     from gelform.exporters.press_folder import written_whole
-    from gelform.plots.result import check_matplotlib
+    from gelform.plots.canvas import check_matplotlib
 
     check_matplotlib()
     started = time.monotonic()
@@ -83,7 +83,7 @@ def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
         ball_diameters_mm=BALLS_MM,
         count=PRESSES,
         rng=np.random.default_rng(SEED),
-        progress=lambda done, total: progress(done, total, "simulating presses of a ball"),
+        progress=progress,
     )
     save_simulated_presses(folder, presses)
     return presses.sensor
@@ -126,7 +126,8 @@ def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calib
     import numpy as np
 
     from gelform.metrics import angle_deg
-    from gelform.plots.result import picture, save_picture
+    from gelform.plots.canvas import save_picture
+    from gelform.plots.result import picture
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import save_result
 

@@ -40,7 +40,7 @@ def design(
     chosen = sensor_of(sensor)
     if output is not None:
         from gelform.npz_files import check_free
-        from gelform.plots.result import check_matplotlib
+        from gelform.plots.canvas import check_matplotlib
 
         check_matplotlib()
         check_free(output, overwrite=False)
@@ -48,7 +48,7 @@ def design(
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
         from gelform.design.picture import design_picture
-        from gelform.plots.result import save_picture
+        from gelform.plots.canvas import save_picture
 
         save_picture(output, design_picture(results))
     rows = [

@@ -71,7 +71,7 @@ def reconstruct(
     protected = [*images, calibration, *([background] if background else [])]
     check_results(paths, overwrite=overwrite, protected=protected)
     if "png" in wanted:
-        from gelform.plots.result import check_matplotlib
+        from gelform.plots.canvas import check_matplotlib
 
         check_matplotlib()
     with progress_shown(quiet) as progress:
@@ -117,7 +117,8 @@ def _reconstruct_one(
     if "npz" in results:
         save_result(result, results["npz"], overwrite=overwrite)
     if "png" in results:
-        from gelform.plots.result import picture, save_picture
+        from gelform.plots.canvas import save_picture
+        from gelform.plots.result import picture
 
         shown = picture(result, image_from_frame(frame, run.calibration.view))
         save_picture(results["png"], shown, overwrite=overwrite)

@@ -218,7 +218,7 @@ def _press_one(
     from gelform import __version__
     from gelform.exporters.press_folder import toml_string, written_whole
     from gelform.exporters.simulated_sets import write_truth
-    from gelform.plots.result import save_picture
+    from gelform.plots.canvas import save_picture
     from gelform.simulate import simulate_background, simulate_press
     from gelform.simulate.sensor.settings import settings_from_sensor
 

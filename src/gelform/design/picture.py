@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.design.study import DesignResult
-from gelform.plots.result import check_matplotlib
+from gelform.plots.canvas import canvas, draw_map, pixels_of
 
 ROWS = ("depth error, um", "slope noise of a pixel", "condition of the lights")
 
@@ -28,12 +28,7 @@ def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
     GelformError
         matplotlib is not installed.
     """
-    check_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(2.3 * len(results) + 0.8, 6.2), dpi=110, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = canvas(2.3 * len(results) + 0.8, 6.2)
     axes = figure.subplots(len(ROWS), len(results), squeeze=False)
     maps = [
         [r.depth_map_um for r in results],
@@ -54,15 +49,13 @@ def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
     for column, result in enumerate(results):
         title = f"{result.name}\n{result.depth_rmse_um:.0f} ± {result.depth_rmse_se_um:.0f} um, {result.normal_deg:.1f}°"
         axes[0, column].set_title(title, fontsize=9)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    return pixels_of(figure)
 
 
 def _draw(axes: Any, values: NDArray[Any], result: DesignResult, low: float, high: float) -> Any:
     height, width = (n * result.sensor.mm_per_px / 2 for n in result.sensor.shape)
-    drawn = axes.imshow(values, cmap="viridis", vmin=low, vmax=high, extent=(-width, width, height, -height))
-    axes.set(xticks=[], yticks=[])
-    return drawn
+    extent = (-width, width, height, -height)
+    return draw_map(axes, values, "", cmap="viridis", vmin=low, vmax=high, extent=extent)
 
 
 def _draw_leds(axes: Any, result: DesignResult) -> None:

@@ -6,7 +6,7 @@ import csv
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image, check_mm_per_px, check_positive
 from gelform.errors import DataError
+from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPresses
-
-Progress = Callable[[int, int], None]
 
 
 def save_press_folder(
@@ -33,7 +32,7 @@ def save_press_folder(
     centers_px: Sequence[tuple[float, float]] | None = None,
     contact_radii_px: Sequence[float] | None = None,
     truths: Sequence[Mapping[str, ArrayLike]] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Path:
     """Write presses of balls as the folder that `calibrate` reads.
 
@@ -50,7 +49,7 @@ def save_press_folder(
     name : str, of the sensor
     centers_px, contact_radii_px : N labels, known for simulated presses
     truths : N times named arrays, such as depth_mm and gradients
-    progress : called with (done, total)
+    progress : called with (done, total, what)
 
     Raises
     ------
@@ -73,8 +72,7 @@ def save_press_folder(
             if truths is not None:
                 (partial / "truth").mkdir(exist_ok=True)
                 _write_npz(partial / "truth" / f"{k:04d}.npz", truths[k])
-            if progress is not None:
-                progress(k + 1, len(images))
+            progress(k + 1, len(images), "writing presses")
         _write_csv(partial / "presses.csv", rows)
         (partial / "sensor.toml").write_text(
             f"name = {toml_string(name)}\nmm_per_px = {pitch!r}\n", encoding="utf-8"
@@ -87,7 +85,7 @@ def save_simulated_presses(
     simulated: SimulatedPresses,
     *,
     truth: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Path:
     """Write what `simulate_ball_presses` gave as a press folder with labels and truth."""
     presses = simulated.presses

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image, check_mm_per_px
 from gelform.errors import DataError
 from gelform.metrics import angle_deg
-from gelform.plots.result import canvas, pixels_of
+from gelform.plots.canvas import BLUE, INK, ORANGE, canvas, deepest_px, draw_map, pixels_of, style_profiles
 from gelform.reconstruction import Reconstruction
-
-FIRST, SECOND, FAINT, INK = "#f4731c", "#29a3e0", "#8a8a8a", "#222222"
 
 
 @dataclass(frozen=True)
@@ -99,26 +96,22 @@ def comparison_picture(
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)
     first, second = compared.depths
-    row, column = np.unravel_index(int(np.argmax(cv2.GaussianBlur(first, (0, 0), 1))), first.shape)
+    row, column = deepest_px(first)
     tall = 3.0 * a.shape[0] / a.shape[1]
     figure = canvas(14.0, tall + 4.0)
     figure.suptitle(_headline(compared, names), x=0.012, ha="left", fontsize=11, color=INK)
     top, bottom = figure.subfigures(2, 1, height_ratios=[tall + 0.5, 3.0])
     axes = top.subplots(1, 4)
-    axes[0].imshow(shown, interpolation="nearest")
+    draw_map(axes[0], shown, "image")
     limits = {"vmin": min(first.min(), second.min()), "vmax": max(first.max(), second.max())}
-    for panel, depth in zip(axes[1:3], compared.depths):
-        map_shown = panel.imshow(depth, cmap="viridis", interpolation="nearest", **limits)
+    for panel, depth, title in zip(axes[1:3], compared.depths, (f"A: {names[0]}", f"B: {names[1]}")):
+        map_shown = draw_map(panel, depth, title, cmap="viridis", **limits)
         panel.axhline(row, color="white", linewidth=0.8, alpha=0.7)
     top.colorbar(map_shown, ax=list(axes[1:3]), shrink=0.9, pad=0.01, label=f"depth ({compared.unit})")
     far = max(float(np.abs(second - first).max()), 1e-6)
-    difference = axes[3].imshow(second - first, cmap="RdBu_r", vmin=-far, vmax=far, interpolation="nearest")
+    difference = draw_map(axes[3], second - first, "B minus A", cmap="RdBu_r", vmin=-far, vmax=far)
     top.colorbar(difference, ax=axes[3], shrink=0.9, pad=0.01, label=f"{compared.unit}")
-    for panel, title in zip(axes, ("image", f"A: {names[0]}", f"B: {names[1]}", "B minus A")):
-        panel.set_title(title, fontsize=10, color=INK)
-        panel.set_xticks([])
-        panel.set_yticks([])
-    _draw_profiles(bottom.subplots(1, 1), compared, a, int(row), int(column), names)
+    _draw_profiles(bottom.subplots(1, 1), compared, a, row, column, names)
     return pixels_of(figure)
 
 
@@ -141,14 +134,7 @@ def _draw_profiles(
 ) -> None:
     pitch = check_mm_per_px(a.mm_per_px)[0] if compared.unit == "mm" else 1.0
     place = (np.arange(a.shape[1]) - column) * pitch
-    axes.axhline(0, color=FAINT, linewidth=0.8)
-    for depth, color, label in zip(compared.depths, (FIRST, SECOND), "AB"):
-        name = names[0] if label == "A" else names[1]
-        axes.plot(place, depth[row], color=color, linewidth=1.5, label=f"{label}: {name}")
-    axes.margins(x=0.01, y=0.12)
-    axes.grid(color="#e6e6e6", linewidth=0.7)
-    axes.spines[["top", "right"]].set_visible(False)
+    style_profiles(axes, "profiles along x through A's deepest point", compared.unit)
+    for depth, color, label in zip(compared.depths, (ORANGE, BLUE), (f"A: {names[0]}", f"B: {names[1]}")):
+        axes.plot(place, depth[row], color=color, linewidth=1.5, label=label)
     axes.legend(frameon=False, fontsize=9)
-    axes.set_title("profiles along x through A's deepest point", fontsize=10, color=INK, loc="left")
-    axes.set_xlabel(f"distance from it ({compared.unit})")
-    axes.set_ylabel(f"depth ({compared.unit})")

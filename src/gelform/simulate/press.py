@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
+from gelform.progress import Progress, no_progress
 from gelform.simulate.gel.gel import (
     Surface,
     contact_radius_of_ball,
@@ -28,7 +29,6 @@ from gelform.simulate.sensor.sensor import SimulatedSensor, Triple
 
 MARGIN_LENGTHS = 4  # the gel reaches this many relaxation lengths beyond the image: e^-4 = 2 % is left there
 RIM_SLOPES = (0.5, 0.95)
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def simulate_ball_presses(
     count: int,
     rng: np.random.Generator,
     oversample: int = 3,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> SimulatedPresses:
     """A background and `count` presses of balls, spread over the image; some are cut by its border.
 
@@ -256,8 +256,7 @@ def simulate_ball_presses(
     presses = []
     for k, press_rng in enumerate(press_rngs):
         presses.append(_ball_press(sensor, ball_diameters_mm, k, shift, press_rng, oversample))
-        if progress is not None:
-            progress(k + 1, count)
+        progress(k + 1, count, "simulating presses of a ball")
     return SimulatedPresses(sensor, simulate_background(sensor, background_rng), tuple(presses))
 
 

@@ -1,0 +1,90 @@
+"""What all pictures share: an off-screen figure, its colours, its panels, and the file that it becomes.
+
+Needs matplotlib, the extra `plots`. Figures are drawn off screen; matplotlib's global state is not touched.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image
+from gelform.errors import DataError, GelformError
+from gelform.npz_files import written_file
+
+DPI = 110
+INK, FAINT, GRID = "#222222", "#8a8a8a", "#e6e6e6"
+ORANGE, BLUE = "#f4731c", "#29a3e0"
+
+
+def check_matplotlib() -> None:
+    """Raise GelformError, naming the extra, where matplotlib is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as problem:
+        raise GelformError("Pictures need matplotlib. Install it: pip install 'gelform[plots]'.") from problem
+
+
+def canvas(width: float, height: float, *, layout: Any = "constrained") -> Any:
+    """An off-screen matplotlib figure of a size in inches."""
+    check_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def pixels_of(figure: Any) -> NDArray[np.uint8]:
+    """The drawn figure as an RGB picture (h, w, 3)."""
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba(), dtype=np.uint8)[..., :3].copy()
+
+
+def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bool = False) -> None:
+    """Write an RGB picture (h, w, 3) uint8 as PNG, whole or not at all.
+
+    Raises
+    ------
+    DataError
+        The file is already there and `overwrite` is False, or it cannot be written.
+    """
+    pixels = np.ascontiguousarray(check_image(picture, name="picture").astype(np.uint8)[..., ::-1])
+    done, png = cv2.imencode(".png", pixels)
+    if not done:
+        raise DataError(f"OpenCV cannot encode a picture of {pixels.shape[0]}x{pixels.shape[1]} px as PNG.")
+    with written_file(path, overwrite=overwrite) as handle:
+        handle.write(png.tobytes())
+
+
+def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:
+    """Show an image or a map under a title, pixel by pixel and without ticks; gives what a colour bar needs."""
+    shown = axes.imshow(values, interpolation="nearest", **style)
+    axes.set_title(title, fontsize=10, color=INK)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    return shown
+
+
+def style_profiles(axes: Any, title: str, unit: str) -> None:
+    """The frame around depth profiles: zero line, faint grid, labels in the unit of both axes."""
+    axes.axhline(0, color=FAINT, linewidth=0.8, zorder=1)
+    axes.margins(x=0.01, y=0.12)
+    axes.grid(color=GRID, linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_title(title, fontsize=10, color=INK, loc="left")
+    axes.set_xlabel(f"distance from it ({unit})")
+    axes.set_ylabel(f"depth ({unit})")
+
+
+def deepest_px(depth: NDArray[np.float32]) -> tuple[int, int]:
+    """Row and column of the deepest point, single noisy pixels aside."""
+    smooth = cv2.GaussianBlur(depth, (0, 0), 1)
+    row, column = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
+    return int(row), int(column)
