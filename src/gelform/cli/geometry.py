@@ -58,9 +58,9 @@ def measured(
     grid: GridView | None,
 ) -> Presses:
     """The presses with what the options measure: first the lens, then crosstalk and scale in its images."""
-    from gelform.calibration.geometry.adjust import with_crosstalk, with_scale, with_view
     from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
     from gelform.calibration.geometry.scale import combined_scale
+    from gelform.calibration.presses.adjust import with_crosstalk, with_scale, with_view
     from gelform.sensors.files import read_image
 
     if grid is not None:

@@ -39,6 +39,21 @@ def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
         raise DataError(f"Images of the untouched gel in {files[0].parent}: {problem}") from problem
 
 
+def background_in(folder: Path, stem: str = "background") -> Path:
+    """The image of that stem in a folder, or a folder of that name with several."""
+    found = sorted(
+        p
+        for p in folder.glob(f"{stem}*")
+        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or p.is_dir())
+    )
+    if not found:
+        raise DataError(
+            f"No background in {folder}: expected {stem}.png, an image of the untouched gel. "
+            "Take one, or name it with background= (--background)."
+        )
+    return found[0]
+
+
 def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """Every image that is meant, folders opened, in the order of their names."""
     given = [paths] if isinstance(paths, (str, Path)) else list(paths)
@@ -59,5 +74,6 @@ __all__ = [
     "Background",
     "averaged_background",
     "background_files",
+    "background_in",
     "read_background",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +41,8 @@ class SensorSettings:
     response : exponent of the camera's response, I = light^response; 1 where it is linear or not known
     serial, gel_id : which unit and which gel; empty where they are not known
     view : from the camera's frames to the images; identity by default
+    measured : what `gelform scale` and `gelform lens` wrote: where the scale and the lens come from (texts, by the
+        names `scale` and `lens`), `crosstalk` and `crosstalk_spread` (3x3)
     """
 
     name: str
@@ -50,6 +52,7 @@ class SensorSettings:
     serial: str = ""
     gel_id: str = ""
     view: View = field(default_factory=View)
+    measured: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
@@ -91,7 +94,9 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def read_sensor_toml(path: str | Path) -> SensorSettings:
-    """Read a `sensor.toml`: `name`, `mm_per_px`, optional `mm_per_px_sigma`, `response`, `serial`, `gel_id` and `[view]`.
+    """Read a `sensor.toml`.
+
+    It has `name` and `mm_per_px`, and may have `mm_per_px_sigma`, `response`, `serial`, `gel_id`, `[view]`, `[measured]`.
 
     Raises
     ------
@@ -109,7 +114,7 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
 
 
 def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
-    known = ("name", "mm_per_px", "mm_per_px_sigma", "serial", "gel_id", "response", "view")
+    known = ("name", "mm_per_px", "mm_per_px_sigma", "serial", "gel_id", "response", "view", "measured")
     unknown = [key for key in settings if key not in known]
     if unknown:
         raise ValueError(f"Expected keys among {', '.join(known)}, got {', '.join(unknown)}.")
@@ -118,8 +123,11 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         raise ValueError(f"Expected the keys name and mm_per_px, {' and '.join(missing)} missing.")
     texts = {key: settings[key] for key in ("name", "serial", "gel_id") if key in settings}
     wrong = [key for key, value in texts.items() if not isinstance(value, str)]
-    if wrong or not isinstance(settings.get("view", {}), dict):
-        raise ValueError(f"Expected {wrong[0]} as text in quotes." if wrong else "Expected a table [view].")
+    if wrong:
+        raise ValueError(f"Expected {wrong[0]} as text in quotes.")
+    for table in ("view", "measured"):
+        if not isinstance(settings.get(table, {}), dict):
+            raise ValueError(f"Expected a table [{table}], got {settings[table]!r}.")
     sigma = settings.get("mm_per_px_sigma")
     return SensorSettings(
         **texts,
@@ -127,7 +135,30 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
         response=check_positive(settings.get("response", 1.0), "response"),
         view=View.from_dict(settings.get("view", {})),
+        measured=_measured(settings.get("measured", {})),
     )
+
+
+def _measured(table: dict[str, Any]) -> dict[str, Any]:
+    """The table `[measured]`: two texts, two matrices."""
+    known = {"scale": str, "lens": str, "crosstalk": list, "crosstalk_spread": list}
+    unknown = [key for key in table if key not in known]
+    if unknown:
+        raise ValueError(f"Expected keys of [measured] among {', '.join(known)}, got {', '.join(unknown)}.")
+    for key, value in table.items():
+        if not isinstance(value, known[key]):
+            raise ValueError(f"Expected {key} of [measured] as {known[key].__name__}, got {value!r}.")
+        if known[key] is list and not _is_matrix(value):
+            raise ValueError(f"Expected {key} of [measured] as 3x3 numbers, got {value!r}.")
+    return dict(table)
+
+
+def _is_matrix(value: Any) -> bool:
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    return numbers.shape == (3, 3) and bool(np.isfinite(numbers).all())
 
 
 def _content(path: Path) -> bytes:

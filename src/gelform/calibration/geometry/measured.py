@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,17 @@ class Geometry:
     scale_source: str = ""
     crosstalk: Crosstalk | None = None
     lens: str = ""
+
+    @classmethod
+    def from_settings(cls, measured: Mapping[str, Any]) -> Geometry:
+        """From the table `[measured]` of a `sensor.toml` (`SensorSettings.measured`)."""
+        crosstalk = None
+        if "crosstalk" in measured:
+            spread = measured.get("crosstalk_spread", ((0.0,) * 3,) * 3)
+            crosstalk = Crosstalk(
+                *(tuple(tuple(map(float, row)) for row in m) for m in (measured["crosstalk"], spread))
+            )
+        return cls(measured.get("scale", ""), crosstalk, measured.get("lens", ""))
 
     @property
     def matrix(self) -> tuple[tuple[float, ...], ...] | None:

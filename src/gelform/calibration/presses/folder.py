@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gelform.calibration.geometry.measured import Geometry
 from gelform.calibration.presses.packages import (
-    background_in,
     gs_sdk_source,
     py3dcal_source,
     taxim_pack_in,
@@ -21,7 +21,7 @@ from gelform.calibration.presses.tables import diameter, number, table_rows
 from gelform.calibration.presses.video import presses_from_video
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
-from gelform.sensors.backgrounds import read_background
+from gelform.sensors.backgrounds import background_in, read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 from gelform.sensors.video_files import is_video
 from gelform.view import image_from_frame
@@ -115,6 +115,7 @@ def _read(place: Path, source: Source, asked: Asked, progress: Progress) -> Pres
         gel_id=settings.gel_id or None,
         view=view,
         response=settings.response,
+        geometry=Geometry.from_settings(settings.measured),
     )
 
 

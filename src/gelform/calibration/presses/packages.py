@@ -15,26 +15,11 @@ from gelform.calibration.presses.press_set import Asked, Listed, Source
 from gelform.calibration.presses.tables import diameter, number, table_rows
 from gelform.checks import check_positive
 from gelform.errors import DataError
-from gelform.sensors.backgrounds import read_background
+from gelform.sensors.backgrounds import background_in, read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
 
 MAX_PACK_BYTES = 4 << 30
 TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
-
-
-def background_in(folder: Path, stem: str = "background") -> Path:
-    """The image of that stem in a folder, or a folder of that name with several."""
-    found = sorted(
-        p
-        for p in folder.glob(f"{stem}*")
-        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or p.is_dir())
-    )
-    if not found:
-        raise DataError(
-            f"No background in {folder}: expected {stem}.png, an image of the untouched gel. "
-            "Take one, or name it with background= (--background)."
-        )
-    return found[0]
 
 
 def gs_sdk_source(folder: Path, asked: Asked) -> Source:

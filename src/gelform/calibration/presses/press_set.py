@@ -121,13 +121,13 @@ class Asked:
             pitch = check_positive(self.mm_per_px, "mm_per_px")
             if settings is None:
                 return SensorSettings(place.resolve().stem, pitch)
-            return replace(settings, mm_per_px=pitch, mm_per_px_sigma=None)
+            others = {name: value for name, value in settings.measured.items() if name != "scale"}
+            return replace(settings, mm_per_px=pitch, mm_per_px_sigma=None, measured=others)
         if settings is None:
             raise DataError(
                 f"No scale for {place}: presses of a ball alone do not tell it. Write name and mm_per_px into "
-                f"{beside}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it: two marked points "
-                "(--scale-points), a flat punch (--punch), a thread (--thread), a stage's step (--stage) or a grid "
-                "(--lens-images)."
+                f"{beside}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it on two marked points, a "
+                "flat punch, a thread or a stage's step (gelform scale), or on a grid (gelform lens)."
             )
         return settings
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.geometry.adjust import with_crosstalk, with_scale, with_view
 from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
+from gelform.calibration.presses.adjust import with_crosstalk, with_scale, with_view
 from gelform.errors import DataError
 from gelform.lens import Lens
 from gelform.metrics import press_errors

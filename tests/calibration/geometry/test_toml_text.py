@@ -1,0 +1,91 @@
+"""Values change, everything else in the text stays as the user wrote it."""
+
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelform.calibration.geometry.toml_text import edited_toml, toml_value
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+TEXT = """# my sensor, bought in May
+name = "a # b"   # not a comment: the first
+mm_per_px = 0.05 # from the seller
+
+[view]   # measured
+crop = [
+  1, 2,  # left, top
+  3, 4,
+]
+flip = "x"
+
+# the end
+"""
+
+
+def test_comments_order_and_other_keys_stay():
+    edited = edited_toml(
+        TEXT, {(): {"mm_per_px": 0.0634, "mm_per_px_sigma": 1e-5}, ("measured",): {"scale": 'a "b"'}}
+    )
+    assert edited == (
+        TEXT.replace("0.05 #", "0.0634 #").replace("seller\n", "seller\nmm_per_px_sigma = 1e-05\n")
+        + '\n[measured]\nscale = "a \\"b\\""\n'
+    )
+
+
+def test_values_over_several_lines_are_replaced_whole():
+    edited = edited_toml(TEXT, {("view",): {"crop": [0.5, 1.0, 2.0, 3.0]}})
+    assert "left, top" not in edited
+    assert tomllib.loads(edited)["view"] == {"crop": [0.5, 1, 2, 3], "flip": "x"}
+
+
+def test_a_table_and_what_is_below_it_can_be_dropped():
+    text = TEXT + "[view.lens]\ncamera = [1, 2]\n[other]\nx = 1\n"
+    edited = edited_toml(text, {("view",): {"flip": "y"}}, drop=[("view",)])
+    content = tomllib.loads(edited)
+    assert content["view"] == {"flip": "y"}
+    assert content["other"] == {"x": 1}
+    assert edited.startswith("# my sensor")
+
+
+def test_a_new_text():
+    assert edited_toml("", {(): {"name": "x"}, ("a", "b"): {"c": [1, 2.5]}}) == (
+        'name = "x"\n\n[a.b]\nc = [1, 2.5]\n'
+    )
+
+
+@pytest.mark.parametrize("text", ["view.flip = 'x'\n", "view = { flip = 'x' }\n"])
+def test_what_cannot_be_edited_is_said_with_the_lines_to_write(text):
+    with pytest.raises(ValueError, match=r'by hand: \[view\] flip = "y"'):
+        edited_toml(text, {("view",): {"flip": "y"}})
+
+
+@pytest.mark.parametrize(
+    "text", ["a = 1  # one\u2028two\r\nb = 2\r\n", "a = 1", "\n\na = 1\n\n", "# only words"]
+)
+def test_line_ends_of_all_kinds_stay(text):
+    edited = edited_toml(text, {("t",): {"x": 1}})
+    assert edited.startswith(text)
+    assert tomllib.loads(edited)["t"] == {"x": 1}
+
+
+def test_no_toml_is_refused():
+    with pytest.raises(ValueError, match="Invalid"):
+        edited_toml("name = \n", {(): {"name": "x"}})
+
+
+@given(
+    st.one_of(
+        st.floats(allow_nan=False, allow_infinity=False),
+        st.integers(-(2**53), 2**53),
+        st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x7f")),
+        st.lists(st.lists(st.floats(-1e9, 1e9))),
+    )
+)
+def test_values_come_back(value):
+    assert tomllib.loads(f"v = {toml_value(value)}\n")["v"] == value
