@@ -30,6 +30,7 @@ from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
 from gelform.gradients import gradients_from_normals
 from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
 from gelform.normals import normals_from_image
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import (
     LAYOUTS,
     Ball,
@@ -48,8 +49,7 @@ from gelform.simulate import (
     simulate_sequence,
     slide_poses,
 )
-from gelform.simulate.like import Twin, press_depth_of_rim
-from gelform.simulate.sensor.presets import PRESETS
+from gelform.simulate.twin import Twin, press_depth_of_rim
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
@@ -160,7 +160,9 @@ def speed() -> dict[str, Any]:
 
 def same_bytes() -> bool:
     """Whether one worker and two write the same data set."""
-    wanted = SetOfPresses(replace(PRESETS["digit"], shape=(80, 60), mm_per_px=0.2), (5.0,), count=4, seed=3)
+    wanted = SetOfPresses(
+        replace(SENSORS["digit"].simulated(), shape=(80, 60), mm_per_px=0.2), (5.0,), count=4, seed=3
+    )
     with tempfile.TemporaryDirectory() as folder:
         kept = []
         for workers in (1, 2):
@@ -174,7 +176,7 @@ def backgrounds() -> dict[str, Any]:
     result = {}
     for name, folder in (("gelsight-mini", "mini-ball"), ("digit", "digit-ball")):
         real = cv2.imread(str(DATA / folder / "background.png"))[..., ::-1].astype(np.float64)
-        made = simulate_background(PRESETS[name], None, quantise=False)
+        made = simulate_background(SENSORS[name].simulated(), None, quantise=False)
         apart = cv2.GaussianBlur(real, (0, 0), 2) - cv2.GaussianBlur(made, (0, 0), 2)
         result[name] = {
             "mean_real": real.mean((0, 1)).tolist(),
@@ -202,7 +204,7 @@ def reference_circles() -> dict[str, dict[str, str]]:
 def likeness(calibration: gelform.Calibration) -> dict[str, Any]:
     """Held-out real presses of mini-ball beside `--like` and the preset: grey levels inside the visible rim,
     and inside the smaller circle in which the twin's gel touches the ball."""
-    circles, twin, preset = reference_circles(), Twin(calibration), PRESETS["gelsight-mini"]
+    circles, twin, preset = reference_circles(), Twin(calibration), SENSORS["gelsight-mini"].simulated()
     rest = simulate_background(preset, None, quantise=False)
     errors: dict[str, list[float]] = {
         "like": [],
@@ -286,7 +288,7 @@ def digit_likeness(calibration_path: Path | None) -> dict[str, Any]:
     else:
         calibration = gelform.load_calibration(calibration_path)
     held_out = presses.subset(range(1, len(presses.presses), 2))
-    twin, preset = Twin(calibration), PRESETS["digit"]
+    twin, preset = Twin(calibration), SENSORS["digit"].simulated()
     turned = np.ascontiguousarray(np.rot90(calibration.background, -1))
     tables = read_taxim_forward(DATA / "peer-calibrations" / "taxim-digit-polycalib.npz")
     taxim = TaximLook(tables, turned, float(twin.sensor.mm_per_px), np.zeros(3))

@@ -8,12 +8,12 @@ import pytest
 
 import gelform
 from gelform.markers import MarkerFinder, is_grid, markers_from_image
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
-from gelform.simulate.sensor.presets import PRESETS
 
 
 def marked(name="gelsight-mini", pitch_mm=2.0, radius_mm=0.3):
-    sensor = PRESETS[name]
+    sensor = SENSORS[name].simulated()
     coating = replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=radius_mm)
     return replace(sensor, coating=coating)
 
@@ -28,7 +28,7 @@ def matched(found, true, shape, radius):
 
 @pytest.fixture(scope="module", params=["gelsight-mini", "digit", "gelslim"])
 def presses(request):
-    sensor = PRESETS["gelslim"] if request.param == "gelslim" else marked(request.param)
+    sensor = SENSORS["gelslim"].simulated() if request.param == "gelslim" else marked(request.param)
     rng = np.random.default_rng(1)
     places = [(1.0, 1.0), (-2.0, 2.5), (3.0, -1.5), (0.2, -3.1)]
     return (
@@ -93,9 +93,9 @@ def test_fast_mask_grows(presses):
     np.testing.assert_array_equal(finder.mask(pressed[0].image, 2), wide)
 
 
-@pytest.mark.parametrize("name", ["gelsight-mini", "digit", "homemade"])
+@pytest.mark.parametrize("name", ["gelsight-mini", "digit", "first-build"])
 def test_unmarked_gels_have_none(name):
-    sensor, rng = PRESETS[name], np.random.default_rng(2)
+    sensor, rng = SENSORS[name].simulated(), np.random.default_rng(2)
     background = simulate_background(sensor, rng)
     press = simulate_press(sensor, Ball(3), depth_mm=0.7, rng=rng, oversample=1)
     for image in (background, press.image):

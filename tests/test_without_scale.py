@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.simulate.like import Twin
+from gelform.simulate.twin import Twin
 
 VERSION_1 = Path(__file__).parent / "data" / "calibration-version-1.npz"
 

@@ -6,7 +6,7 @@ import pytest
 from gelform.calibration.circles.find import Contact
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.forward import depth_in_contact, forward_from_presses, image_noise
-from gelform.simulate.like import press_depth_of_rim
+from gelform.simulate.twin import press_depth_of_rim
 
 SHAPE = (80, 100)
 BALL_PX, MM = 60.0, 0.05

@@ -7,7 +7,7 @@ import pytest
 
 from gelform.color_models import NearLightModel, Samples
 from gelform.simulate import Ball, SimulatedSensor, simulate_background, simulate_press
-from gelform.simulate.sensor.sensor import Led
+from gelform.simulate.sensor.led import Led
 
 MM_PER_PX = 0.1
 LEDS = np.array([[9.0, 1.0, 4.0], [-6.0, 7.5, 5.0], [-4.0, -8.0, 4.5]])

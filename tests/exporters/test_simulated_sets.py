@@ -10,8 +10,8 @@ import pytest
 from gelform.calibration.presses.folder import read_presses
 from gelform.errors import DataError
 from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
+from gelform.sensors.simulated_settings import sensor_from_settings
 from gelform.simulate import LAYOUTS, Coating, simulate_ball_presses
-from gelform.simulate.sensor.settings import sensor_from_settings
 
 SENSOR = replace(
     LAYOUTS["three-edges"],

@@ -8,7 +8,7 @@ import pytest
 from gelform.errors import DataError
 from gelform.importers.taxim_forward import TaximLook, TaximTables, is_taxim_forward, read_taxim_forward
 from gelform.simulate import Ball, Pose
-from gelform.simulate.like import Twin
+from gelform.simulate.twin import Twin
 
 BINS = 181  # angles of half a degree, directions of two
 

@@ -9,15 +9,8 @@ from gelform.background.change import color_change_from_image
 from gelform.color_models import Samples
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.simulate import Ball, Pose
-from gelform.simulate.gel.gel import contact_radius_of_ball
-from gelform.simulate.like import (
-    GEL,
-    RELAXATION_MM,
-    RIM_MM,
-    CalibratedLook,
-    Twin,
-    press_depth_of_rim,
-)
+from gelform.simulate.gel.ball_press import contact_radius_of_ball
+from gelform.simulate.twin import GEL, RELAXATION_MM, RIM_MM, CalibratedLook, Twin, press_depth_of_rim
 
 
 def test_an_untouched_twin_is_the_background(calibration):

@@ -22,8 +22,8 @@ from gelform.simulate import (
     slide_poses,
     twist_poses,
 )
+from gelform.simulate.gel.drag import displacement_at
 from gelform.simulate.gel.gel import surface_from_ball
-from gelform.simulate.motion import displacement_at
 
 SENSOR = SimulatedSensor(
     (Led((-6, 2, 7), (4000, 500, 0)), Led((5, 5, 7), (0, 5000, 900))),

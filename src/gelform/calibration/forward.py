@@ -13,7 +13,7 @@ from gelform.background.average import noise_from_image
 from gelform.calibration.circles.find import Contact
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.color_models._shared.forward import ForwardResponse
-from gelform.simulate.like import press_depth_of_rim
+from gelform.simulate.twin import press_depth_of_rim
 
 MAX_NOISE_IMAGES = 12
 

@@ -14,6 +14,7 @@ from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
+from gelform.sensors.profiles import light_order_of
 
 REVERSED_SHARE = 0.6
 MIN_DIFFERENCE = 3.0
@@ -24,9 +25,6 @@ MIN_CHANGE = 0.08
 MIN_ROUGHER = 1.3
 LIGHT_ZONE = 0.8
 MIN_SINE = 0.3
-# In which order red, green and blue light come round the gel, seen as the image shows it (measured on one unit
-# of each kind). Turning the camera keeps it; reversed channels and mirrored images turn it round.
-LIGHT_ORDER = {"GelSight Mini": "clockwise", "DIGIT": "counter-clockwise"}
 
 
 def check_inputs(presses: Presses) -> None:
@@ -125,7 +123,7 @@ def light_order_note(
     Presses and background that were both saved as BGR agree with each other; only the lights tell. Which way each
     channel is lit is the slope direction that brightens it most.
     """
-    expected = next((o for name, o in LIGHT_ORDER.items() if presses.sensor_name.startswith(name)), None)
+    expected = light_order_of(presses.sensor_name)
     if expected is None or not contacts:
         return None
     turn = light_turn(prepared, contacts)

@@ -12,7 +12,7 @@ from gelform.errors import DataError
 
 if TYPE_CHECKING:
     from gelform.simulate import HeightMap, Indenter, SimulatedSensor
-    from gelform.simulate.like import Twin
+    from gelform.simulate.twin import Twin
 
 MAX_MAP_BYTES = 1 << 28
 GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # the background of tables that come without one
@@ -26,7 +26,7 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE.toml",
-            help="Instead of a layout: gelsight-mini, digit, gelslim, homemade, or your own as TOML.",
+            help="Instead of a layout: gelsight-mini, digit, gelslim, first-build, or your own as TOML.",
         ),
     ] = None,
     like: Annotated[
@@ -131,13 +131,12 @@ def simulate(
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:
     """A ready sensor by name, or one from a TOML file."""
-    from gelform.sensors.simulated import read_simulated_sensor
-    from gelform.simulate.sensor.settings import sensor_named
+    from gelform.sensors.simulated_settings import read_simulated_sensor, simulated_sensor_named
 
     if name_or_file.endswith(".toml"):
         return read_simulated_sensor(name_or_file)
     try:
-        return sensor_named(name_or_file)
+        return simulated_sensor_named(name_or_file)
     except ValueError as problem:
         raise typer.BadParameter(str(problem), param_hint="--sensor") from problem
 
@@ -146,7 +145,7 @@ def _twin_of(path: Path | None, background: Path | None, mm_per_px: float | None
     """A twin of a calibration or of Taxim's tables; None without either."""
     from gelform.calibration_file import load_calibration
     from gelform.importers.taxim_forward import is_taxim_forward
-    from gelform.simulate.like import Twin
+    from gelform.simulate.twin import Twin
 
     if path is not None and path.is_file() and is_taxim_forward(path):
         return _twin_of_tables(path, background, mm_per_px)
@@ -161,7 +160,7 @@ def _twin_of_tables(path: Path, background: Path | None, mm_per_px: float | None
 
     from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
     from gelform.sensors.files import read_image
-    from gelform.simulate.like import Twin
+    from gelform.simulate.twin import Twin
 
     if mm_per_px is None:
         raise typer.BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
@@ -220,7 +219,7 @@ def _press_one(
     from gelform.exporters.simulated_sets import write_truth
     from gelform.plots.canvas import save_picture
     from gelform.simulate import simulate_background, simulate_press
-    from gelform.simulate.sensor.settings import settings_from_sensor
+    from gelform.simulate.settings import settings_from_sensor
 
     rng = np.random.default_rng(seed)
     press = simulate_press(sensor, face, depth_mm=depth_mm, rng=rng)

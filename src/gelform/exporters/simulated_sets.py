@@ -21,9 +21,9 @@ from gelform.errors import DataError
 from gelform.exporters.press_folder import toml_string, truth_from_press, written_whole
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
-from gelform.simulate.like import Twin
-from gelform.simulate.press import ball_press_of_set
-from gelform.simulate.sensor.settings import settings_from_sensor
+from gelform.simulate.sets import ball_press_of_set
+from gelform.simulate.settings import settings_from_sensor
+from gelform.simulate.twin import Twin
 
 COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px")
 
@@ -95,11 +95,9 @@ def save_simulated_set(
     """Write ball presses as a press folder with labels, truth and all parameters.
 
     Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ...
-    (depth_mm, gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`:
-    pose,
-    seed, number). Each press has its own random stream, so the bytes do not depend on the number of
-    workers. The folder appears whole or
-    not at all.
+    (depth_mm, gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`: pose,
+    seed, number). Each press has its own random stream, so the bytes do not depend on the number of workers.
+    The folder appears whole or not at all.
 
     Raises
     ------

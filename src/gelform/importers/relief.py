@@ -28,9 +28,8 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
     Raises
     ------
     DataError
-        No such file, another kind of file, one that is too large or damaged, or a mesh that is empty,
-        open, or of a
-        size that suggests another unit.
+        No such file, another kind of file, one that is too large or damaged, or a mesh that is empty, open, or
+        of a size that suggests another unit.
     ImportError
         trimesh is not installed: `pip install "gelform[mesh]"`.
     """

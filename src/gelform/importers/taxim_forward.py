@@ -65,7 +65,7 @@ class TaximTables:
 
 @dataclass(frozen=True, eq=False)
 class TaximLook:
-    """Taxim's tables over an untouched image: a look for `gelform.simulate.like.Twin`.
+    """Taxim's tables over an untouched image: a look for `gelform.simulate.twin.Twin`.
 
     The tables were fitted inside contacts, where level gel has another colour than untouched gel; so what they
     say of level gel is faded in over the first 0.1 mm of depth. Untouched gel keeps its background.

@@ -1,28 +1,38 @@
-"""What is known of sensors that many people have: where the gel is in a frame, and how large a pixel is."""
+"""Sensors that are known by name: one table of their geometry, the order of their lights and their simulation.
+
+To add a sensor, add a row to `SENSORS`. Importing this module loads no numpy: the help of the command line
+lists the names in it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from gelform.errors import SensorError
-from gelform.view import View
+
+if TYPE_CHECKING:
+    from gelform.simulate.sensor.sensor import SimulatedSensor
+    from gelform.view import View
 
 MAX_ASPECT_ERROR = 0.01
 
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """A kind of sensor.
+    """The geometry of a kind of sensor, and the order of its lights.
 
     Attributes
     ----------
-    name : str
+    name : as people write it; a sensor's own name starts with it
     image_shape : (H, W) of its images after the view
     border : fraction of the frame cut away on each of the four sides
     mm_per_px : mm per image pixel
     mm_per_px_sigma : its standard deviation between units and from what is known, mm
     verified : whether the scale was held against an independent measurement
     source : where these figures come from
+    light_order : "clockwise" or "counter-clockwise": how red, green and blue light come round the gel in the
+        image, measured on one unit. Turning the camera keeps it; reversed channels and mirrored images turn it.
     """
 
     name: str
@@ -32,6 +42,7 @@ class SensorProfile:
     mm_per_px_sigma: float
     verified: bool
     source: str
+    light_order: str
 
     def view(self, frame_shape: tuple[int, int]) -> View:
         """The view of frames (H, W) of this sensor, upright or turned by 90 degrees.
@@ -43,6 +54,8 @@ class SensorProfile:
         SensorError
             The cropped frame has another aspect than the image: its pixels would not be square.
         """
+        from gelform.view import View
+
         height, width = frame_shape
         image_shape = self.image_shape if self._is_upright(frame_shape) else self.image_shape[::-1]
         if frame_shape == image_shape:
@@ -62,27 +75,59 @@ class SensorProfile:
         return (frame_shape[0] <= frame_shape[1]) == (self.image_shape[0] <= self.image_shape[1])
 
 
-PROFILES = {
-    "gelsight-mini": SensorProfile(
-        name="GelSight Mini",
-        image_shape=(240, 320),
-        border=1 / 7,
-        mm_per_px=0.0634,
-        mm_per_px_sigma=0.0009,
-        verified=True,
-        source="GelSight Inc., gsrobotics, examples for the Mini: 1/7 cut from each side, 0.0634 mm/px at "
-        "240x320 (a later release cuts 0.15); an edge of 10 mm measured independently gave 0.0625 mm/px",
+@dataclass(frozen=True)
+class KnownSensor:
+    """A row of the table.
+
+    Attributes
+    ----------
+    profile : SensorProfile, or None where there is no real sensor that it was taken from
+    preset : the function of `gelform.simulate.presets` that makes its simulation
+    """
+
+    profile: SensorProfile | None
+    preset: str
+
+    def simulated(self) -> SimulatedSensor:
+        """The sensor to simulate."""
+        from gelform.simulate import presets
+
+        sensor: SimulatedSensor = getattr(presets, self.preset)()
+        return sensor
+
+
+SENSORS = {
+    "gelsight-mini": KnownSensor(
+        SensorProfile(
+            name="GelSight Mini",
+            image_shape=(240, 320),
+            border=1 / 7,
+            mm_per_px=0.0634,
+            mm_per_px_sigma=0.0009,
+            verified=True,
+            source="GelSight Inc., gsrobotics, examples for the Mini: 1/7 cut from each side, 0.0634 mm/px at "
+            "240x320 (a later release cuts 0.15); an edge of 10 mm measured independently gave 0.0625 mm/px",
+            light_order="clockwise",
+        ),
+        preset="gelsight_mini",
     ),
-    "digit": SensorProfile(
-        name="DIGIT",
-        image_shape=(320, 240),
-        border=0.0,
-        mm_per_px=0.05107,
-        mm_per_px_sigma=0.0037,
-        verified=False,
-        source="FOTS: 19.58 px/mm at 320x240 in its code, 21.09 in a comment beside it; not verified",
+    "digit": KnownSensor(
+        SensorProfile(
+            name="DIGIT",
+            image_shape=(320, 240),
+            border=0.0,
+            mm_per_px=0.05107,
+            mm_per_px_sigma=0.0037,
+            verified=False,
+            source="FOTS: 19.58 px/mm at 320x240 in its code, 21.09 in a comment beside it; not verified",
+            light_order="counter-clockwise",
+        ),
+        preset="digit",
     ),
+    "gelslim": KnownSensor(None, preset="gelslim"),
+    "first-build": KnownSensor(None, preset="first_build"),
 }
+PROFILES = {name: known.profile for name, known in SENSORS.items() if known.profile is not None}
 
 
 def profile_named(name: str) -> SensorProfile:
@@ -93,3 +138,9 @@ def profile_named(name: str) -> SensorProfile:
             "For another sensor give the scale (mm_per_px), or a folder with a sensor.toml."
         )
     return PROFILES[name]
+
+
+def light_order_of(sensor_name: str) -> str | None:
+    """The order of the lights in the kind of sensor that a name starts with; None for an unknown kind."""
+    orders = [p.light_order for p in PROFILES.values() if sensor_name.startswith(p.name)]
+    return orders[0] if orders else None

@@ -1,52 +1,26 @@
-"""A sensor that is simulated: read from a TOML file, and as a source of frames like a camera's."""
+"""A simulated sensor as a source of frames like a camera's."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import SensorError
 from gelform.frames import Frame
-from gelform.simulate import Ball, Drag, Indenter, Pose, SimulatedPress, SimulatedSensor, simulate_pose
-from gelform.simulate.sensor.settings import sensor_from_settings
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-MAX_BYTES = 1 << 20
-
-
-def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
-    """Read a simulated sensor from a TOML file; see `sensor_from_settings` for its keys.
-
-    Raises
-    ------
-    SensorError
-        No such file, no TOML, unknown or misspelt keys (the nearest is suggested), values out of range.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise SensorError(f"No file {path}: expected a simulated sensor as TOML.")
-    if path.stat().st_size > MAX_BYTES:
-        raise SensorError(f"Expected a simulated sensor of at most 1 MB in {path}. Is it another file?")
-    try:
-        settings = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise SensorError(f"{path} is no TOML: {problem}.") from problem
-    try:
-        return sensor_from_settings(settings)
-    except (ValueError, TypeError) as problem:
-        raise SensorError(f"{path}: {problem}") from problem
+from gelform.simulate import (
+    Ball,
+    Drag,
+    Indenter,
+    Pose,
+    SimulatedPress,
+    SimulatedSensor,
+    simulate_background,
+    simulate_pose,
+)
 
 
 class SimulatedSource:
@@ -105,8 +79,6 @@ class SimulatedSource:
     @property
     def background(self) -> NDArray[np.uint8]:
         """An image of the untouched gel."""
-        from gelform.simulate import simulate_background
-
         return np.asarray(simulate_background(self.sensor, self._rng), dtype=np.uint8)
 
     def read(self) -> Frame:

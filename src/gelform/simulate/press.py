@@ -1,34 +1,25 @@
-"""One call from a sensor and an indenter to an image with its truth; and sets of ball presses."""
+"""One call from a sensor and an indenter to an image with its truth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
-from gelform.progress import Progress, no_progress
-from gelform.simulate.gel.gel import (
-    Surface,
-    contact_radius_of_ball,
-    cropped,
-    depth_of_ball,
-    flat_surface,
-    surface_from_ball,
-    surface_from_indenter,
-)
+from gelform.simulate.gel.ball_press import contact_radius_of_ball
+from gelform.simulate.gel.drag import DRAG_STRIDE, Drag, displacement_at, thinned
+from gelform.simulate.gel.gel import Surface, cropped, flat_surface, surface_from_ball, surface_from_indenter
 from gelform.simulate.indenters.faces import Ball, Indenter
+from gelform.simulate.indenters.pose import Pose
 from gelform.simulate.indenters.scene import Posed
 from gelform.simulate.light.render import Rendered, middle_samples, render
-from gelform.simulate.motion import DRAG_STRIDE, Drag, Pose, displacement_at, thinned
-from gelform.simulate.sensor.camera import px_seen
-from gelform.simulate.sensor.sensor import SimulatedSensor, Triple
+from gelform.simulate.sensor.projection import px_seen
+from gelform.simulate.sensor.sensor import SimulatedSensor
 
 MARGIN_LENGTHS = 4  # the gel reaches this many relaxation lengths beyond the image: e^-4 = 2 % is left there
-RIM_SLOPES = (0.5, 0.95)
 
 
 @dataclass(frozen=True)
@@ -88,15 +79,6 @@ class SimulatedPress:
         return 2 * self.indenter.radius_mm
 
 
-@dataclass(frozen=True)
-class SimulatedPresses:
-    """A background and presses of one simulated sensor: what a press folder holds, and the truth."""
-
-    sensor: SimulatedSensor
-    background: NDArray[np.uint8]
-    presses: tuple[SimulatedPress, ...]
-
-
 def simulate_press(
     sensor: SimulatedSensor,
     indenter: Indenter,
@@ -132,8 +114,7 @@ def simulate_press(
     ------
     ValueError
         A depth that is not positive or goes through the gel, an even oversample, or an indenter that does
-        not touch the gel within
-        the image.
+        not touch the gel within the image.
     """
     check_positive(depth_mm, "depth_mm")
     pose = Pose(depth_mm, center_mm, spin_deg, tilt_deg)
@@ -148,35 +129,6 @@ def simulate_press(
     return press
 
 
-def simulate_sequence(
-    sensor: SimulatedSensor,
-    indenter: Indenter,
-    poses: Iterable[Pose],
-    *,
-    rng: np.random.Generator | None,
-    oversample: int = 1,
-    start_s: float = 0.0,
-) -> Iterator[SimulatedPress | None]:
-    """Images of an indenter that moves from pose to pose, one per frame of the sensor's camera.
-
-    The surface is dragged along (`markers_shift_mm`), the light drifts and flickers; a frame that the camera
-    drops is None. Poses may stand off the gel (depth 0 or less).
-    """
-    drag = Drag(sensor.gel)
-    for k, pose in enumerate(poses):
-        press = simulate_pose(
-            sensor,
-            indenter,
-            pose,
-            rng=rng,
-            oversample=oversample,
-            drag=drag,
-            time_s=start_s + k / sensor.timing.frame_rate_hz,
-        )
-        dropped = rng is not None and rng.random() < sensor.timing.drop_probability
-        yield None if dropped else press
-
-
 def simulate_pose(
     sensor: SimulatedSensor,
     indenter: Indenter,
@@ -188,8 +140,10 @@ def simulate_pose(
     drag: Drag | None = None,
     time_s: float = 0.0,
 ) -> SimulatedPress:
-    """The image of an indenter at a pose, touching or not, and its truth; `drag` remembers the poses
-    before."""
+    """The image of an indenter at a pose, touching or not, and its truth.
+
+    `drag` remembers the poses before it; without one the gel is dragged by none.
+    """
     if oversample < 1 or oversample % 2 == 0:
         raise ValueError(f"Expected oversample as an odd number (1, 3, 5), got {oversample}.")
     if pose.depth_mm >= sensor.gel.thickness_mm:
@@ -215,97 +169,22 @@ def simulate_pose(
     return _press(sensor, indenter, pose, rendered, shift, time_s)
 
 
-def simulate_background(
-    sensor: SimulatedSensor, rng: np.random.Generator | None, *, frames: int = 1, quantise: bool = True
-) -> NDArray[Any]:
-    """The image of the untouched gel, the mean of `frames` images where there are several.
-
-    Returns
-    -------
-    image : (H, W, 3), uint8; float32 for several frames; float64 where not quantised
-    """
-    if frames < 1:
-        raise ValueError(f"Expected frames >= 1, got {frames}.")
-    surface = flat_surface(*sensor.grid_mm())
-    images = [render(sensor, surface, rng=rng, quantise=quantise).image for _ in range(frames)]
-    if frames == 1:
-        return images[0]
-    mean = np.mean(images, axis=0, dtype=np.float64)
-    return np.asarray(mean, dtype=np.float32 if quantise else np.float64)
-
-
-def simulate_ball_presses(
-    sensor: SimulatedSensor,
-    *,
-    ball_diameters_mm: Sequence[float],
-    count: int,
-    rng: np.random.Generator,
-    oversample: int = 3,
-    progress: Progress = no_progress,
-) -> SimulatedPresses:
-    """A background and `count` presses of balls, spread over the image; some are cut by its border.
-
-    The balls take turns. Centres lie on a low-discrepancy sequence that fills the image evenly; depths give
-    slopes of 0.5-0.95 at the contact's rim, as a hand that presses a GelSight does. Each press has its own
-    random stream, so it does not depend on the others.
-    """
-    if count < 1 or len(ball_diameters_mm) == 0:
-        raise ValueError(f"Expected count >= 1 and a ball, got {count} and {list(ball_diameters_mm)}.")
-    background_rng, place_rng, *press_rngs = rng.spawn(count + 2)
-    shift = place_rng.random(2)
-    presses = []
-    for k, press_rng in enumerate(press_rngs):
-        presses.append(_ball_press(sensor, ball_diameters_mm, k, shift, press_rng, oversample))
-        progress(k + 1, count, "simulating presses of a ball")
-    return SimulatedPresses(sensor, simulate_background(sensor, background_rng), tuple(presses))
-
-
-def ball_press_of_set(
-    sensor: SimulatedSensor, ball_diameters_mm: Sequence[float], k: int, *, seed: int, oversample: int = 3
-) -> SimulatedPress:
-    """The k-th press of `simulate_ball_presses` with `rng=numpy.random.default_rng(seed)`, alone."""
-    place_rng, press_rng = (
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n,))) for n in (1, k + 2)
-    )
-    return _ball_press(sensor, ball_diameters_mm, k, place_rng.random(2), press_rng, oversample)
-
-
-def _ball_press(
-    sensor: SimulatedSensor,
-    ball_diameters_mm: Sequence[float],
-    k: int,
-    shift: NDArray[np.float64],
-    rng: np.random.Generator,
-    oversample: int,
-) -> SimulatedPress:
-    ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
-    depth = _depth_of(sensor, ball, rng.uniform(*RIM_SLOPES))
-    return simulate_press(
-        sensor, ball, depth_mm=depth, center_mm=_place(sensor, k, shift), rng=rng, oversample=oversample
-    )
-
-
-def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:
-    """The sensor with the white balance that gives its untouched image these mean grey levels."""
-    linear = replace(sensor.optics, response_gamma=1.0, jpeg_quality=None)
-    flat = replace(sensor, white_balance=(1, 1, 1), optics=linear)
-    light = simulate_background(flat, None, quantise=False)
-    if light.mean(axis=(0, 1)).min() <= 0:
-        raise ValueError(
-            f"Expected light in every channel, got mean levels {light.mean(axis=(0, 1))} for {sensor.name!r}."
-        )
-    wanted = np.broadcast_to(np.asarray(levels, dtype=np.float64), 3)
-    gamma = sensor.optics.response_gamma
-    mean_root = np.mean((light / 255) ** (1 / gamma), axis=(0, 1))  # the response of a gain is a gain
-    gains = (wanted / (255 * mean_root)) ** gamma
-    return replace(sensor, white_balance=(float(gains[0]), float(gains[1]), float(gains[2])))
-
-
-def _depth_of(sensor: SimulatedSensor, ball: Ball, rim_slope: float) -> float:
-    gel = sensor.gel
-    return depth_of_ball(
-        ball.radius_mm, rim_slope, sensor.relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
-    )
+def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample: int) -> Surface:
+    """The gel's surface on the subpixel grid; any face but a ball's is solved on a wider one."""
+    if pose.depth_mm <= 0:
+        return flat_surface(*sensor.grid_mm(oversample))
+    how: dict[str, Any] = {
+        "center_mm": pose.center_mm,
+        "depth_mm": pose.depth_mm,
+        "relaxation_mm": sensor.relaxation_mm,
+        "gel": sensor.gel,
+    }
+    if isinstance(indenter, Ball):
+        return surface_from_ball(indenter, *sensor.grid_mm(oversample), **how)
+    margin = int(np.ceil(MARGIN_LENGTHS * sensor.relaxation_mm / sensor.mm_per_px * oversample))
+    turned = pose.spin_deg != 0 or pose.tilt_deg != (0, 0)
+    posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
+    return cropped(surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how), margin)
 
 
 def _press(
@@ -338,36 +217,8 @@ def _press(
     )
 
 
-def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample: int) -> Surface:
-    """The gel's surface on the subpixel grid; any face but a ball's is solved on a wider one."""
-    if pose.depth_mm <= 0:
-        return flat_surface(*sensor.grid_mm(oversample))
-    how: dict[str, Any] = {
-        "center_mm": pose.center_mm,
-        "depth_mm": pose.depth_mm,
-        "relaxation_mm": sensor.relaxation_mm,
-        "gel": sensor.gel,
-    }
-    if isinstance(indenter, Ball):
-        return surface_from_ball(indenter, *sensor.grid_mm(oversample), **how)
-    margin = int(np.ceil(MARGIN_LENGTHS * sensor.relaxation_mm / sensor.mm_per_px * oversample))
-    turned = pose.spin_deg != 0 or pose.tilt_deg != (0, 0)
-    posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
-    return cropped(surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how), margin)
-
-
-def _place(sensor: SimulatedSensor, k: int, shift: NDArray[np.float64]) -> tuple[float, float]:
-    """The k-th point of Roberts' R2 sequence (2018), over all but the outermost 2 % of the image."""
-    plastic = 1.32471795724474602596
-    unit = (shift + (k + 1) / np.array([plastic, plastic**2])) % 1
-    height, width = sensor.shape
-    x, y = (unit - 0.5) * 0.96 * np.array([width, height]) * sensor.mm_per_px
-    return float(x), float(y)
-
-
 def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[float | None, float]:
-    """Contact radius of a ball in mm as the camera sees it, and the depth of the rim; None and 0 for
-    anything else."""
+    """Contact radius of a ball as the camera sees it, and the depth of the rim, mm; None and 0 for others."""
     if not isinstance(indenter, Ball) or depth_mm <= 0:
         return None, 0.0
     gel, radius = sensor.gel, indenter.radius_mm

@@ -8,9 +8,9 @@ import pytest
 from gelform.calibration.geometry.scale_images import scale_from_punch, scale_from_thread
 from gelform.errors import DataError
 from gelform.simulate import LAYOUTS, Ball, BoxEdge, Punch, Screw, simulate_background, simulate_press
-from gelform.simulate.sensor.presets import PRESETS
+from gelform.simulate.presets import gelsight_mini
 
-SENSORS = {"three-edges": LAYOUTS["three-edges"], "gelsight-mini": PRESETS["gelsight-mini"]}
+SENSORS = {"three-edges": LAYOUTS["three-edges"], "gelsight-mini": gelsight_mini()}
 
 
 @pytest.fixture(scope="module", params=SENSORS)

@@ -6,9 +6,9 @@ import pytest
 from gelform.calibration.geometry.scale_stage import scale_from_stage
 from gelform.errors import DataError
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, simulate_background, simulate_press
-from gelform.simulate.sensor.presets import PRESETS
+from gelform.simulate.presets import gelsight_mini
 
-SENSORS = {"three-edges": LAYOUTS["three-edges"], "gelsight-mini": PRESETS["gelsight-mini"]}
+SENSORS = {"three-edges": LAYOUTS["three-edges"], "gelsight-mini": gelsight_mini()}
 STEP_MM = (3.5, 1.2)
 
 

@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 
 from gelform.simulate import Ball, Gel, Punch, relaxation_from_gel
-from gelform.simulate.gel.gel import (
-    contact_radius_of_ball,
-    depth_of_ball,
-    surface_from_ball,
-    surface_from_indenter,
-)
+from gelform.simulate.gel.ball_press import contact_radius_of_ball, depth_of_ball
+from gelform.simulate.gel.gel import surface_from_ball, surface_from_indenter
 from gelform.simulate.gel.membrane import bulging_membrane_over, carried_along, spread
 
 LENGTH = 0.5

@@ -6,12 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelform.simulate import LAYOUTS, Ball, Coin, HeightMap, Screw, simulate_press
-from gelform.simulate.gel.gel import (
-    contact_radius_of_ball,
-    depth_of_ball,
-    surface_from_ball,
-    surface_from_indenter,
-)
+from gelform.simulate.gel.ball_press import contact_radius_of_ball, depth_of_ball
+from gelform.simulate.gel.gel import surface_from_ball, surface_from_indenter
 from gelform.simulate.gel.membrane import membrane_over
 
 LENGTH = 0.5

@@ -6,7 +6,7 @@ import pytest
 from gelform.normals import image_from_normals
 from gelform.simulate import Ball, Led, SimulatedSensor, simulate_background, simulate_press
 from gelform.simulate.gel.gel import Gel, Surface
-from gelform.simulate.light.light import irradiance_from_surface
+from gelform.simulate.light.irradiance import irradiance_from_surface
 
 WHITE = (1.0, 1.0, 1.0)
 

@@ -23,17 +23,12 @@ from gelform.simulate import (
     simulate_press,
 )
 from gelform.simulate.gel.gel import surface_from_ball
-from gelform.simulate.light.coating import texture_gradients
-from gelform.simulate.light.light import spread_in_gel
+from gelform.simulate.light.scattering import spread_in_gel
 from gelform.simulate.light.shadows import shadowed_from_surface, visible_from_surface
-from gelform.simulate.sensor.camera import (
-    draws,
-    maps_from_depth,
-    normal_table,
-    px_seen,
-    saturated_from_levels,
-)
-from gelform.simulate.sensor.layouts import led_ring
+from gelform.simulate.sensor.coating import texture_gradients
+from gelform.simulate.sensor.grey_levels import draws, normal_table, saturated_from_levels
+from gelform.simulate.sensor.led import led_ring
+from gelform.simulate.sensor.projection import maps_from_depth, px_seen
 
 PLAIN = SimulatedSensor(
     (Led((-9, 2, 8), (9000, 500, 0)), Led((5, 9, 8), (0, 9000, 8000))), shape=(60, 80), mm_per_px=0.1

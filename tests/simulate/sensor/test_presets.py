@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
+from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
-from gelform.simulate.sensor.presets import PRESETS
 
 REAL = {"gelsight-mini": "mini-ball", "digit": "digit-ball"}
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", SENSORS)
 def test_every_preset_makes_a_picture_that_can_be_used(name):
-    sensor = PRESETS[name]
+    sensor = SENSORS[name].simulated()
     background = simulate_background(sensor, None)
     press = simulate_press(sensor, Ball(3), depth_mm=0.6, rng=None, oversample=1)
     change = np.abs(press.image.astype(float) - background)
@@ -25,7 +25,7 @@ def test_every_preset_makes_a_picture_that_can_be_used(name):
 @pytest.mark.parametrize("name", REAL)
 def test_untouched_presets_look_like_the_real_sensor(name, data):
     real = cv2.imread(str(data / REAL[name] / "background.png"))[..., ::-1].astype(np.float64)
-    made = simulate_background(PRESETS[name], None, quantise=False)
+    made = simulate_background(SENSORS[name].simulated(), None, quantise=False)
     assert made.shape == real.shape
     np.testing.assert_allclose(made.mean((0, 1)), real.mean((0, 1)), atol=2)
     np.testing.assert_allclose(made.std((0, 1)), real.std((0, 1)), rtol=0.1)

@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 from gelform.errors import SensorError
-from gelform.sensors.simulated import read_simulated_sensor
+from gelform.sensors.profiles import SENSORS
+from gelform.sensors.simulated_settings import (
+    read_simulated_sensor,
+    sensor_from_settings,
+    simulated_sensor_named,
+)
 from gelform.simulate import LAYOUTS, Coating, simulate_background
-from gelform.simulate.sensor.presets import PRESETS
-from gelform.simulate.sensor.settings import sensor_from_settings, sensor_named, settings_from_sensor
+from gelform.simulate.settings import settings_from_sensor
 
 TOML = """
 base = "gelsight-mini"
@@ -42,7 +46,9 @@ marker_pitch_mm = 2.0
 """
 
 
-@pytest.mark.parametrize("sensor", [*LAYOUTS.values(), *PRESETS.values()], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    "sensor", [*LAYOUTS.values(), *(known.simulated() for known in SENSORS.values())], ids=lambda s: s.name
+)
 def test_settings_make_the_same_sensor_again(sensor):
     settings = json.loads(json.dumps(settings_from_sensor(sensor)))
     assert sensor_from_settings(settings) == sensor
@@ -63,7 +69,7 @@ def test_a_toml_file_starts_from_a_base_and_changes_it(tmp_path):
     assert sensor.leds[1].beam_power == 1
     assert np.argmax(sensor.leds[2].color) == 2
     assert sensor.coating.marker_pitch_mm == 2.0
-    assert sensor.coating.seed == PRESETS["gelsight-mini"].coating.seed
+    assert sensor.coating.seed == SENSORS["gelsight-mini"].simulated().coating.seed
     means = simulate_background(sensor, None, quantise=False).mean((0, 1))
     np.testing.assert_allclose(means, (90, 95, 100), rtol=0.03)
 
@@ -101,4 +107,4 @@ def test_without_a_base_leds_are_needed():
     with pytest.raises(ValueError, match="got neither"):
         sensor_from_settings({"name": "dark"})
     with pytest.raises(ValueError, match="Did you mean 'digit'"):
-        sensor_named("digitt")
+        simulated_sensor_named("digitt")

@@ -1,4 +1,4 @@
-"""The gel under a ball, in closed form beside the contact: round, so one radius says all."""
+"""The gel under a ball, in closed form beside the contact: depth and slope depend on the radius alone."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ APART = 1e-3  # the two lengths of the gel may not be closer than this (their so
 
 @dataclass(frozen=True)
 class BallPress:
-    """A ball in the gel: z = depth - R + sqrt(R^2 - r^2) up to the contact radius, two Bessel functions
-    beyond.
+    """A ball in the gel, as depth over the distance r from its axis.
+
+    Inside the contact radius `z = depth - R + sqrt(R^2 - r^2)`, beyond it a sum of two Bessel functions K0.
 
     Attributes
     ----------
     radius_mm, depth_mm : of the ball, and how deep it stands
     contact_radius_mm : of the circle in which they touch
-    tail_mm : how far the membrane stands at the rim, and the part of the bulge that follows it is taken off
-    bulge_mm : what the wider part of the bulge takes away at the rim
+    tail_mm : depth at the rim that falls off over the relaxation length: the membrane, less the part of the
+        bulge with the same length
+    bulge_mm : height at the rim of the part of the bulge that falls off over the thickness
     relaxation_mm, thickness_mm : the lengths over which the two fall off
     """
 
@@ -56,7 +58,7 @@ class BallPress:
 def ball_press(
     radius_mm: float, depth_mm: float, relaxation_mm: float, *, thickness_mm: float = 3.0, bulge: float = 0.0
 ) -> BallPress:
-    """How a ball pressed `depth_mm` deep stands in a gel."""
+    """The press of a ball whose foremost point stands `depth_mm` in a gel; lengths in mm."""
     thickness_mm = _apart(thickness_mm, relaxation_mm)
 
     def mismatch(a: float) -> float:
@@ -139,8 +141,10 @@ def _rim(
 def _bulge_inside(
     face: Any, a: float, thickness: float, bulge: float, coupling: float, kh: float
 ) -> tuple[float, float]:
-    """The bulge and its slope at the rim, where it obeys `b' = -coupling (g + b) - kh b`: Thomas's
-    elimination."""
+    """The bulge and its slope at the rim, where it obeys `b' = -coupling (g + b) - kh b`.
+
+    Thomas's elimination of the tridiagonal system.
+    """
     step = a / NODES
     stiffness = (thickness / step) ** 2
     diagonal, upper, right = 1 - bulge + 4 * stiffness, -4 * stiffness, bulge * face[0]
@@ -158,8 +162,7 @@ def _bulge_inside(
 
 
 def _apart(thickness_mm: float, relaxation_mm: float) -> float:
-    """The thickness, moved by a thousandth where it equals the relaxation length: the formula has a pole
-    there."""
+    """The thickness, a thousandth off where it equals the relaxation length: the formula has a pole there."""
     if abs(thickness_mm / relaxation_mm - 1) < APART:
         return relaxation_mm * (1 + APART)
     return thickness_mm

@@ -28,21 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
-from gelform.simulate.gel.ball_press import ball_on_grid, ball_press, contact_radius_of_ball, depth_of_ball
+from gelform.simulate.gel.ball_press import ball_on_grid, ball_press
 from gelform.simulate.gel.membrane import TOLERANCE, bulging_membrane_over, membrane_over
 from gelform.simulate.indenters.faces import Ball, Indenter
-
-__all__ = [
-    "Gel",
-    "Surface",
-    "contact_radius_of_ball",
-    "cropped",
-    "depth_of_ball",
-    "flat_surface",
-    "relaxation_from_gel",
-    "surface_from_ball",
-    "surface_from_indenter",
-]
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,7 @@ def membrane_over(obstacle: NDArray[Any], *, relaxation_px: float) -> NDArray[np
     -----
     R. Kornhuber, Monotone multigrid methods for elliptic variational inequalities I, Numer. Math. 69, 1994,
     truncated: coarse grids correct only what does not touch. The smoother is C. W. Cryer's projected
-    relaxation
-    (SIAM J. Control 9(3), 1971), red-black.
+    relaxation (SIAM J. Control 9(3), 1971), red-black.
     """
     g = np.ascontiguousarray(obstacle, dtype=np.float64)
     return _solved(g, relaxation_px, bulge=0.0, bulge_px=1.0)[0]
@@ -79,8 +78,11 @@ def bulging_membrane_over(
 
 @dataclass(frozen=True)
 class _Level:
-    """One grid: unknown u with a border of ghosts, the least it may be, right-hand side, residual, who may
-    move."""
+    """One grid of the multigrid cycle.
+
+    u is the unknown with a border of ghosts, g its lower bound, f the right-hand side, r the residual, `free`
+    where u may move, `spring` the bed's stiffness per sample, 1/L^2.
+    """
 
     u: Map
     g: Map
@@ -93,9 +95,9 @@ class _Level:
 def _solved(
     g: Map, relaxation_px: float, *, bulge: float, bulge_px: float, guess: bool = False
 ) -> tuple[Map, Map]:
-    """Guess from the grid of half the resolution, then cycles until none changes anything that matters.
+    """First guess from the grid of half the resolution, then cycles until the change is below the tolerance.
 
-    What is a guess itself may stop short of that: on a coarse relief two contacts can take turns for ever.
+    A first guess may stop short of that: on a coarse relief two contacts can take turns for ever.
     """
     u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)
     levels = _levels(g.shape, relaxation_px)
@@ -124,9 +126,9 @@ def _solved(
 
 
 def spread(values: Map, length_px: float) -> Map:
-    """Values smoothed by K0(r/h)/(2 pi h^2), mirrored at the border: their sum stays.
+    """Values smoothed by K0(r/h)/(2 pi h^2), mirrored at the border, so that their sum stays.
 
-    Solved by cosine transform on a coarser grid: what it makes is smooth over the length.
+    By cosine transform on a coarser grid: the result is smooth over the length.
     """
     factor = max(1, int(length_px / BULGE_SAMPLES))
     height, width = values.shape
@@ -144,10 +146,9 @@ def spread(values: Map, length_px: float) -> Map:
 
 
 def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Map:
-    """Values kept where `fixed`, falling off beside over the length: v = h^2 laplace(v); no flux at the
-    border.
+    """Values kept where `fixed` and falling off over a length beside: v = h^2 laplace(v), no flux at the border.
 
-    The other values are where the search starts; what is found is good to a thousandth of the largest.
+    The values that are not fixed are the first guess; the result is good to a thousandth of the largest value.
     """
     levels = _levels(values.shape, length_px)
     top = levels[0]
@@ -238,7 +239,7 @@ def _relax(u: Any, g: Any, f: Any, free: Any, spring: float, sweeps: int) -> Non
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _residual(u: Any, g: Any, f: Any, free: Any, spring: float, r: Any) -> None:
-    """What is missing to balance at samples that are free and do not touch; 0 elsewhere."""
+    """The residual at samples that are free and do not touch; 0 elsewhere."""
     _ghosts(u)
     for i in range(f.shape[0]):
         for j in range(f.shape[1]):

@@ -18,8 +18,9 @@ MIN_SIZE_MM = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A closed triangle mesh; its side towards +z faces the gel. Centred over the middle of its x and y
-    extent.
+    """A closed triangle mesh; its side towards +z faces the gel.
+
+    Its origin is the middle of its extent in x and y, at its highest point.
 
     Attributes
     ----------

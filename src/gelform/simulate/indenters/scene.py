@@ -28,9 +28,8 @@ class Posed:
     extent_mm : how far from its centre a tilted face is looked at
     samples : per extent, of the triangles that a tilted face is made of
 
-    A tilted face is tilted about its foremost point's centre (0, 0), then moved so that its foremost point
-    is at height 0
-    again. What is behind the face is taken as a prism.
+    The face is tilted about the origin, then moved so that its foremost point is at height 0 again. What is
+    behind the face is taken as a prism.
     """
 
     indenter: Indenter

@@ -1,5 +1,4 @@
-"""More faces to press: cylinder, box, punch, pyramid, cone, torus, text. As in `indenters`, in closed
-form."""
+"""Faces in closed form: cylinder, edge of a box, punch, pyramid, cone, torus; and raised text."""
 
 from __future__ import annotations
 

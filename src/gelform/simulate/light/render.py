@@ -11,17 +11,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gelform.simulate.gel.gel import Surface
-from gelform.simulate.light.coating import albedo_map, texture_gradients, with_markers
-from gelform.simulate.light.light import irradiance_from_surface, spread_in_gel
+from gelform.simulate.light.irradiance import irradiance_from_surface
+from gelform.simulate.light.scattering import spread_in_gel
 from gelform.simulate.light.shadows import shadowed_from_surface, visible_from_surface
-from gelform.simulate.sensor.camera import (
-    Maps,
-    image_from_levels,
-    levels_from_irradiance,
-    maps_from_depth,
-    px_seen,
-    saturated_from_levels,
-)
+from gelform.simulate.sensor.camera import levels_from_irradiance
+from gelform.simulate.sensor.coating import albedo_map, texture_gradients, with_markers
+from gelform.simulate.sensor.grey_levels import image_from_levels, saturated_from_levels
+from gelform.simulate.sensor.projection import Maps, maps_from_depth, px_seen
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
 

@@ -1,4 +1,4 @@
-"""Cast shadows: which part of each light a pixel sees past the surface; and where any light is lost."""
+"""Cast shadows: which part of each light a pixel sees past the surface, and where some light is lost."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gelform.simulate.gel.gel import Surface
-from gelform.simulate.sensor.sensor import Led
+from gelform.simulate.sensor.led import Led
 
 RAISED = 0.02  # of the deepest point: lower surface casts no shadow worth marching for
 
 
 def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.float32]:
-    """The part of each light (lights, H, W), 0-1, that every sample of the surface sees past the surface.
+    """The part of each light (lights, H, W), 0-1, that each sample of the surface sees.
 
-    Each sample looks along its ray to the light, a sample at a time, until the ray is above everything. A
-    light of diameter D at distance d is half hidden where the ray touches the surface, hidden or seen in
-    full where the
-    surface stands D/2 (as seen from there: s D/(2 d) at distance s) above or below it: the penumbra.
+    The ray from each sample to the light is followed a sample at a time until it is above the highest point.
+    A light of diameter D at distance d is half hidden where the ray touches the surface. It is hidden where the
+    surface stands s D/(2 d) above the ray at distance s along it, and seen in full where it stands as far
+    below: the penumbra.
     """
     depth = surface.depth_mm.astype(np.float32)
     seen = np.ones((len(leds), *depth.shape), dtype=np.float32)
@@ -40,8 +40,7 @@ def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.
 def shadowed_from_surface(
     surface: Surface, leds: tuple[Led, ...], visible: NDArray[np.float32] | None
 ) -> NDArray[np.bool_]:
-    """Where (H, W) at least half of some light is lost: it lies behind the surface, or something stands
-    before it."""
+    """Where (H, W) at least half of some light is lost: behind the surface, or hidden by another part of it."""
     lost = np.zeros(surface.depth_mm.shape, dtype=bool) if visible is None else visible.min(axis=0) < 0.5
     places = np.array([led.position_mm for led in leds], dtype=np.float64)
     _behind(surface.x_mm.ravel(), surface.y_mm.ravel(), surface.depth_mm, surface.gradients, places, lost)

@@ -2,36 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-
-from gelform.simulate.sensor.sensor import Led, SimulatedSensor, Triple
-
-RED: Triple = (1, 0, 0)
-GREEN: Triple = (0, 1, 0)
-BLUE: Triple = (0, 0, 1)
-
-
-def led_row(start_mm: Triple, end_mm: Triple, color: Triple, count: int) -> tuple[Led, ...]:
-    """`count` equal LEDs from one point to another; together as strong as `color`."""
-    share: Triple = (color[0] / count, color[1] / count, color[2] / count)
-    points = np.linspace(start_mm, end_mm, count)
-    return tuple(Led((float(x), float(y), float(z)), share) for x, y, z in points)
-
-
-def led_ring(
-    distance_mm: float,
-    height_mm: float,
-    angles_deg: Sequence[float],
-    colors: Sequence[Triple] = (RED, GREEN, BLUE),
-) -> tuple[Led, ...]:
-    """One LED of each colour around the gel's centre; 0 degrees is to the right, 90 is down."""
-    angles = np.deg2rad(angles_deg)
-    return tuple(
-        Led((float(distance_mm * np.cos(a)), float(distance_mm * np.sin(a)), height_mm), color)
-        for a, color in zip(angles, colors)
-    )
+from gelform.simulate.sensor.led import BLUE, GREEN, RED, Led, led_ring, led_row
+from gelform.simulate.sensor.sensor import SimulatedSensor
 
 
 def _three_edges() -> SimulatedSensor:

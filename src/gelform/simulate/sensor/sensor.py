@@ -3,63 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_mm_per_px, check_positive
 from gelform.simulate.gel.gel import Gel
-from gelform.simulate.light.coating import Coating
+from gelform.simulate.sensor.coating import Coating
+from gelform.simulate.sensor.led import Led, Triple
 from gelform.simulate.sensor.optics import Optics
 from gelform.simulate.sensor.timing import Timing
 
-Triple = tuple[float, float, float]
 SHADING_DEGREES = {6: 2, 15: 4}  # numbers of a polynomial in two variables: its degree
 IDENTITY: tuple[Triple, Triple, Triple] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-
-
-@dataclass(frozen=True)
-class Led:
-    """A small light near the gel; unless it has a beam it shines alike in all directions.
-
-    Attributes
-    ----------
-    position_mm : (x, y, z)
-        From the gel's centre; x to the right, y down, z towards the camera: z > 0.
-    color : (red, green, blue)
-        Strength in each channel, >= 0: grey levels that a white surface facing it gives at 1 mm.
-    beam_power : int, 0-64
-        Falls off beside its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
-        narrow.
-    aim_mm : (x, y, z)
-        The point that its axis goes through; the gel's centre unless said.
-    size_mm : float
-        Its diameter; only cast shadows know it: larger is softer.
-    """
-
-    position_mm: Triple
-    color: Triple
-    beam_power: int = 0
-    aim_mm: Triple = (0.0, 0.0, 0.0)
-    size_mm: float = 1.0
-
-    def __post_init__(self) -> None:
-        position, color = _triple(self.position_mm, "position_mm"), _triple(self.color, "color")
-        if position[2] <= 0:
-            raise ValueError(
-                f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm="
-                f"{self.position_mm}. "
-                "z points from the gel towards the camera."
-            )
-        if min(color) < 0 or max(color) == 0:
-            raise ValueError(f"Expected color >= 0 and not all 0, got {self.color}.")
-        if np.all(_triple(self.aim_mm, "aim_mm") == position):
-            raise ValueError(f"Expected aim_mm away from the LED itself, got {self.aim_mm}.")
-        if int(self.beam_power) != self.beam_power or not 0 <= self.beam_power <= 64:
-            raise ValueError(f"Expected beam_power as a whole number in 0-64, got {self.beam_power}.")
-        if not 0 <= self.size_mm < np.inf:
-            raise ValueError(f"Expected size_mm >= 0, got {self.size_mm}.")
 
 
 @dataclass(frozen=True)
@@ -100,9 +56,7 @@ class SimulatedSensor:
         Frame rate, flicker, drift, dropped frames; only sequences know it.
     shading : three tuples of 6 or 15 numbers, or None
         Per channel the gain over the image, for light guides and lenses that no LED position explains: the
-        first
-        number times `1 + a x + b y + c x^2 + d x y + e y^2` (and so on to the fourth degree), x and y in
-        -1..1.
+        first number times `1 + a x + b y + c x^2 + d x y + e y^2` (or to the fourth degree), x and y in -1..1.
     cast_shadows : bool
         Whether the surface shades itself; attached shadows are always there.
     """
@@ -152,8 +106,8 @@ class SimulatedSensor:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coordinates of (sub)pixel centres: x as a row (1, w), y as a column (h, 1), mm from the centre.
 
-        With an odd `oversample` every middle subpixel lies on a pixel's centre. `margin` adds subpixels on
-        each side.
+        With an odd `oversample` the middle subpixel lies on the pixel's centre. `margin` adds subpixels on each
+        side.
         """
         pitch = self.mm_per_px / oversample
         height, width = (n * oversample + 2 * margin for n in self.shape)
@@ -166,13 +120,6 @@ class SimulatedSensor:
         height, width = self.shape
         x, y = center_mm
         return x / self.mm_per_px + (width - 1) / 2, y / self.mm_per_px + (height - 1) / 2
-
-
-def _triple(values: Any, name: str) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != (3,) or not np.all(np.isfinite(array)):
-        raise ValueError(f"Expected {name} as three finite numbers, got {values}.")
-    return array
 
 
 def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:

@@ -31,8 +31,8 @@ class Coating:
     interreflection : float, 0-1, interreflection_mm : float
         This part of the reflected light comes back from gel and walls, spread over this length: one bounce.
     roughness : float
-        Standard deviation of the coating's own slopes, mm/mm, that shade but are no depth; grain_mm is
-        their size.
+        Standard deviation of the coating's own slopes, mm/mm, that shade but are no depth; `grain_mm` is the
+        size of the grains.
     scratches, dust : int
         How many; dust is dark or bright specks.
     marker_pitch_mm, marker_radius_mm : float
@@ -76,8 +76,7 @@ class Coating:
             object.__setattr__(self, "albedo", _Albedo.checked(self.albedo))
 
     def markers_mm(self, shape: Grid, mm_per_px: float) -> NDArray[np.float64]:
-        """Resting places (N, 2) of the markers: a grid about the gel's centre, half a pitch beyond the
-        image."""
+        """Places (N, 2) of the markers at rest: a grid about the centre, to half a pitch beyond the image."""
         if self.marker_pitch_mm == 0:
             return np.zeros((0, 2))
         half = np.array([shape[1], shape[0]]) * mm_per_px / 2

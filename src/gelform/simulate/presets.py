@@ -1,23 +1,25 @@
-"""Sensors that look like real ones: light, background, gel, coating and camera."""
+"""Sensors that look like real ones: light, background, gel, coating and camera; made when first asked for."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
+from gelform.simulate.background import exposed
 from gelform.simulate.gel.gel import Gel
-from gelform.simulate.light.coating import Coating
-from gelform.simulate.press import exposed
-from gelform.simulate.sensor.layouts import LAYOUTS, led_row
+from gelform.simulate.sensor.coating import Coating
+from gelform.simulate.sensor.layouts import LAYOUTS
+from gelform.simulate.sensor.led import led_row
 from gelform.simulate.sensor.optics import Optics
 from gelform.simulate.sensor.sensor import SimulatedSensor
 from gelform.simulate.sensor.timing import Timing
 
 
-def _gelsight_mini() -> SimulatedSensor:
+@lru_cache(maxsize=1)
+def gelsight_mini() -> SimulatedSensor:
     """A GelSight Mini without markers, 240x320.
 
-    Lights and shading were fitted to the ratio of pressed to untouched light in 23 ball presses of a real
-    one, and to
+    Lights and shading were fitted to the ratio of pressed to untouched light in 23 ball presses of a real one, and to
     its background; they are places that explain the picture, not where the LEDs are soldered.
     """
     leds = (
@@ -25,59 +27,16 @@ def _gelsight_mini() -> SimulatedSensor:
         *led_row((22.29, -20.32, 4.01), (27.71, -11.92, 4.01), (1942.0, 580.8, 7.2), 3),
         *led_row((9.81, 4.01, 9.97), (2.11, 10.39, 9.97), (0.8, 142.0, 4375.2), 3),
     )
+    # fmt: off
     shading = (
-        (
-            34.0619,
-            0.1564,
-            0.7991,
-            -0.6587,
-            0.048,
-            -0.7143,
-            -0.1049,
-            -0.381,
-            -0.0972,
-            -0.3962,
-            0.1431,
-            -0.0588,
-            0.1729,
-            -0.0738,
-            0.3057,
-        ),
-        (
-            107.3763,
-            -0.4137,
-            -0.3851,
-            -0.3031,
-            -0.0509,
-            -0.1293,
-            0.086,
-            0.2042,
-            0.0885,
-            0.1151,
-            0.1666,
-            0.0262,
-            0.0029,
-            0.0158,
-            -0.0128,
-        ),
-        (
-            4.1243,
-            -0.3606,
-            -0.4866,
-            -0.3673,
-            -0.0378,
-            -0.5825,
-            0.1709,
-            0.1768,
-            0.1525,
-            0.2114,
-            0.0935,
-            0.0048,
-            0.0934,
-            -0.0119,
-            0.3204,
-        ),
+        (34.0619, 0.1564, 0.7991, -0.6587, 0.048, -0.7143, -0.1049, -0.381,
+         -0.0972, -0.3962, 0.1431, -0.0588, 0.1729, -0.0738, 0.3057),
+        (107.3763, -0.4137, -0.3851, -0.3031, -0.0509, -0.1293, 0.086, 0.2042,
+         0.0885, 0.1151, 0.1666, 0.0262, 0.0029, 0.0158, -0.0128),
+        (4.1243, -0.3606, -0.4866, -0.3673, -0.0378, -0.5825, 0.1709, 0.1768,
+         0.1525, 0.2114, 0.0935, 0.0048, 0.0934, -0.0119, 0.3204),
     )
+    # fmt: on
     return SimulatedSensor(
         leds,
         ambient=(1.216, 0.473, 20.085),
@@ -93,7 +52,8 @@ def _gelsight_mini() -> SimulatedSensor:
     )
 
 
-def _digit() -> SimulatedSensor:
+@lru_cache(maxsize=1)
+def digit() -> SimulatedSensor:
     """A DIGIT, 320x240: three strong lights and their triangular cast shadows.
 
     Fitted as the GelSight Mini is, to 21 ball presses whose scale is not verified.
@@ -103,59 +63,16 @@ def _digit() -> SimulatedSensor:
         *led_row((-25.67, -21.72, 14.44), (-24.33, -23.2, 14.44), (224.4, 1518.8, 0.8), 3),
         *led_row((2.77, 24.93, 9.87), (0.77, 25.07, 9.87), (1.2, 286.8, 2970.0), 3),
     )
+    # fmt: off
     shading = (
-        (
-            95.5746,
-            -0.98,
-            -0.3596,
-            -0.0176,
-            0.0783,
-            -0.397,
-            0.2097,
-            0.1815,
-            0.5362,
-            0.4217,
-            -0.0201,
-            0.0297,
-            -0.0162,
-            -0.232,
-            -0.0909,
-        ),
-        (
-            125.4948,
-            0.6298,
-            -0.3543,
-            0.0309,
-            -0.278,
-            -0.622,
-            -0.178,
-            0.0501,
-            -0.4134,
-            0.3681,
-            -0.1014,
-            0.0093,
-            0.1188,
-            0.347,
-            0.128,
-        ),
-        (
-            42.7263,
-            -0.4256,
-            -0.2613,
-            -0.2162,
-            0.2671,
-            -0.246,
-            0.0827,
-            0.0837,
-            0.0878,
-            -0.403,
-            0.106,
-            -0.0746,
-            -0.1381,
-            -0.0741,
-            0.3085,
-        ),
+        (95.5746, -0.98, -0.3596, -0.0176, 0.0783, -0.397, 0.2097, 0.1815,
+         0.5362, 0.4217, -0.0201, 0.0297, -0.0162, -0.232, -0.0909),
+        (125.4948, 0.6298, -0.3543, 0.0309, -0.278, -0.622, -0.178, 0.0501,
+         -0.4134, 0.3681, -0.1014, 0.0093, 0.1188, 0.347, 0.128),
+        (42.7263, -0.4256, -0.2613, -0.2162, 0.2671, -0.246, 0.0827, 0.0837,
+         0.0878, -0.403, 0.106, -0.0746, -0.1381, -0.0741, 0.3085),
     )
+    # fmt: on
     return SimulatedSensor(
         leds,
         ambient=(0.54, 0.391, 0.722),
@@ -173,7 +90,8 @@ def _digit() -> SimulatedSensor:
     )
 
 
-def _gelslim() -> SimulatedSensor:
+@lru_cache(maxsize=1)
+def gelslim() -> SimulatedSensor:
     """In the manner of GelSlim 3.0: low light from the edges, markers, a lens with distortion; 240x320.
 
     The idea is that of Taylor, Dong and Rodriguez, GelSlim 3.0, ICRA 2022; the figures are guesses, not taken
@@ -204,10 +122,12 @@ def _gelslim() -> SimulatedSensor:
     return exposed(sensor, (90, 95, 90))
 
 
-def _homemade() -> SimulatedSensor:
+@lru_cache(maxsize=1)
+def first_build() -> SimulatedSensor:
     """A first own build: the layout `homemade` with everything that goes wrong with one."""
     return replace(
         LAYOUTS["homemade"],
+        name="first-build",
         gel=Gel(thickness_mm=4.0, bulge=0.5),
         coating=Coating(
             specular=0.15,
@@ -222,8 +142,3 @@ def _homemade() -> SimulatedSensor:
         timing=Timing(readout_s=0.03, flicker=0.01, drift=(0.04, 0.02, 0.01), drop_probability=0.02),
         cast_shadows=True,
     )
-
-
-PRESETS: dict[str, SimulatedSensor] = {
-    sensor.name: sensor for sensor in (_gelsight_mini(), _digit(), _gelslim(), _homemade())
-}

@@ -1,18 +1,15 @@
-"""Lights on a surface: near point lights with 1/d^2 falloff, beams, Lambertian and glossy shading,
-shadows."""
+"""Light on a surface: near point lights with 1/d^2 falloff, beams, Lambertian and glossy shading."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from gelform.simulate.gel.gel import Surface
-from gelform.simulate.light.coating import Coating
-from gelform.simulate.sensor.sensor import Led
+from gelform.simulate.sensor.led import Led
 
 NO_SHADOWS = np.ones((0, 1, 1), dtype=np.float32)
 
@@ -34,8 +31,7 @@ def irradiance_from_surface(
     `E = I max(0, n . l)/d^2` (Lambert's cosine law and the inverse square law). Lights add up; one behind
     the surface gives nothing (the attached shadow). With a beam it is times cos^m of the angle to the LED's
     axis, with gloss `specular max(0, n . h)^s I/d^2` more, h halfway between l and the view (J. F. Blinn,
-    Models of
-    light reflection for computer synthesized pictures, SIGGRAPH 1977).
+    Models of light reflection for computer synthesized pictures, SIGGRAPH 1977).
 
     Parameters
     ----------
@@ -65,68 +61,10 @@ def irradiance_from_surface(
     return out
 
 
-def spread_in_gel(light: NDArray[Any], coating: Coating, mm_per_px: float) -> NDArray[Any]:
-    """Light after scattering in the gel and one bounce between gel and walls.
-
-    Both are wide blurs, made on a coarser grid: one keeps the light's sum, the other adds to it.
-    """
-    wide = [
-        (part, length_mm / mm_per_px)
-        for part, length_mm in (
-            (coating.scattering, coating.scattering_mm),
-            (coating.interreflection, coating.interreflection_mm),
-        )
-        if part > 0
-    ]
-    if not wide:
-        return light
-    height, width = light.shape[:2]
-    factor = max(1, int(min(sigma for _, sigma in wide) / 2))
-    size = (max(width // factor, 2), max(height // factor, 2))
-    small = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
-    added = sum(part * _blurred(small, sigma * size[0] / width) for part, sigma in wide)
-    out = light * light.dtype.type(1 - coating.scattering)
-    out += cv2.resize(np.asarray(added, dtype=light.dtype), (width, height), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(out)
-
-
-def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, float]:
-    """What an LED of unit power with a Gaussian spectrum gives in the three channels of a usual colour
-    sensor.
-
-    The channels' sensitivities are taken as Gaussians about 600, 540 and 465 nm, 45, 45 and 35 nm wide (standard
-    deviations): round figures, measured on no camera. The product of two Gaussians integrates in closed form.
-
-    Parameters
-    ----------
-    peak_nm : 380-750
-    width_nm : full width at half maximum
-    """
-    if not 380 <= peak_nm <= 750 or not 0 < width_nm < 400:
-        raise ValueError(f"Expected peak_nm in 380-750 and width_nm in 0-400, got {peak_nm} and {width_nm}.")
-    sd = width_nm / 2.3548
-    centers, widths = np.array([600.0, 540.0, 465.0]), np.array([45.0, 45.0, 35.0])
-    total = widths**2 + sd**2
-    seen = widths / np.sqrt(total) * np.exp(-((peak_nm - centers) ** 2) / (2 * total))
-    return float(seen[0]), float(seen[1]), float(seen[2])
-
-
 def _row(led: Led) -> tuple[float, ...]:
     axis = np.subtract(led.aim_mm, led.position_mm)
     axis = axis / np.linalg.norm(axis)
     return (*led.position_mm, *led.color, *axis, float(led.beam_power))
-
-
-def _blurred(small: NDArray[Any], sigma: float) -> NDArray[Any]:
-    """Gaussian blur; a wide one on a coarser grid still."""
-    factor = max(1, int(sigma / 3))
-    if factor == 1:
-        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
-    height, width = small.shape[:2]
-    size = (max(width // factor, 2), max(height // factor, 2))
-    tiny = cv2.resize(small, size, interpolation=cv2.INTER_AREA)
-    tiny = cv2.GaussianBlur(tiny, (0, 0), sigma * size[0] / width, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(cv2.resize(tiny, (width, height), interpolation=cv2.INTER_CUBIC))
 
 
 @njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]

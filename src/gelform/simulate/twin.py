@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from gelform.background.change import image_from_color_change
 from gelform.calibration_file import Calibration
 from gelform.checks import check_positive
-from gelform.simulate.gel.gel import Gel, depth_of_ball
+from gelform.simulate.gel.ball_press import depth_of_ball
+from gelform.simulate.gel.gel import Gel
 from gelform.simulate.indenters.faces import Indenter
-from gelform.simulate.motion import Pose
-from gelform.simulate.press import SimulatedPress, SimulatedPresses, simulate_ball_presses, simulate_pose
-from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_levels
-from gelform.simulate.sensor.sensor import Led, SimulatedSensor
+from gelform.simulate.indenters.pose import Pose
+from gelform.simulate.press import SimulatedPress, simulate_pose
+from gelform.simulate.sensor.grey_levels import draws, normal_table, saturated_from_levels
+from gelform.simulate.sensor.led import Led
+from gelform.simulate.sensor.sensor import SimulatedSensor
+from gelform.simulate.sets import SimulatedPresses, simulate_ball_presses
 
 STEEPEST = 1.2  # calibrations see slopes up to about 1; a cubic response says nothing beyond
 # A GelSight Mini's, found on ball presses: the gel leaves the ball this far inside the rim that one sees.

@@ -1,9 +1,7 @@
-"""How an indenter moves, and how its friction drags the gel's surface and the markers on it along."""
+"""How an indenter's friction drags the gel's surface, and the markers on it, along."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -12,75 +10,18 @@ from numpy.typing import NDArray
 
 from gelform.simulate.gel.gel import Gel, Surface
 from gelform.simulate.gel.membrane import carried_along, spread
-from gelform.simulate.indenters.scene import MAX_TILT_DEG, Pair
+from gelform.simulate.indenters.pose import Pose
 
 DRAG_STRIDE = 4  # drag is smooth over the gel's thickness: every fourth pixel is plenty
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where an indenter stands.
-
-    Attributes
-    ----------
-    depth_mm : how far its foremost point stands in the gel; 0 or less: not pressed
-    center_mm : (x, y) of its centre, x to the right, y down
-    spin_deg, tilt_deg : as in `Posed`
-    carried_mm : (x, y) how far the touched side of the indenter has travelled; None: with the centre (it
-    slides).
-        Rolling leaves it where it is.
-    """
-
-    depth_mm: float
-    center_mm: Pair = (0.0, 0.0)
-    spin_deg: float = 0.0
-    tilt_deg: Pair = (0.0, 0.0)
-    carried_mm: Pair | None = None
-
-    def __post_init__(self) -> None:
-        numbers = (self.depth_mm, *self.center_mm, self.spin_deg, *self.tilt_deg, *self.travel_mm)
-        if not all(np.isfinite(numbers)):
-            raise ValueError(f"Expected a pose of finite numbers, got {self}.")
-        if max(map(abs, self.tilt_deg)) > MAX_TILT_DEG:
-            raise ValueError(f"Expected tilt_deg within +-{MAX_TILT_DEG:g}, got {self.tilt_deg}.")
-
-    @property
-    def travel_mm(self) -> Pair:
-        return self.center_mm if self.carried_mm is None else self.carried_mm
-
-
-def press_poses(depth_mm: float, count: int, *, center_mm: Pair = (0.0, 0.0)) -> tuple[Pose, ...]:
-    """From just touching to `depth_mm` in equal steps."""
-    return tuple(Pose(float(d), center_mm) for d in np.linspace(0, depth_mm, _check_count(count)))
-
-
-def slide_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
-    """Along a line at one depth, dragging the surface."""
-    return tuple(Pose(depth_mm, at) for at in _line(start_mm, end_mm, count))
-
-
-def roll_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
-    """Along a line at one depth, as a ball or a cylinder across its axis rolls: the touched side stands
-    still."""
-    return tuple(Pose(depth_mm, at, carried_mm=start_mm) for at in _line(start_mm, end_mm, count))
-
-
-def twist_poses(
-    depth_mm: float, angle_deg: float, count: int, *, center_mm: Pair = (0.0, 0.0)
-) -> tuple[Pose, ...]:
-    """Turning about the view axis on the spot, from 0 to `angle_deg`."""
-    return tuple(Pose(depth_mm, center_mm, float(a)) for a in np.linspace(0, angle_deg, _check_count(count)))
 
 
 class Drag:
     """The surface's sideways displacement during a sequence; it has memory, so one per sequence.
 
     In the contact the surface sticks to the indenter until it has been dragged `friction` times the local
-    depth
-    (Coulomb: the bed's pressure grows with the depth); then it slips. Beside the contact the displacement
-    falls off
-    over the gel's thickness. What is pressed away flows sideways by `-h grad b` (b the bulge): the layer's
-    mean flow that keeps its volume where bulge = 1.
+    depth (Coulomb: the bed's pressure grows with the depth); then it slips. Beside the contact the
+    displacement falls off over the gel's thickness. What is pressed away flows sideways by `-h grad b` (b the
+    bulge): the layer's mean flow that keeps its volume where bulge = 1.
     """
 
     def __init__(self, gel: Gel) -> None:
@@ -124,8 +65,7 @@ class Drag:
         return np.stack([step_x, step_y], axis=-1)
 
     def _pressed_away(self, surface: Surface, pitch: float) -> NDArray[np.float64]:
-        """The gel's flow from under the indenter, `-h grad b`; b is taken from the positive part of the
-        depth."""
+        """The gel's flow from under the indenter, `-h grad b`, with b from the positive part of the depth."""
         thickness = self.gel.thickness_mm
         bulge = self.gel.bulge * spread(np.maximum(surface.depth_mm, 0), thickness / pitch)
         slope_y, slope_x = np.gradient(bulge, pitch)
@@ -156,14 +96,3 @@ def displacement_at(
         displacement_mm, column[:, None], row[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     return np.asarray(found[:, 0], dtype=np.float64)
-
-
-def _line(start_mm: Pair, end_mm: Pair, count: int) -> Sequence[Pair]:
-    points = np.linspace(start_mm, end_mm, _check_count(count))
-    return [(float(x), float(y)) for x, y in points]
-
-
-def _check_count(count: int) -> int:
-    if count < 1:
-        raise ValueError(f"Expected count >= 1 poses, got {count}.")
-    return count

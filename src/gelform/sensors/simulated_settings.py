@@ -1,46 +1,70 @@
-"""A simulated sensor as plain settings, and back: what a TOML file or a data set's JSON holds."""
+"""Simulated sensors by name, from plain settings, or from a TOML file of them."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
 from difflib import get_close_matches
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gelform.errors import SensorError
+from gelform.sensors.profiles import SENSORS
+from gelform.simulate.background import exposed
 from gelform.simulate.gel.gel import Gel
-from gelform.simulate.light.coating import Coating
-from gelform.simulate.light.light import led_color
-from gelform.simulate.press import exposed
+from gelform.simulate.sensor.coating import Coating
 from gelform.simulate.sensor.layouts import LAYOUTS
+from gelform.simulate.sensor.led import Led, led_color
 from gelform.simulate.sensor.optics import Optics
-from gelform.simulate.sensor.presets import PRESETS
-from gelform.simulate.sensor.sensor import Led, SimulatedSensor
+from gelform.simulate.sensor.sensor import SimulatedSensor
 from gelform.simulate.sensor.timing import Timing
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MAX_BYTES = 1 << 20
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
 
 
-def sensors_by_name() -> dict[str, SimulatedSensor]:
-    """Every ready sensor: presets, then layouts; a preset goes before a layout of the same name."""
-    return {**LAYOUTS, **PRESETS}
-
-
-def sensor_named(name: str) -> SimulatedSensor:
-    """A ready sensor; an unknown name gets the nearest one suggested."""
-    known = sensors_by_name()
-    if name not in known:
+def simulated_sensor_named(name: str) -> SimulatedSensor:
+    """A ready sensor: a layout of lights, or a known sensor; an unknown name gets the nearest one suggested."""
+    if name in SENSORS:
+        return SENSORS[name].simulated()
+    if name not in LAYOUTS:
+        known = _ready_names()
         raise ValueError(f"Expected a sensor among {', '.join(known)}, got {name!r}.{_nearest(name, known)}")
-    return known[name]
+    return LAYOUTS[name]
 
 
-def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
-    """Everything about a sensor, in lists, numbers and words that JSON can hold; an albedo map as its
-    values."""
-    return {field.name: _plain(getattr(sensor, field.name)) for field in fields(sensor)}
+def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
+    """Read a simulated sensor from a TOML file; see `sensor_from_settings` for its keys.
+
+    Raises
+    ------
+    SensorError
+        No such file, no TOML, unknown or misspelt keys (the nearest is suggested), values out of range.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SensorError(f"No file {path}: expected a simulated sensor as TOML.")
+    if path.stat().st_size > MAX_BYTES:
+        raise SensorError(f"Expected a simulated sensor of at most 1 MB in {path}. Is it another file?")
+    try:
+        settings = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise SensorError(f"{path} is no TOML: {problem}.") from problem
+    try:
+        return sensor_from_settings(settings)
+    except (ValueError, TypeError) as problem:
+        raise SensorError(f"{path}: {problem}") from problem
 
 
 def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
@@ -50,9 +74,9 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
     ----------
     settings : mapping
         `base` (a ready sensor to start from; without it `leds` is needed), the fields of
-        `SimulatedSensor`, `leds` as a list of
-        tables with the fields of `Led` (`peak_nm`, `width_nm` and `power` may stand for `color`), the tables
-        `gel`, `coating`, `optics`, `timing`, and `exposed_levels`, the wished mean level per channel.
+        `SimulatedSensor`, `leds` as a list of tables with the fields of `Led` (`peak_nm`, `width_nm` and
+        `power` may stand for `color`), the tables `gel`, `coating`, `optics`, `timing`, and `exposed_levels`,
+        the wished mean level per channel.
 
     Raises
     ------
@@ -66,10 +90,10 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
     }
     if "leds" in settings:
         given["leds"] = tuple(_led(led) for led in _tables(settings["leds"]))
-    base = sensor_named(str(settings["base"])) if "base" in settings else None
+    base = simulated_sensor_named(str(settings["base"])) if "base" in settings else None
     if base is None and "leds" not in given:
         raise ValueError(
-            f"Expected base (one of {', '.join(sensors_by_name())}) or a list of [[leds]], got neither."
+            f"Expected base (one of {', '.join(_ready_names())}) or a list of [[leds]], got neither."
         )
     for name, kind in SECTIONS.items():
         if name in settings:
@@ -141,6 +165,10 @@ def _check_kinds(given: Mapping[str, Any], kind: Any) -> None:
                 break
 
 
+def _ready_names() -> list[str]:
+    return [*LAYOUTS, *SENSORS]
+
+
 def _nearest(word: str, known: Any) -> str:
     near = get_close_matches(word, list(known), n=1, cutoff=0.5)
     return f" Did you mean {near[0]!r}?" if near else ""
@@ -149,13 +177,3 @@ def _nearest(word: str, known: Any) -> str:
 def _frozen(value: Any) -> Any:
     """Lists as tuples, all the way down."""
     return tuple(_frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    return np.asarray(getattr(value, "values", value)).tolist()
