@@ -245,9 +245,9 @@ def simulated() -> dict[str, Any]:
         for what, (indenter, depth_mm, center) in objects.items():
             rng = np.random.default_rng(7)
             press = simulate_press(sensor, indenter, depth_mm=depth_mm, center_mm=center, rng=rng)
-            result = reconstruct(press.image)
+            result = reconstruct.from_image(press.image)
             error = 1e3 * (result.depth_mm - press.depth_mm)
-            plain = 1e3 * (without(press.image).depth_mm - press.depth_mm)
+            plain = 1e3 * (without.from_image(press.image).depth_mm - press.depth_mm)
             within = np.abs(error) < 1e3 * result.depth_sigma_mm
             found = {
                 "rmse_um": float(np.sqrt(np.mean(error**2))),

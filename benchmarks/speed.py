@@ -98,7 +98,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             gradients, mm_per_px=pitch, weights=confidence, anchor=hold
         ),
         "contact": lambda: contact_from_depth(depth, mm_per_px=pitch),
-        "whole frame": lambda: reconstruct(image),
+        "whole frame": lambda: reconstruct.from_image(image),
     }
 
 

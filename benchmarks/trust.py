@@ -93,7 +93,7 @@ def sigma(bench: Bench) -> dict[str, Any]:
 def _slopes(bench: Bench, calibration: gelform.Calibration, index: int) -> tuple[np.ndarray, float]:
     """x, y, within sigma (p, q), |g| of the pixels in the scored zone; share within sigma far away."""
     press = bench.presses.presses[index]
-    result = gelform.Reconstructor(calibration)(press.image)
+    result = gelform.Reconstructor(calibration).from_image(press.image)
     cx, cy, contact = press.label
     y, x = np.mgrid[: result.depth_mm.shape[0], : result.depth_mm.shape[1]]
     rho = np.hypot(x - cx, y - cy)
@@ -126,7 +126,7 @@ def _true_and_found(
     bench: Bench, calibration: gelform.Calibration, index: int
 ) -> tuple[np.ndarray, np.ndarray]:
     press = bench.presses.presses[index]
-    gradients = gelform.Reconstructor(calibration)(press.image).gradients
+    gradients = gelform.Reconstructor(calibration).from_image(press.image).gradients
     cx, cy, contact = press.label
     y, x = np.mgrid[: gradients.shape[0], : gradients.shape[1]]
     zone = np.hypot(x - cx, y - cy) < SCORED_ZONE * contact

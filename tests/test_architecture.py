@@ -9,7 +9,7 @@ import gelform
 
 SOURCE = Path(gelform.__file__).parent
 LEVELS = [
-    {"errors", "checks", "_native", "progress", "pool"},
+    {"errors", "checks", "_native", "progress", "pool", "resample"},
     {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files"},
     {"color_models", "solvers", "markers", "background"},
     {

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelform.view import FLIPS, View, frame_from_image, image_from_frame
+from gelform.view import FLIPS, View, frame_from_image, frame_px_from_image_px, image_from_frame
 
 
 def ramp(shape, *, per_x=0.31, per_y=0.17, start=40.0):
@@ -103,6 +103,25 @@ def test_reducing_agrees_with_area_resampling():
     assert np.abs(image_from_frame(frame, view) - area).max() < 0.5
 
 
+@pytest.mark.parametrize("flip", FLIPS)
+@pytest.mark.parametrize("shape", [(30, 40), (31, 17)])
+def test_a_flip_alone_takes_frames_of_any_size(flip, shape):
+    frame = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    view = View(flip=flip)
+    image = image_from_frame(frame, view)
+    np.testing.assert_array_equal(image, image_from_frame(frame, View(shape, flip=flip)))
+    np.testing.assert_array_equal(frame_from_image(image, view), frame)
+    assert view.is_identity == (flip == "none")
+    points = np.array([[0.0, 0.0], [3.0, 5.0]])
+    np.testing.assert_array_equal(
+        frame_px_from_image_px(points, view.of_frames(shape)),
+        frame_px_from_image_px(points, View(shape, flip=flip)),
+    )
+    if flip != "none":
+        with pytest.raises(ValueError, match="of_frames"):
+            frame_px_from_image_px(points, view)
+
+
 def test_identity_passes_the_frame_itself():
     frame = np.zeros((12, 16, 3), dtype=np.uint8)
     assert image_from_frame(frame, View()) is frame
@@ -111,11 +130,13 @@ def test_identity_passes_the_frame_itself():
     assert View((12, 16), crop=(0, 0, 16, 12), image_shape=(12, 16)).is_identity
 
 
-def test_images_pass_and_other_shapes_are_refused():
+def test_frames_of_another_size_are_refused():
     view = View((48, 64), image_shape=(24, 32))
-    image = np.zeros((24, 32, 3), dtype=np.uint8)
-    assert image_from_frame(image, view) is image
-    with pytest.raises(ValueError, match=r"frame of 48x64 px or an image of 24x32 px .*, got 20x30"):
+    with pytest.raises(
+        ValueError, match=r"frame of 48x64 px .*, got 24x32. It has the size of an image already"
+    ):
+        image_from_frame(np.zeros((24, 32, 3), dtype=np.uint8), view)
+    with pytest.raises(ValueError, match=r"frame of 48x64 px .*, got 20x30. Give the view"):
         image_from_frame(np.zeros((20, 30, 3), dtype=np.uint8), view)
     with pytest.raises(ValueError, match="grey"):
         image_from_frame(np.zeros((48, 64), dtype=np.uint8), view)
@@ -136,7 +157,7 @@ def test_settings_come_back(view):
     [
         ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, got frameshape"),
         ({"flip": "z", "frame_shape": [4, 4]}, "none, x, y, xy, got 'z'"),
-        ({"flip": "x"}, "Expected frame_shape"),
+        ({"crop": [0, 0, 4, 4]}, "Expected frame_shape"),
         ({"frame_shape": [4]}, r"\(height, width\)"),
         ({"frame_shape": [4, 0]}, "whole numbers"),
         ({"frame_shape": [4, 4.5]}, "whole numbers"),

@@ -196,11 +196,16 @@ def _checked(
     )
 
 
-def _chosen(solver: str, uniform: bool) -> str:
-    if solver == "auto":
-        return "dct" if uniform else "multigrid"
-    if solver not in SOLVERS:
+def checked_solver(solver: str) -> str:
+    """The solver's name, where it is "auto" or in `SOLVERS`."""
+    if solver != "auto" and solver not in SOLVERS:
         raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
+    return solver
+
+
+def _chosen(solver: str, uniform: bool) -> str:
+    if checked_solver(solver) == "auto":
+        return "dct" if uniform else "multigrid"
     if solver in UNIFORM and not uniform:
         takers = ", ".join(name for name in SOLVERS if name not in UNIFORM)
         raise ValueError(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from os import PathLike
 from typing import Any
 
 import cv2
@@ -16,12 +18,12 @@ from gelform.background.change import (
     untouched_from_color_change,
 )
 from gelform.background.check import Finding, background_digest, check_own_background
-from gelform.calibration_file import Calibration
+from gelform.calibration_file import Calibration, load_calibration
 from gelform.checks import check_image
 from gelform.color_models.lambertian import PreparedLambertian
 from gelform.confidence import PreparedSigma, UnknownSigma
 from gelform.contact import contact_from_depth
-from gelform.depth import Integration, integrate
+from gelform.depth import Integration, checked_solver, integrate
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
 from gelform.markers import MarkerFinder
@@ -48,9 +50,10 @@ class Reconstructor:
 
     Parameters
     ----------
-    calibration : of this sensor and gel
+    calibration : of this sensor and gel, or the path of its file
     background : (H, W, 3), 0-255, optional
-        The untouched image of today; the calibration's own by default.
+        The untouched image of today; the calibration's own by default. An image, of the calibrated size: a frame
+        of the untouched gel becomes one by `image_from_frame(frame, calibration.view)`.
     solver : "auto" or a name in `gelform.solvers.SOLVERS`
         "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dst`, `fourier`, `path`) get neither
         weights nor anchor.
@@ -64,23 +67,25 @@ class Reconstructor:
     Raises
     ------
     CalibrationError
-        The background given is clearly not of the calibrated sensor.
+        The background given is clearly not of the calibrated sensor, or the file cannot be read.
+    ValueError, TypeError
+        A background of another size than the calibrated images, or an unknown solver.
     """
 
     def __init__(
         self,
-        calibration: Calibration,
+        calibration: Calibration | str | PathLike[str],
         background: ArrayLike | None = None,
         *,
         solver: str = "auto",
         depth_sigma: bool = True,
     ) -> None:
-        self.calibration = calibration
-        self.solver = solver
+        self.calibration = calibration = _loaded(calibration)
+        self.solver = checked_solver(solver)
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
         if background is not None:
-            today = self._image(background, "background")
+            today = self._checked(background, "background")
             self.findings = check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
@@ -99,24 +104,39 @@ class Reconstructor:
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
-        """Reconstruct one frame.
+        """Reconstruct one frame: the calibration's view of it, then `from_image`.
 
         Parameters
         ----------
         frame : (H, W, 3) uint8 or float 0-255, RGB, as the camera gave it; or a Frame
 
-        Returns
-        -------
-        Reconstruction
+        Raises
+        ------
+        ValueError, TypeError
+            No RGB image, or of another size than the view's frames.
+        CalibrationError
+            As `from_image`.
+        """
+        if isinstance(frame, Frame):
+            when = {"index": frame.index, "time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns}
+            return replace(self(frame.image), **when)
+        return self.from_image(image_from_frame(frame, self.calibration.view))
+
+    def from_image(self, image: ArrayLike) -> Reconstruction:
+        """Reconstruct one image: what the calibration's view gives of a frame, such as a press that was read.
+
+        Parameters
+        ----------
+        image : (H, W, 3) uint8 or float 0-255, RGB, of the calibrated size; never turned, cropped or resized
 
         Raises
         ------
         ValueError, TypeError
-            No RGB image, or of another size than the calibration's frames and images.
+            No RGB image, or of another size than the calibrated ones.
         CalibrationError
-            The background is clearly not of this frame, or the frame is BGR.
+            The background is clearly not of this image, or the image is BGR.
         """
-        image = self._image(frame, "frame")
+        image = self._checked(image, "image")
         exposure, health = self._rest.compare(image)
         with self._pool.one() as change:
             self._rest.change(image, exposure, out=change)
@@ -144,9 +164,6 @@ class Reconstructor:
             solver=solution.solver,
             curl_rms=solution.curl_rms,
             health=(*self.findings, *health, *scarce),
-            index=getattr(frame, "index", None),
-            time_s=getattr(frame, "time_s", None),
-            wall_time_ns=getattr(frame, "wall_time_ns", None),
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
             unscaled_px=None if scaled else solution.depth_mm / np.float32(self._pitch),
@@ -204,10 +221,16 @@ class Reconstructor:
             return None
         return partial(self._model.albedo_from_color, change.copy())
 
-    def _image(self, frame: ArrayLike | Frame, name: str) -> NDArray[Any]:
-        """The frame through the calibration's view, of the calibrated size."""
-        image = image_from_frame(check_image(_pixels(frame), name=name), self.calibration.view)
-        return check_image(image, shape=self.calibration.image_shape, name=name)
+    def _checked(self, image: ArrayLike, name: str) -> NDArray[Any]:
+        """An RGB image of the calibrated size; where it is a frame, the message says so."""
+        try:
+            return check_image(image, shape=self.calibration.image_shape, name=name)
+        except ValueError as problem:
+            shape, frame_shape = np.shape(image)[:2], self.calibration.view.frame_shape
+            if shape != frame_shape or shape == self.calibration.image_shape:
+                raise
+            hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
+            raise ValueError(f"{problem} {hint}") from None
 
     def _dots(self, image: NDArray[Any]) -> NDArray[np.bool_]:
         """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included."""
@@ -232,8 +255,12 @@ class Reconstructor:
         )
 
 
-def _pixels(frame: ArrayLike | Frame) -> Any:
-    return frame.image if isinstance(frame, Frame) else frame
+def _loaded(calibration: Calibration | str | PathLike[str]) -> Calibration:
+    if isinstance(calibration, (str, PathLike)):
+        return load_calibration(calibration)
+    if not isinstance(calibration, Calibration):
+        raise TypeError(f"Expected a Calibration or the path of one, got {type(calibration).__name__}.")
+    return calibration
 
 
 def _remove_bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> None:

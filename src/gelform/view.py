@@ -1,8 +1,6 @@
 """frame -> image: lens, crop, flip and resize in one remap, and back.
 
-Pixel centres are at integers, so an image pixel covers half a pixel on each side of its number, and resizing
-maps *areas*: `x_frame = (x_image + 1/2) scale - 1/2 + left`. Where the view reduces strongly, whole frame
-pixels are averaged first (a box of the integer part of the reduction), so that nothing is aliased.
+Pixel centres are at integers and resizing maps areas: `x_frame = (x_image + 1/2) scale - 1/2 + left`.
 
 With a lens the crop is one of the *rectified* frame, which has the frame's size and square pixels on the gel; each of
 its pixels is looked up in the frame by way of the perspective and the distortion.
@@ -11,16 +9,23 @@ its pixels is looked up in the frame by way of the perspective and the distortio
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
 from gelform.lens import Lens
+from gelform.resample import (
+    averaged,
+    box_centres,
+    maps_of_positions,
+    pixel_maps,
+    pixel_positions,
+    remapped,
+)
 
 FLIPS = ("none", "x", "y", "xy")
 
@@ -31,8 +36,8 @@ class View:
 
     Attributes
     ----------
-    frame_shape : (H, W) of the camera's frames, or None
-        None only where nothing is cropped, flipped or resized: then images of any size pass.
+    frame_shape : (H, W) of the camera's frames, or None for frames of any size
+        Needed where frames are cropped, resized or seen through a lens.
     crop : (left, top, width, height) in frame pixels, or None for the whole frame
         Fractions of a pixel are allowed. Counted in the frame as the camera gives it, before the flip.
     flip : "none", "x" (left and right change places), "y" (top and bottom), or "xy" (turned by 180 degrees)
@@ -61,9 +66,9 @@ class View:
         object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
         if self.flip not in FLIPS:
             raise ValueError(f"Expected the view's flip as one of {', '.join(FLIPS)}, got {self.flip!r}.")
-        if self.frame_shape is None and (self.crop or self.image_shape or self.lens or self.flip != "none"):
+        if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
             raise ValueError(
-                "Expected frame_shape, (height, width) of the frames, in a view that changes them."
+                "Expected frame_shape, (height, width) of the frames, in a view that crops, resizes or undoes a lens."
             )
 
     @property
@@ -78,15 +83,23 @@ class View:
     def is_identity(self) -> bool:
         """Whether an image is its frame, unchanged."""
         if self.frame_shape is None:
-            return True
+            return self.flip == "none"
         height, width = self.frame_shape
         if self.lens is not None:
             return False
         return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
 
+    def of_frames(self, frame_shape: tuple[int, int]) -> View:
+        """This view of frames (H, W), where it does not say their size itself."""
+        return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
+
     @property
     def _box(self) -> tuple[float, float, float, float]:
-        assert self.frame_shape is not None
+        if self.frame_shape is None:
+            raise ValueError(
+                "Expected a view that knows the size of its frames where points are mapped through it: "
+                "view.of_frames((height, width))."
+            )
         return self.crop or (0.0, 0.0, float(self.frame_shape[1]), float(self.frame_shape[0]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -117,8 +130,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     Parameters
     ----------
     frame : (H, W, 3) RGB, uint8 or float (0-255)
-        Of `view.frame_shape`: remapped. Of the view's output shape: it is an image already and passes
-        unchanged (a frame, where both shapes are the same). Anything else is refused.
+        Of `view.frame_shape`, or of any size where the view names none. What is an image already does not go
+        through the view again.
     view : View
 
     Returns
@@ -128,22 +141,27 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     Raises
     ------
     ValueError, TypeError
-        A shape that is neither, or no RGB image (see `checks.check_image`).
+        Another size, or no RGB image (see `checks.check_image`).
     """
     pixels = check_image(frame, name="frame")
-    shape = pixels.shape[:2]
-    if view.frame_shape is not None and shape not in (view.frame_shape, view.shape):
+    shape = (pixels.shape[0], pixels.shape[1])
+    if view.frame_shape not in (None, shape):
+        hint = "Give the view that belongs to this camera."
+        if shape == view.shape:
+            hint = (
+                "It has the size of an image already: those go to Reconstructor.from_image, without the view."
+            )
         raise ValueError(
-            f"Expected a frame of {_text(view.frame_shape)} px or an image of {_text(view.shape)} px "
-            f"(height x width), got {_text(shape)}. Give the view that belongs to this camera."
+            f"Expected a frame of {_text(view.frame_shape)} px (height x width), got {_text(shape)}. {hint}"
         )
-    if view.is_identity or shape != view.frame_shape:
+    if view.is_identity:
         return pixels
+    view = view.of_frames(shape)
     if view.lens is not None:
         box, map_x, map_y = _maps_through_lens(view)
-        return _remap(_averaged(pixels, box), map_x, map_y)
+        return remapped(averaged(pixels, box), map_x, map_y)
     rows, columns, box, map_x, map_y = _maps_to_image(view)
-    return _remap(_averaged(pixels[rows, columns], box), map_x, map_y)
+    return remapped(averaged(pixels[rows, columns], box), map_x, map_y)
 
 
 def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
@@ -163,7 +181,8 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
     pixels = check_image(image, shape=view.shape)
     if view.is_identity:
         return pixels
-    return _remap(pixels, *_maps_to_frame(view))
+    view = view.of_frames((pixels.shape[0], pixels.shape[1]))
+    return remapped(pixels, *_maps_to_frame(view))
 
 
 @lru_cache(maxsize=8)
@@ -172,35 +191,9 @@ def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[A
     assert view.frame_shape is not None
     assert view.shape is not None
     left, top, width, height = view._box
-    x, columns, box_x = _axis(left, width, view.frame_shape[1], view.shape[1], "x" in view.flip)
-    y, rows, box_y = _axis(top, height, view.frame_shape[0], view.shape[0], "y" in view.flip)
-    return rows, columns, (box_y, box_x), *_grid(x, y)
-
-
-def _axis(
-    start: float, length: float, available: int, count: int, flipped: bool
-) -> tuple[NDArray[Any], slice, int]:
-    """Along one axis: image pixel centres in boxes of `box` frame pixels, counted from the cut's first."""
-    scale = length / count
-    box = max(1, int(scale + 0.5))
-    first = min(int(start), available - 1)
-    last = min(available, int(np.ceil(start + length)))
-    centres = (np.arange(count) + 0.5) * scale + start
-    if flipped:
-        centres = centres[::-1]
-    return (centres - first) / box - 0.5, slice(first, last), box
-
-
-def _averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
-    """Mean over boxes of whole pixels; the last box repeats the border where the pixels run out."""
-    if box == (1, 1):
-        return pixels
-    boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
-    missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
-    if any(missing):
-        pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
-    averaged: NDArray[Any] = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
-    return averaged
+    x, columns, box_x = box_centres(left, width, view.frame_shape[1], view.shape[1], "x" in view.flip)
+    y, rows, box_y = box_centres(top, height, view.frame_shape[0], view.shape[0], "y" in view.flip)
+    return rows, columns, (box_y, box_x), *pixel_maps(x, y)
 
 
 @lru_cache(maxsize=8)
@@ -211,12 +204,9 @@ def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArr
     assert view.lens is not None
     _, _, width, height = view._box
     box = tuple(max(1, int(n / m + 0.5)) for n, m in zip((height, width), view.shape))
-    y, x = np.mgrid[: view.shape[0], : view.shape[1]]
-    points = frame_px_from_image_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
-    maps = [((points[:, k] + 0.5) / box[1 - k] - 0.5).reshape(view.shape).astype(np.float32) for k in (0, 1)]
-    for one in maps:
-        one.setflags(write=False)
-    return (box[0], box[1]), maps[0], maps[1]
+    points = frame_px_from_image_px(pixel_positions(view.shape), view)
+    in_boxes = (points + 0.5) / (box[1], box[0]) - 0.5
+    return (box[0], box[1]), *maps_of_positions(in_boxes, view.shape)
 
 
 def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
@@ -224,8 +214,8 @@ def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
-    assert view.shape is not None
     left, top, width, height = view._box
+    assert view.shape is not None
     x = view.shape[1] - 1 - points[:, 0] if "x" in view.flip else points[:, 0]
     y = view.shape[0] - 1 - points[:, 1] if "y" in view.flip else points[:, 1]
     rectified = np.stack(
@@ -240,8 +230,8 @@ def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
-    assert view.shape is not None
     left, top, width, height = view._box
+    assert view.shape is not None
     if view.lens is not None:
         points = view.lens.rectified_px_from_frame_px(points)
     x = (points[:, 0] + 0.5 - left) * view.shape[1] / width - 0.5
@@ -260,26 +250,8 @@ def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
     """Where each frame pixel lies in the image."""
     assert view.frame_shape is not None
     assert view.shape is not None
-    y, x = np.mgrid[: view.frame_shape[0], : view.frame_shape[1]]
-    points = image_px_from_frame_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
-    maps = [points[:, k].reshape(view.frame_shape).astype(np.float32) for k in (0, 1)]
-    for one in maps:
-        one.setflags(write=False)
-    return maps[0], maps[1]
-
-
-def _grid(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
-    map_x.setflags(write=False)
-    map_y.setflags(write=False)
-    return map_x, map_y
-
-
-def _remap(pixels: NDArray[Any], map_x: NDArray[Any], map_y: NDArray[Any]) -> NDArray[Any]:
-    remapped: NDArray[Any] = cv2.remap(
-        pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return remapped
+    points = image_px_from_frame_px(pixel_positions(view.frame_shape), view)
+    return maps_of_positions(points, view.frame_shape)
 
 
 def _size_of(value: Any, name: str) -> tuple[int, int] | None:

@@ -16,7 +16,6 @@ from gelform.markers import MarkerFinder
 from gelform.metrics import PressErrors, press_errors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
-from gelform.view import image_from_frame
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ def evaluate(calibration: Calibration, presses: Presses, *, progress: Progress =
 
 def errors_of(press: Press, circle_px: tuple[float, float, float], reconstruct: Reconstructor) -> PressErrors:
     """Errors of one press whose circle is known."""
-    result = reconstruct(press.image)
+    result = reconstruct.from_image(press.image)
     return press_errors(
         result.depth_mm,
         result.gradients,
@@ -93,9 +92,8 @@ def _circle(press: Press, reconstruct: Reconstructor) -> tuple[tuple[float, floa
     if press.label is not None:
         return press.label, None
     calibration = reconstruct.calibration
-    image = image_from_frame(press.image, calibration.view)
     rest = PreparedBackground(reconstruct.background, calibration.change)
-    exposure, _ = rest.compare(image)
-    change, _ = change_without_markers(image, rest, exposure, MarkerFinder(reconstruct.background))
+    exposure, _ = rest.compare(press.image)
+    change, _ = change_without_markers(press.image, rest, exposure, MarkerFinder(reconstruct.background))
     contact = find_contact(change)
     return contact.circle_px, why_no_contact(contact)

@@ -78,9 +78,16 @@ def _pair(calibrations: list[Path], background: Path | None) -> tuple[Reconstruc
     from gelform.calibration_file import load_calibration
     from gelform.reconstruct import Reconstructor
     from gelform.sensors.files import read_image
+    from gelform.view import image_from_frame
 
-    rest = None if background is None else read_image(background)
-    a, b = (Reconstructor(load_calibration(path), background=rest) for path in calibrations)
+    frame = None if background is None else read_image(background)
+
+    def prepared(path: Path) -> Reconstructor:
+        loaded = load_calibration(path)
+        rest = None if frame is None else image_from_frame(frame, loaded.view)
+        return Reconstructor(loaded, background=rest)
+
+    a, b = (prepared(path) for path in calibrations)
     return a, b
 
 

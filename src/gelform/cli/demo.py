@@ -131,7 +131,7 @@ def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calib
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import save_result
 
-    result = Reconstructor(calibration)(press.image)
+    result = Reconstructor(calibration).from_image(press.image)
     save_picture(folder / f"{name}_image.png", press.image)
     save_result(result, folder / f"{name}.npz")
     save_picture(folder / f"{name}.png", picture(result, press.image))

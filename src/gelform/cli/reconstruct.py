@@ -92,13 +92,15 @@ def _prepared(calibration: Path, background: Path | None, solver: str) -> Recons
     from gelform.reconstruct import Reconstructor
     from gelform.sensors.backgrounds import read_background
     from gelform.solvers import SOLVERS
+    from gelform.view import image_from_frame
 
     if solver != "auto" and solver not in SOLVERS:
         raise typer.BadParameter(
             f"expected auto or one of {', '.join(SOLVERS)}, got {solver!r}.", param_hint="--solver"
         )
-    rest = None if background is None else read_background(background)
-    return Reconstructor(load_calibration(calibration), background=rest, solver=solver)
+    loaded = load_calibration(calibration)
+    rest = None if background is None else image_from_frame(read_background(background), loaded.view)
+    return Reconstructor(loaded, background=rest, solver=solver)
 
 
 def _reconstruct_one(

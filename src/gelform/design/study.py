@@ -153,7 +153,7 @@ def compare_designs(
             _as_read(training.presses, training.background, design), color_model=color_model
         )
         reconstruct = Reconstructor(calibration)
-        errors = [_errors(press, reconstruct(press.image)) for press in held_out.presses]
+        errors = [_errors(press, reconstruct.from_image(press.image)) for press in held_out.presses]
         condition, sigma = light_quality(design)
         results.append(DesignResult(variation.name, design, condition, sigma, *_summed(errors, design.shape)))
     progress(len(variations), len(variations), "done")

@@ -89,7 +89,7 @@ def held_out_sample(
 
     The region and the free centres are those of `gelform.metrics.press_errors`.
     """
-    result = reconstruct(press.image)
+    result = reconstruct.from_image(press.image)
     mm_per_px = reconstruct.calibration.known_mm_per_px
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
@@ -209,7 +209,7 @@ def stated_sigma(
     reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
 ) -> NDArray[np.float32]:
     """(N, 2) standard deviation that users of the calibration are told for the pixels of a sample."""
-    sigma = reconstruct(image).gradients_sigma
+    sigma = reconstruct.from_image(image).gradients_sigma
     if sigma is None:
         raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
     rows, cols = sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)

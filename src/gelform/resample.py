@@ -1,0 +1,85 @@
+"""Resampling of an image in one pass: averages over boxes of whole pixels, then one bilinear remap.
+
+Pixel centres are at integers, so a pixel covers half a pixel on each side of its number, and resizing maps *areas*.
+Where an image is reduced strongly, whole pixels are averaged first, so that nothing is aliased.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+def box_centres(
+    start: float, length: float, available: int, count: int, flipped: bool
+) -> tuple[NDArray[Any], slice, int]:
+    """Where image pixels lie along one axis of a frame, in boxes of whole frame pixels.
+
+    Parameters
+    ----------
+    start, length : of the part of the frame that the image shows, frame px
+    available : size of the frame, px
+    count : of image pixels
+    flipped : whether the first image pixel is at the part's end
+
+    Returns
+    -------
+    centres : (count,) of the image pixels, in boxes from the cut's first frame pixel on
+    cut : slice of the frame's pixels that are needed
+    box : int, frame pixels in a box: the integer part of the reduction, at least 1
+    """
+    scale = length / count
+    box = max(1, int(scale + 0.5))
+    first = min(int(start), available - 1)
+    last = min(available, int(np.ceil(start + length)))
+    centres = (np.arange(count) + 0.5) * scale + start
+    if flipped:
+        centres = centres[::-1]
+    return (centres - first) / box - 0.5, slice(first, last), box
+
+
+def averaged(pixels: NDArray[Any], box: tuple[int, int]) -> NDArray[Any]:
+    """Mean of pixels (H, W, 3) over boxes (height, width); the last box repeats the border where the pixels run out."""
+    if box == (1, 1):
+        return pixels
+    boxes = [-(-pixels.shape[axis] // box[axis]) for axis in (0, 1)]
+    missing = [boxes[axis] * box[axis] - pixels.shape[axis] for axis in (0, 1)]
+    if any(missing):
+        pixels = cv2.copyMakeBorder(pixels, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+    averaged: NDArray[Any] = cv2.resize(pixels, (boxes[1], boxes[0]), interpolation=cv2.INTER_AREA)
+    return averaged
+
+
+def pixel_maps(x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Maps (h, w) of each pixel's place in the source where all rows have columns x (w,), all columns rows y (h,)."""
+    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return _read_only(map_x), _read_only(map_y)
+
+
+def pixel_positions(shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Positions (H*W, 2), x and y, of the pixels of an image (H, W), row by row."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def maps_of_positions(
+    positions_px: NDArray[Any], shape: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Maps (H, W) of positions (H*W, 2), x and y, in the source: what `remapped` looks up."""
+    map_x, map_y = (positions_px[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
+    return _read_only(map_x), _read_only(map_y)
+
+
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same array, kept from being written to: prepared maps are shared by threads."""
+    values.setflags(write=False)
+    return values
+
+
+def remapped(pixels: NDArray[Any], map_x: NDArray[Any], map_y: NDArray[Any]) -> NDArray[Any]:
+    """Pixels looked up at maps (h, w) of source columns and rows, bilinear; beyond the border it is repeated."""
+    found: NDArray[Any] = cv2.remap(pixels, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found
