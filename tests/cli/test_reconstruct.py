@@ -108,7 +108,7 @@ def test_mistakes_are_one_line(fails, calibration_file, press_folder, tmp_path):
         ((tmp_path / "text.png", "-c", calibration_file, "-o", out), "no image that can be read"),
         (
             (tmp_path / "small.png", "-c", calibration_file, "-o", out),
-            "small.png: Expected frame of 120x160 px",
+            "small.png: Expected image of 120x160 px",
         ),
         (
             (tmp_path / "other.png", "-c", calibration_file, "-o", out),
