@@ -1,12 +1,25 @@
-"""The forward model against analytic light."""
+"""Light on a surface against analytic light."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gelform.normals import image_from_normals
-from gelform.simulate import Ball, Led, SimulatedSensor, simulate_background, simulate_press
-from gelform.simulate.gel.gel import Gel, Surface
+from gelform.simulate import (
+    Ball,
+    Coating,
+    Gel,
+    Led,
+    Pose,
+    SimulatedSensor,
+    simulate_background,
+    simulate_pose,
+    simulate_press,
+)
+from gelform.simulate.gel.gel import Surface
 from gelform.simulate.light.irradiance import irradiance_from_surface
+from made.sensors import PLAIN
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -120,3 +133,53 @@ def test_a_pixel_is_the_mean_of_its_subpixels():
     fine = irradiance_from_surface(surface, (led,))
     mean = fine.reshape(40, 3, 50, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(irradiance_from_surface(surface, (led,), oversample=3), mean, rtol=1e-12)
+
+
+def test_a_beam_falls_off_with_its_power_of_the_cosine():
+    led = Led((0, 0, 5), (1000, 0, 0))
+    wide, narrow = (
+        simulate_background(replace(PLAIN, leds=(replace(led, beam_power=m),)), None, quantise=False)
+        for m in (0, 3)
+    )
+    x, y = PLAIN.grid_mm()
+    cosine = 5 / np.sqrt(x**2 + y**2 + 25)
+    np.testing.assert_allclose(narrow[..., 0], wide[..., 0] * cosine**3, rtol=1e-9)
+
+
+def test_gloss_is_brightest_where_the_surface_mirrors_the_light():
+    led = Led((-20, 0, 20), (1e5, 0, 0))
+    sensor = replace(PLAIN, leds=(led,), shape=(61, 81))
+    press = simulate_press(
+        replace(sensor, coating=Coating(specular=0.5, shininess=64)),
+        Ball(3),
+        depth_mm=1.0,
+        rng=None,
+        quantise=False,
+    )
+    matte = simulate_press(sensor, Ball(3), depth_mm=1.0, rng=None, quantise=False)
+    gloss = press.image[..., 0] - matte.image[..., 0]
+    row, column = np.unravel_index(np.argmax(gloss), gloss.shape)
+    normal = press.normals[row, column]
+    to_light = np.array([-20, 0, 20]) - np.array(
+        [(column - 40) * 0.1, (row - 30) * 0.1, press.depth_mm[row, column]]
+    )
+    half = to_light / np.linalg.norm(to_light) + np.array([0, 0, 1])
+    assert normal @ half / np.linalg.norm(half) > 0.999
+    assert gloss.min() > -1e-9
+
+
+@pytest.mark.parametrize("shininess", [1, 2, 16])
+def test_gloss_is_the_power_of_the_half_angle(shininess):
+    led = Led((-20, 0, 20), (1e5, 0, 0))
+    settings = {"rng": None, "quantise": False, "oversample": 1}
+    coating = Coating(specular=0.5, shininess=shininess)
+    matte, glossy = (
+        simulate_pose(replace(PLAIN, leds=(led,), coating=c), Ball(2), Pose(0), **settings).image[..., 0]
+        for c in (Coating(), coating)
+    )
+    x, y = PLAIN.grid_mm()
+    to_light = np.stack(np.broadcast_arrays(-20 - x, -y, 20.0), axis=-1)
+    square = np.sum(to_light**2, axis=-1)
+    half = to_light / np.sqrt(square)[..., None] + np.array([0, 0, 1])
+    cosine = half[..., 2] / np.linalg.norm(half, axis=-1)
+    np.testing.assert_allclose(glossy - matte, 0.5 * 1e5 * cosine**shininess / square, rtol=1e-9)

@@ -1,0 +1,55 @@
+"""The membrane over an obstacle, and what spreads from it."""
+
+import numpy as np
+import pytest
+
+from gelform.simulate import LAYOUTS, Coin, simulate_press
+from gelform.simulate.gel.membrane import carried_along, membrane_over, spread
+
+
+def test_the_membrane_never_enters_the_obstacle_and_is_level_free_beside_it():
+    rng = np.random.default_rng(3)
+    obstacle = np.maximum(rng.normal(size=(40, 50)) - 1, 0)
+    u = membrane_over(obstacle, relaxation_px=4.0)
+    padded = np.pad(u, 1, mode="edge")
+    force = 4 * u - padded[:-2, 1:-1] - padded[2:, 1:-1] - padded[1:-1, :-2] - padded[1:-1, 2:] + u / 16
+    assert np.all(u >= obstacle)
+    free = u > obstacle
+    assert np.abs(force[free]).max() < 1e-3
+    assert force[~free].min() > -1e-3
+    assert 0.05 < free.mean() < 1
+
+
+def test_turning_the_obstacle_turns_the_membrane():
+    obstacle = np.zeros((30, 41))
+    obstacle[5:12, 20:33] = 0.4
+    u = membrane_over(obstacle, relaxation_px=3.0)
+    np.testing.assert_allclose(membrane_over(obstacle[::-1].T, relaxation_px=3.0), u[::-1].T, atol=2e-5)
+
+
+def test_spreading_keeps_the_sum_and_obeys_its_equation():
+    values = np.zeros((60, 80))
+    values[20:30, 35:50] = 1.0
+    smooth = spread(values, 6.0)
+    laplacian = sum(np.roll(smooth, k, axis=a) for k in (1, -1) for a in (0, 1)) - 4 * smooth
+    assert smooth.sum() == pytest.approx(values.sum(), rel=1e-9)
+    np.testing.assert_allclose((smooth - 36 * laplacian)[2:-2, 2:-2], values[2:-2, 2:-2], atol=1e-9)
+
+
+def test_what_is_fixed_stays_and_the_rest_falls_off():
+    fixed = np.zeros((60, 60), dtype=bool)
+    fixed[25:35, 25:35] = True
+    carried = carried_along(np.where(fixed, 0.3, 0.0), fixed, 5.0)
+    assert np.all(carried[fixed] == 0.3)
+    assert 0.3 > carried[30, 40] > carried[30, 50] > 0
+    laplacian = sum(np.roll(carried, k, axis=a) for k in (1, -1) for a in (0, 1)) - 4 * carried
+    beside = ~fixed
+    beside[[0, -1]] = beside[:, [0, -1]] = False
+    np.testing.assert_allclose(25 * laplacian[beside], carried[beside], atol=5e-3)
+
+
+def test_a_coarse_guess_that_does_not_settle_stops_nothing():
+    """A coin's relief on the grid of half the resolution lets two contacts take turns; the fine grid settles."""
+    sensor = LAYOUTS["homemade"]
+    press = simulate_press(sensor, Coin(), depth_mm=0.35, rng=np.random.default_rng(7))
+    assert press.depth_mm.max() == pytest.approx(0.35, rel=1e-3)
