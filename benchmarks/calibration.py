@@ -14,6 +14,8 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,24 +28,23 @@ from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.fit import _untouched_change, prepare
 from gelform.calibration.report.record import summary
-from gelform.calibration.selection.candidates import Candidate
+from gelform.calibration.selection.candidates import Candidate, candidates_for
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from report import RESULTS, dct_pair, median_ms, table, write
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
-MODELS = {
-    "lambertian": ("lambertian", ()),
-    "near_light": ("near_light", ()),
-    "interpolation": ("interpolation", ()),
-    "polynomial 2-1": ("polynomial", (("position_degrees", (2, 1)),)),
-    "polynomial 3-2-0": ("polynomial", (("position_degrees", (3, 2, 0)),)),
-    "polynomial 4-3-1": ("polynomial", (("position_degrees", (4, 3, 1)),)),
-    "hierarchical 3e-4": ("hierarchical", (("ridge", 3e-4),)),
-    "hierarchical 1e-4": ("hierarchical", (("ridge", 1e-4),)),
-}
-SLOW = ("interpolation",)  # seconds for a frame: measured on one split, no frame rate
 ZONE = 0.8
+PRESSES = 60  # what is tried with so many
+TRAINED_WITH = {"mlp": "torch"}  # left out where it is not installed
+MODELS = {
+    candidate.describe().removesuffix(f", zone {ZONE:g}"): replace(candidate, zone=ZONE)
+    for name in COLOR_MODELS
+    if name not in TRAINED_WITH or find_spec(TRAINED_WITH[name])
+    for candidate in candidates_for(name, PRESSES)
+}
+# Seconds for a fit or a frame: measured on one split, no frame rate.
+SLOW = [name for name, candidate in MODELS.items() if COLOR_MODELS[candidate.model].slow]
 COUNTS = (10, 20, 50)
 FIGURES = ("normal_free_deg", "radius_percent", "radius_signed_percent", "cap_free_um", "off_contact_um")
 
@@ -90,7 +91,7 @@ class Bench:
         self, candidate: Candidate, training: list[int], contacts: list[Contact], test: list[int]
     ) -> dict[str, float]:
         """The figures of a model on the test presses, and the seconds of its fit."""
-        prepared = self.prepared[COLOR_MODELS[candidate.model].change_offset]
+        prepared = self.prepared[candidate.change_offset]
         used = [prepared[i] for i in training]
         start = time.perf_counter()
         model = candidate.fit(used, contacts)
@@ -118,9 +119,8 @@ class Bench:
         calls = [dct_pair(shape)]
         names = [name for name in MODELS if name not in SLOW]
         for name in names:
-            model, settings = MODELS[name]
-            prepared = self.prepared[COLOR_MODELS[model].change_offset]
-            fitted = Candidate(model, ZONE, settings).fit([prepared[i] for i in training], contacts)
+            prepared = self.prepared[MODELS[name].change_offset]
+            fitted = MODELS[name].fit([prepared[i] for i in training], contacts)
             ready = fitted.prepare(self.presses.background, shape)
             calls.append(lambda r=ready, c=prepared[0].color_change: r.gradients_from_color(c))
         times = median_ms(calls)
@@ -153,8 +153,8 @@ def main() -> None:
     for split in wanted or splits:
         used, contacts = bench.refined(splits[split][0])
         content["splits"][split] = {
-            name: bench.errors(Candidate(model, ZONE, settings), used, contacts, splits[split][1])
-            for name, (model, settings) in MODELS.items()
+            name: bench.errors(candidate, used, contacts, splits[split][1])
+            for name, candidate in MODELS.items()
             if name not in SLOW or split == "half and half"
         }
         rows = [

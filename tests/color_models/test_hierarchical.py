@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gelform.color_models import HierarchicalModel, PolynomialModel
-from gelform.color_models._shared.least_squares import penalised_huber, robust_ridge
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
 
@@ -84,16 +83,3 @@ def test_bad_settings_and_other_sizes_are_refused():
         HierarchicalModel.fit(samples, ridge=0)
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         HierarchicalModel.fit(samples).prepare(np.zeros((10, 10, 3)), (10, 10))
-
-
-def test_penalised_huber_is_robust_ridge_with_equal_penalties():
-    rng = np.random.default_rng(7)
-    design = rng.normal(size=(300, 4))
-    design /= np.sqrt(np.mean(design**2, axis=0))
-    target = design @ rng.normal(size=(4, 2)) + 0.1 * rng.normal(size=(300, 2))
-    equal = penalised_huber(design, target, np.ones(300), np.full(4, 0.1), huber=0.1)
-    np.testing.assert_allclose(
-        equal, robust_ridge(design, target, np.ones(300), ridge=0.1, huber=0.1), rtol=1e-5
-    )
-    unequal = penalised_huber(design, target, np.ones(300), np.array([0, 0, 0, 1e9]), huber=0.1)
-    assert np.abs(unequal[3]).max() < 1e-6 < np.abs(unequal[:3]).min()

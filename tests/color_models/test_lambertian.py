@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.color_models import LambertianModel
-from gelform.color_models.lambertian import linear_change
-from made.color_samples import LIGHTS, ball_samples, lambertian_change
+from gelform.color_models import LambertianModel, Samples
+from gelform.color_models.lambertian import inverse_lights, linear_change
+from made.color_samples import LIGHTS, SHAPE, ball_samples, lambertian_change
 
 SCALED = LIGHTS / LIGHTS[:, 2:]
 
@@ -54,3 +54,40 @@ def test_linear_light_undoes_the_response():
 def test_calibrations_from_before_the_response_are_read():
     model = LambertianModel.from_arrays({"lights": SCALED}, {})
     assert model.response == 1
+
+
+def test_it_finds_its_lights_and_inverts_them():
+    model = LambertianModel.fit(ball_samples(lambertian_change))
+    np.testing.assert_allclose(model.lights, LIGHTS / LIGHTS[:, 2:], atol=1e-5)
+    unseen = ball_samples(lambertian_change, seed=3)
+    lit = (unseen.color_change > -0.98).all(axis=1)
+    found = model.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
+    np.testing.assert_allclose(found[lit], unseen.gradients[lit], atol=1e-4)
+
+
+def test_a_pixel_in_shadow_stays_finite():
+    model = LambertianModel(LIGHTS / LIGHTS[:, 2:])
+    gradients = model.gradients_at(
+        np.array([[-1.0, -1.0, 5.0], [-1.0, -1.0, -1.0]]), np.zeros(2), np.zeros(2)
+    )
+    assert np.isfinite(gradients).all()
+    assert np.linalg.norm(gradients, axis=1).max() <= 5.0 + 1e-6
+
+
+def test_coplanar_lights_are_refused_with_their_condition_number():
+    coplanar = np.array([[1.0, 0, 1], [0, 0, 1], [-1, 0, 1]])
+    with pytest.raises(ValueError, match=r"condition number .*coplanar"):
+        inverse_lights(coplanar)
+    with pytest.raises(ValueError, match="condition number"):
+        inverse_lights(coplanar + 1e-7 * np.eye(3))
+
+
+def test_huber_weights_ignore_a_bad_press():
+    good = ball_samples(lambertian_change)
+    rng = np.random.default_rng(6)
+    bad = rng.choice(len(good.x_px), 400, replace=False)
+    change = good.color_change.copy()
+    change[bad] = rng.uniform(-0.5, 0.5, (400, 3))
+    spoilt = Samples(change, good.x_px, good.y_px, good.gradients, good.weight, SHAPE)
+    model = LambertianModel.fit(spoilt)
+    np.testing.assert_allclose(model.lights, LIGHTS / LIGHTS[:, 2:], atol=0.05)

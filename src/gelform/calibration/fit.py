@@ -39,6 +39,7 @@ from gelform.calibration.selection.candidates import (
 from gelform.calibration.selection.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.selection.select import Selection, select, standard_error
 from gelform.calibration.selection.slope_errors import slope_sigma_from_folds
+from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel
 from gelform.color_models._shared.gamut import Gamut
@@ -101,9 +102,11 @@ def calibrate(
         zones = (start.settings.get("zone", DEFAULT_ZONE),)
         candidates = candidates_from(begin, zones[0])
     by_offset = _by_offset(presses, prepared, candidates)
-    sizes = size_folds(prepared, found, refined.accepted, progress=progress)
+    first = None if begin is None else begin.model
+    sizes = size_folds(prepared, found, refined.accepted, start=first, progress=progress)
     able = _able(candidates, by_offset)
-    selection = select(able, by_offset, found, folds, sizes, zones=zones, progress=progress)
+    held_out = HeldOutPresses(by_offset, found, folds, sizes)
+    selection = select(able, held_out, zones=zones, progress=progress)
     draft = _draft(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
     errors, sigma, samples = _held_out(draft, presses, by_offset, found, folds, selection, progress)
     left_out = tuple(c.model for c in candidates if c not in able)
@@ -173,7 +176,7 @@ def _refined_and_folded(
     model = None if begin is None else begin.model
     refined = refine(prepared, found, start=model, progress=progress)
     folds = make_folds(prepared, found, refined.accepted, start=model, progress=progress)
-    odd = unlike_the_others(prepared, found, folds)
+    odd = unlike_the_others(prepared, found, folds, start=model)
     if odd:
         refined = refine(prepared, found, excluded=odd, start=model, progress=progress)
         folds = make_folds(prepared, found, refined.accepted, start=model, progress=progress)

@@ -56,7 +56,9 @@ def calibrate(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
     ],
-    model: Annotated[str, typer.Option(help="Color model: auto, lambertian or polynomial.")] = "auto",
+    model: Annotated[
+        str, typer.Option(help="Color model; auto chooses by errors on held-out presses.")
+    ] = "auto",
     start: Annotated[
         Path | None,
         typer.Option(
@@ -178,11 +180,11 @@ def write_report(
 
 
 def _check_model(model: str) -> None:
-    from gelform.color_models import COLOR_MODELS
+    from gelform.calibration.selection.candidates import color_model_names
 
-    if model != "auto" and model not in COLOR_MODELS:
+    if model not in color_model_names():
         raise typer.BadParameter(
-            f"expected auto or one of {', '.join(COLOR_MODELS)}, got {model!r}.", param_hint="--model"
+            f"expected one of {', '.join(color_model_names())}, got {model!r}.", param_hint="--model"
         )
 
 

@@ -8,9 +8,6 @@ A model is fitted on samples of ball presses, where the gradient is known, and p
 No colour change means no slope, in every model.
 """
 
-from typing import Any
-
-from gelform.color_models._shared.slope_table import SlopeTableModel
 from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
@@ -19,28 +16,31 @@ from gelform.color_models.mlp import MlpModel
 from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
-from gelform.color_models.seam import ColorModel, PreparedColorModel, Samples
+from gelform.color_models.seam import ColorModel, FittableColorModel, PreparedColorModel, Samples, Variant
+from gelform.color_models.slope_table import SlopeTableModel
 
-COLOR_MODELS: dict[str, Any] = {
-    "lambertian": LambertianModel,
-    "near_light": NearLightModel,
-    "polynomial": PolynomialModel,
-    "hierarchical": HierarchicalModel,
-    "interpolation": InterpolationModel,
-    "mlp": MlpModel,
-    "lookup": LookupModel,
+COLOR_MODELS: dict[str, type[FittableColorModel]] = {
+    model.name: model
+    for model in (
+        LambertianModel,
+        NearLightModel,
+        PolynomialModel,
+        HierarchicalModel,
+        InterpolationModel,
+        MlpModel,
+        LookupModel,
+    )
 }
-
-# Made by other packages, never fitted here: only importers make them.
-IMPORTED_MODELS: dict[str, Any] = {
-    "network": NetworkModel,
-    "slope_table": SlopeTableModel,
+# Made by other packages and read by `importers`, never fitted here.
+IMPORTED_MODELS: dict[str, type[ColorModel]] = {
+    model.name: model for model in (NetworkModel, SlopeTableModel)
 }
 
 __all__ = [
     "COLOR_MODELS",
     "IMPORTED_MODELS",
     "ColorModel",
+    "FittableColorModel",
     "HierarchicalModel",
     "InterpolationModel",
     "LambertianModel",
@@ -52,4 +52,5 @@ __all__ = [
     "PreparedColorModel",
     "Samples",
     "SlopeTableModel",
+    "Variant",
 ]

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
-from gelform.color_models.seam import Samples
+from gelform.color_models.seam import Samples, Variant, check_image_shape
 
 NEIGHBOURS = 16
+POINTS = 4000
 CHUNK = 20_000
 PRIOR = 0.3
 
@@ -51,9 +52,10 @@ class InterpolationModel:
 
     name: ClassVar[str] = "interpolation"
     change_offset: ClassVar[float] = 10.0
+    slow: ClassVar[bool] = True
 
     @classmethod
-    def fit(cls, samples: Samples, *, points: int = 4000, place_scale: float = 0.5) -> InterpolationModel:
+    def fit(cls, samples: Samples, *, points: int = POINTS, place_scale: float = 0.5) -> InterpolationModel:
         """Keep every n-th sample, about `points`; `place_scale` says how far neighbours may be in the image."""
         if points < NEIGHBOURS or not place_scale > 0:
             raise ValueError(
@@ -70,6 +72,11 @@ class InterpolationModel:
             raise ValueError(f"Expected at least {NEIGHBOURS} samples, got {len(kept[0])}.")
         apart = draft._tree.query(draft._tree.data, k=[NEIGHBOURS // 4])[0]
         return replace(draft, spacing=float(np.median(apart)) + 1e-9)
+
+    @classmethod
+    def variants(cls, presses: int) -> list[Variant]:
+        """Itself: all the samples it keeps."""
+        return [Variant(complexity=POINTS)]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
@@ -95,10 +102,7 @@ class InterpolationModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedInterpolation:
         """The same model: the search tree is built once."""
-        if tuple(shape) != tuple(self.shape):
-            raise ValueError(
-                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
-            )
+        check_image_shape(shape, self.shape)
         return PreparedInterpolation(self)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
-from gelform.color_models.seam import Samples
+from gelform.color_models.seam import Samples, Variant
 
 MAX_CONDITION = 1e4
 MAX_SLOPE = 5.0
@@ -56,6 +56,7 @@ class LambertianModel:
 
     name: ClassVar[str] = "lambertian"
     change_offset: ClassVar[float] = 0.0
+    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(cls, samples: Samples, *, response: float | None = None) -> LambertianModel:
@@ -76,6 +77,11 @@ class LambertianModel:
         lights = _fitted_lights(samples, response)
         inverse_lights(lights)
         return cls(lights, response)
+
+    @classmethod
+    def variants(cls, presses: int) -> list[Variant]:
+        """Itself: six numbers of the lights and the exponent, for both slopes."""
+        return [Variant(complexity=3.5)]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

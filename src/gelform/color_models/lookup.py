@@ -1,32 +1,24 @@
-"""A table over colour change, and over place where it pays: fitted as a lattice, read by multilinear interpolation.
-
-Each sample pulls on the corners of its cell; empty cells follow their neighbours because second differences are
-kept small (Garcia, Arora, Gupta, Lattice regression, IEEE TIP 21(9), 2012, section III).
-"""
+"""A table over colour change and place, fitted by lattice regression, read by multilinear interpolation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.sparse import csr_matrix, diags, eye, kron
-from scipy.sparse.linalg import cg
+from scipy.sparse import csr_matrix
 
-from gelform.color_models._shared.least_squares import HUBER_SLOPE
-from gelform.color_models.seam import Samples
+from gelform.color_models._shared.lattice import Lattice, corner_weights, held_out_residuals
+from gelform.color_models.seam import Samples, Variant, check_image_shape
 
 OFF_GAMUT_SIGMA = 1.0
+NODES = 11  # per channel
 RANGE = (0.2, 99.8)  # percentiles of the samples' colour change that the table spans
 MIN_SAMPLES = 1.0  # corners with less weight of samples about them are off the gamut
-ROUNDS = 2
 PRIOR_SAMPLES = 20.0
-FOLDS, STRETCHES = 2, 24  # stretches of the samples, about a press or two each, are dealt into folds
-TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -52,13 +44,14 @@ class LookupModel:
 
     name: ClassVar[str] = "lookup"
     change_offset: ClassVar[float] = 10.0
+    slow: ClassVar[bool] = True
 
     @classmethod
     def fit(
         cls,
         samples: Samples,
         *,
-        nodes: int = 11,
+        nodes: int = NODES,
         positions: tuple[int, int] = (3, 4),
         smoothness: float = 0.02,
     ) -> LookupModel:
@@ -76,15 +69,20 @@ class LookupModel:
         low, step = _grid(change, nodes)
         sizes = (*positions, nodes, nodes, nodes)
         grid = cls(np.zeros((*sizes, 3), np.float32), low, step, samples.shape)
-        corners = _interpolation(grid._coordinates(change, samples.x_px, samples.y_px), sizes)
+        corners = corner_weights(grid._coordinates(change, samples.x_px, samples.y_px), sizes)
         weight = np.asarray(samples.weight, dtype=np.float64)
         target = np.asarray(samples.gradients, dtype=np.float64)
-        lattice = _Lattice(sizes, grid._zero_node(), smoothness)
+        lattice = Lattice(sizes, grid._zero_node(), smoothness)
         slopes = lattice.fitted(corners, target, weight)
-        residual = _held_out(lattice, corners, target, weight)
+        residual = held_out_residuals(lattice, corners, target, weight)
         sigma = _deviation(corners, residual, weight, sizes)
         table = np.concatenate([slopes, sigma[:, None]], axis=1).reshape(*sizes, 3)
         return cls(table.astype(np.float32), low, step, samples.shape)
+
+    @classmethod
+    def variants(cls, presses: int) -> list[Variant]:
+        """Itself: a number for each node of its table over colour."""
+        return [Variant(complexity=NODES**3)]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
@@ -95,8 +93,8 @@ class LookupModel:
             gain = _gain(self.background)
             change = change * gain[np.asarray(y_px, dtype=int), np.asarray(x_px, dtype=int)]
         sizes = self.table.shape[:-1]
-        corners = _interpolation(self._coordinates(change, x_px, y_px), sizes)
-        at_rest = _interpolation(self._coordinates(0 * change, x_px, y_px), sizes)
+        corners = corner_weights(self._coordinates(change, x_px, y_px), sizes)
+        at_rest = corner_weights(self._coordinates(0 * change, x_px, y_px), sizes)
         slopes: NDArray[np.float64] = (corners - at_rest) @ self.table.reshape(-1, 3)[:, :2].astype(
             np.float64
         )
@@ -104,10 +102,7 @@ class LookupModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedLookup:
         """The gain of each pixel and its place in the table."""
-        if tuple(shape) != tuple(self.shape):
-            raise ValueError(
-                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
-            )
+        check_image_shape(shape, self.shape)
         gain = None if self.gain == "none" else _gain(np.asarray(background, dtype=np.float32))
         return PreparedLookup(self, gain)
 
@@ -179,88 +174,6 @@ def _grid(change: NDArray[np.float64], nodes: int) -> tuple[NDArray[np.float64],
     low, high = np.minimum(low, -0.02), np.maximum(high, 0.02)
     step = (high - low) / (nodes - 2)
     return -np.ceil(-low / step) * step, step
-
-
-def _interpolation(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> csr_matrix:
-    """(N, nodes) matrix of multilinear weights; beyond the grid the nearest face counts."""
-    count = len(coordinates[0])
-    low, part = [], []
-    for at, size in zip(coordinates, sizes):
-        clipped = np.clip(at, 0, size - 1)
-        index = np.minimum(clipped.astype(int), max(size - 2, 0))
-        low.append(index)
-        part.append(clipped - index)
-    columns, values = [], []
-    for corner in product(*[(0, 1) if size > 1 else (0,) for size in sizes]):
-        node = np.zeros(count, dtype=int)
-        share = np.ones(count)
-        for index, between, up, size in zip(low, part, corner, sizes):
-            node = node * size + index + up
-            share = share * (between if up else 1 - between)
-        columns.append(node)
-        values.append(share)
-    rows = np.tile(np.arange(count), len(columns))
-    entries = np.concatenate(values), (rows, np.concatenate(columns))
-    return csr_matrix(entries, shape=(count, int(np.prod(sizes))))
-
-
-class _Lattice:
-    """Least squares on the nodes: samples, small second differences, and no slope at no change."""
-
-    def __init__(self, sizes: tuple[int, ...], zero: tuple[int, ...], smoothness: float) -> None:
-        self.smoothness = smoothness
-        self.roughness = csr_matrix((int(np.prod(sizes)),) * 2)
-        for axis, size in enumerate(sizes):
-            if size > 1:
-                self.roughness = self.roughness + _squared_differences(sizes, axis)
-        free = np.ones(sizes, dtype=bool)
-        free[:, :, zero[0], zero[1], zero[2]] = False
-        self.free = np.flatnonzero(free)
-
-    def fitted(
-        self, corners: csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Slopes (nodes, 2), reweighted by Huber's loss."""
-        slopes, current = np.zeros((corners.shape[1], 2)), weight
-        scale = self.smoothness * float(weight.sum()) / len(self.free)
-        part = corners[:, self.free]
-        stiff = self.roughness[self.free][:, self.free] * scale
-        for _ in range(ROUNDS):
-            normal = (part.T @ diags(current) @ part + stiff).tocsr()
-            precondition = diags(1 / (normal.diagonal() + 1e-12))
-            right = part.T @ (current[:, None] * target)
-            for c in (0, 1):
-                enough = TOLERANCE * float(np.linalg.norm(right[:, c]))
-                start = slopes[self.free, c]
-                slopes[self.free, c] = cg(
-                    normal, right[:, c], x0=start, atol=enough, maxiter=500, M=precondition
-                )[0]
-            residual = np.linalg.norm(corners @ slopes - target, axis=1)
-            current = weight * np.minimum(1, HUBER_SLOPE / np.maximum(residual, 1e-12))
-        return slopes
-
-
-def _squared_differences(sizes: tuple[int, ...], axis: int) -> csr_matrix:
-    """D^T D of second differences along one axis (first ones where there are two nodes), over all nodes."""
-    size = sizes[axis]
-    order = [1.0, -2.0, 1.0] if size > 2 else [-1.0, 1.0]
-    line = diags(order, list(range(len(order))), shape=(size - len(order) + 1, size))
-    before, after = (int(np.prod(part)) for part in (sizes[:axis], sizes[axis + 1 :]))
-    return csr_matrix(kron(kron(eye(before), line.T @ line), eye(after)))
-
-
-def _held_out(
-    lattice: _Lattice, corners: csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Residuals (N, 2) of the stretches of a fold, by a lattice fitted on the others."""
-    stretch = np.arange(len(target)) * STRETCHES // max(len(target), 1)
-    fold = stretch % FOLDS
-    residual = np.empty_like(target)
-    for one in range(FOLDS):
-        out = fold == one
-        slopes = lattice.fitted(corners[~out], target[~out], weight[~out])
-        residual[out] = corners[out] @ slopes - target[out]
-    return residual
 
 
 def _deviation(

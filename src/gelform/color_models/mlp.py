@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.layers import Layers, RestedNetwork
 from gelform.color_models._shared.least_squares import unit_position
-from gelform.color_models.seam import Samples
+from gelform.color_models.seam import Samples, Variant, check_image_shape
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class MlpModel:
 
     name: ClassVar[str] = "mlp"
     change_offset: ClassVar[float] = 10.0
+    slow: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if (self.layers.inputs, self.layers.outputs) != (5, 2):
@@ -76,6 +77,11 @@ class MlpModel:
         )
         return cls(layers, scale, samples.shape)
 
+    @classmethod
+    def variants(cls, presses: int) -> list[Variant]:
+        """Itself: 1313 weights and biases give both slopes."""
+        return [Variant(complexity=650)]
+
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
     ) -> NDArray[np.float64]:
@@ -85,10 +91,7 @@ class MlpModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedMlp:
         """The inputs at rest of a frame, and the network's answer to them."""
-        if tuple(shape) != tuple(self.shape):
-            raise ValueError(
-                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
-            )
+        check_image_shape(shape, self.shape)
         y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
         return PreparedMlp(self, x, y)
 

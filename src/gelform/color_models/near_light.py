@@ -24,12 +24,13 @@ from gelform.color_models.lambertian import (
     gradients_from_scaled,
     linear_change,
 )
-from gelform.color_models.seam import Samples
+from gelform.color_models.seam import Samples, Variant, check_image_shape
 
 FITTED_SAMPLES = 4000
 HEIGHTS = (0.05, 20.0)
 FARTHEST = 20.0
 MAX_CONDITION = 1e4
+MIN_PRESSES_IN_AUTO = 30
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class NearLightModel:
 
     name: ClassVar[str] = "near_light"
     change_offset: ClassVar[float] = 0.0
+    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(
@@ -100,6 +102,11 @@ class NearLightModel:
         x, y = unit_position(x_px, y_px, self.shape)
         return _scaled_lights(x, y, 2 * self.positions_px / max(self.shape), self.mixture, self.falloff)
 
+    @classmethod
+    def variants(cls, presses: int) -> list[Variant]:
+        """Itself; `auto` tries it where presses are enough to tell whether it is right."""
+        return [Variant(complexity=8, in_auto=presses >= MIN_PRESSES_IN_AUTO)]
+
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
     ) -> NDArray[np.float64]:
@@ -109,10 +116,7 @@ class NearLightModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
         """The inverse light matrix of every pixel."""
-        if tuple(shape) != tuple(self.shape):
-            raise ValueError(
-                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
-            )
+        check_image_shape(shape, self.shape)
         y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
         inverse = _inverted(self.lights_at(x, y)).reshape(*shape, 9)
         return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.layers import Layers, RestedNetwork
+from gelform.color_models.seam import check_image_shape
 
 MAX_SLOPE = 5.0
 
@@ -61,11 +62,8 @@ class NetworkModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNetwork:
         """The inputs at rest, and the network's answer to them, of a frame of the imported size."""
-        if tuple(shape) != self.background.shape[:2]:
-            height, width = self.background.shape[:2]
-            raise ValueError(
-                f"Expected images of {height}x{width} px, as imported, got {shape[0]}x{shape[1]}."
-            )
+        height, width = self.background.shape[:2]
+        check_image_shape(shape, (height, width), made="imported")
         y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
         return self._prepared(np.asarray(background, dtype=np.float32).reshape(-1, 3), x, y)
 

@@ -19,11 +19,15 @@ from gelform.color_models._shared.least_squares import (
     polynomial_terms,
     position_powers,
     robust_ridge,
+    term_count,
     unit_position,
 )
-from gelform.color_models.seam import Samples
+from gelform.color_models.seam import Samples, Variant, check_image_shape
 
 MAX_POSITION_DEGREE = 5
+# Position degrees that calibration tries, and the training presses that each needs.
+DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
+MIN_PRESSES_FOR_LARGEST = 18
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class PolynomialModel:
 
     name: ClassVar[str] = "polynomial"
     change_offset: ClassVar[float] = 10.0
+    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(
@@ -56,6 +61,20 @@ class PolynomialModel:
         coefficients = robust_ridge(design, samples.gradients, samples.weight, ridge=ridge, huber=HUBER_SLOPE)
         return cls(coefficients, tuple(position_degrees), samples.shape)
 
+    @classmethod
+    def variants(cls, presses: int) -> list[Variant]:
+        """Each set of degrees that so many presses can carry.
+
+        `auto` tries the plainest, and the largest from 18 presses on; those between are left to `hierarchical`,
+        which is as stiff where they have few terms.
+        """
+        carried = [degrees for degrees, needed in DEGREES if presses >= needed] or [DEGREES[0][0]]
+        in_auto = [carried[0], carried[-1]] if presses >= MIN_PRESSES_FOR_LARGEST else [carried[0]]
+        return [
+            Variant(term_count(3, degrees), {"position_degrees": degrees}, degrees in in_auto)
+            for degrees in carried
+        ]
+
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
     ) -> NDArray[np.float64]:
@@ -68,10 +87,7 @@ class PolynomialModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedPolynomial:
         """Coefficients of each row as polynomials in x, so that a frame is a few products per pixel."""
-        if tuple(shape) != tuple(self.shape):
-            raise ValueError(
-                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as calibrated, got {shape[0]}x{shape[1]}."
-            )
+        check_image_shape(shape, self.shape)
         return PreparedPolynomial(self)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

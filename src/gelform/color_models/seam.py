@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -42,11 +43,30 @@ class PreparedColorModel(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Variant:
+    """One way to fit a color model that calibration tries.
+
+    Attributes
+    ----------
+    complexity : > 0, about how many numbers per slope component the presses have to determine; of candidates that do
+        equally well on presses they have not seen, the least complex is chosen
+    settings : keywords of the model's `fit`
+    in_auto : whether `auto` tries it; if not, only who asks for the model by name gets it
+    """
+
+    complexity: float
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    in_auto: bool = True
+
+
 class ColorModel(Protocol):
     """A fitted color model; immutable.
 
-    Beside these methods its class has `fit(samples, **settings)`, the settings being the model's own, and
-    `from_arrays(arrays, settings)`, which rebuilds what `to_arrays` gave.
+    Attributes
+    ----------
+    name : what users and calibration files call it
+    change_offset : grey levels c of the color change `(I - I0)/(I0 + c)` that it takes; 0 for laws of physics
     """
 
     name: ClassVar[str]
@@ -65,3 +85,37 @@ class ColorModel(Protocol):
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and JSON-able settings that `from_arrays` rebuilds the model from."""
         ...
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> ColorModel:
+        """The model of `to_arrays`. Files are read for ever: what is added later has a default here."""
+        ...
+
+
+class FittableColorModel(ColorModel, Protocol):
+    """What the classes in `COLOR_MODELS` have beside: how they are fitted, and what calibration should try.
+
+    Attributes
+    ----------
+    slow : whether a fit or a frame takes seconds; such a model is tried by name only, never in `auto`
+    """
+
+    slow: ClassVar[bool]
+
+    @classmethod
+    def fit(cls, *samples: Any, **settings: Any) -> FittableColorModel:
+        """`fit(samples, **settings)`, deterministic; the settings are the model's own, each with a default."""
+        ...
+
+    @classmethod
+    def variants(cls, presses: int) -> Sequence[Variant]:
+        """What to try with so many training presses, the simplest first; at least one."""
+        ...
+
+
+def check_image_shape(shape: tuple[int, int], expected: tuple[int, int], *, made: str = "calibrated") -> None:
+    """Raise a ValueError where a model is prepared for images of another size than it was made from."""
+    if tuple(shape) != tuple(expected):
+        raise ValueError(
+            f"Expected images of {expected[0]}x{expected[1]} px, as {made}, got {shape[0]}x{shape[1]}."
+        )

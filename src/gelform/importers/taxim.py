@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.color_models._shared.slope_table import SlopeTableModel
+from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError
 
 MAX_BYTES = 256 * 2**20

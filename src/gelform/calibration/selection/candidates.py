@@ -1,4 +1,8 @@
-"""What calibration tries: color models with their settings, simplest first."""
+"""What calibration tries: color models with their settings, the simplest first.
+
+Which settings a color model should be tried with, how complex they are and whether `auto` tries them is said by the
+model's own class (`variants` and `slow`); here nothing is listed again.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +19,22 @@ from gelform.calibration.circles.samples import (
 )
 from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel, Samples
 
+AUTO = "auto"
 ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
 DEFAULT_ZONE = 0.8
-DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
-ENOUGH = 18  # presses
-MANY = 30
-RIDGES = (3e-4, 1e-4)
-FEW_RIDGES = (1e-3, 3e-4)
+ZONE_JUDGE_PRESSES = 18
 START_RIDGES = (1e-1, 1e-2, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What another unit of the same sensor taught: where the fit begins; equal to itself alone."""
+    """The model of another unit of the same sensor, where a fit begins; two are equal only if they are the same one.
+
+    Attributes
+    ----------
+    model : HierarchicalModel
+    digest : of the calibration that it comes from
+    """
 
     model: HierarchicalModel
     digest: str
@@ -35,7 +42,15 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A color model with its settings, the zone of the contact radius that it trains on, and what it starts from."""
+    """A color model with its settings, the zone that it trains on, and what it starts from.
+
+    Attributes
+    ----------
+    model : a name in `COLOR_MODELS`
+    zone : part of the contact radius inside which pixels train, 0-1
+    settings : keywords of the model's `fit`, as pairs
+    start : another unit's model, or None
+    """
 
     model: str
     zone: float
@@ -44,7 +59,7 @@ class Candidate:
 
     @property
     def change_offset(self) -> float:
-        """What its color changes are divided by beside the background."""
+        """Grey levels that are added to the background where its color changes are divided by it."""
         return float(COLOR_MODELS[self.model].change_offset)
 
     def fit(
@@ -54,14 +69,13 @@ class Candidate:
         *,
         total: int = TOTAL_SAMPLES,
     ) -> ColorModel:
-        """The model, fitted on presses with known circles."""
+        """The model, fitted on about `total` pixels of presses whose circles are known."""
         return self.fit_samples(self.samples(presses, contacts, total=total))
 
     def fit_samples(self, samples: Samples) -> ColorModel:
         """The model, fitted on samples."""
         start = {} if self.start is None else {"start": self.start.model}
-        model: ColorModel = COLOR_MODELS[self.model].fit(samples, **dict(self.settings), **start)
-        return model
+        return COLOR_MODELS[self.model].fit(samples, **dict(self.settings), **start)
 
     def samples(
         self,
@@ -70,7 +84,7 @@ class Candidate:
         *,
         total: int = TOTAL_SAMPLES,
     ) -> Samples:
-        """What it is fitted on: the contacts' zones and gel at rest."""
+        """What it is fitted on: pixels inside the contacts' zones, and untouched ones."""
         return with_rest_samples(
             contact_samples(presses, contacts, self.zone, total=total), presses, contacts
         )
@@ -81,36 +95,34 @@ class Candidate:
         return " ".join([self.model, *said]) + f", zone {self.zone:g}"
 
 
-def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried, simplest first, at the default zone.
+def color_model_names() -> list[str]:
+    """What `calibrate` takes as its color model."""
+    return [AUTO, *COLOR_MODELS]
 
-    "auto" leaves the polynomials between the plainest and the largest to `hierarchical`, which is stiff where they
-    have few terms; models that no sensor has chosen yet are tried where there are presses enough to tell. `mlp`
-    is tried only by name: it needs torch, and a result must not depend on what else is installed.
+
+def candidates_for(color_model: str, presses: int) -> list[Candidate]:
+    """What is tried with so many training presses, the simplest first, at the default zone.
+
+    Parameters
+    ----------
+    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto", for the variants in `auto` of every
+        model that is not slow
+    presses : number of presses that train
+
+    Raises
+    ------
+    ValueError
+        The name is unknown.
     """
-    polynomials = [
-        Candidate("polynomial", DEFAULT_ZONE, (("position_degrees", degrees),))
-        for degrees, needed in DEGREES
-        if presses >= needed
-    ]
-    ridges = RIDGES if presses >= ENOUGH else FEW_RIDGES
-    known: dict[str, list[Candidate]] = {
-        "lambertian": [Candidate("lambertian", DEFAULT_ZONE)],
-        "near_light": [Candidate("near_light", DEFAULT_ZONE)],
-        "polynomial": polynomials,
-        "hierarchical": [Candidate("hierarchical", DEFAULT_ZONE, (("ridge", r),)) for r in ridges],
-        "interpolation": [Candidate("interpolation", DEFAULT_ZONE)],
-        "lookup": [Candidate("lookup", DEFAULT_ZONE)],
-        "mlp": [Candidate("mlp", DEFAULT_ZONE)],
-    }
-    if color_model == "auto":
-        others = known["near_light"] if presses >= MANY else []
-        dear = known["lookup"] + known["interpolation"] if presses >= MANY else []
-        largest = polynomials[-1:] if presses >= ENOUGH else []
-        return known["lambertian"] + others + polynomials[:1] + known["hierarchical"] + largest + dear
-    if color_model not in known:
-        raise ValueError(f"Expected color_model among auto, {', '.join(known)}, got {color_model!r}.")
-    return known[color_model]
+    if color_model not in color_model_names():
+        raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
+    if color_model != AUTO:
+        offered = [(color_model, variant) for variant in COLOR_MODELS[color_model].variants(presses)]
+    else:
+        quick = {name: model for name, model in COLOR_MODELS.items() if not model.slow}
+        offered = [(name, v) for name, model in quick.items() for v in model.variants(presses) if v.in_auto]
+        offered.sort(key=lambda one: one[1].complexity)
+    return [Candidate(name, DEFAULT_ZONE, tuple(variant.settings.items())) for name, variant in offered]
 
 
 def candidates_from(start: Start, zone: float) -> list[Candidate]:
@@ -119,5 +131,5 @@ def candidates_from(start: Start, zone: float) -> list[Candidate]:
 
 
 def zone_judge(presses: int) -> Candidate:
-    """What the training zone is judged by: quick to fit, and fine enough to see the rim."""
-    return candidates_for("polynomial", min(presses, ENOUGH))[-1]
+    """What judges the training zone: a polynomial, quick to fit and fine enough to see the rim."""
+    return candidates_for("polynomial", min(presses, ZONE_JUDGE_PRESSES))[-1]

@@ -23,14 +23,21 @@ MIN_OF_OTHER_SIZES = 16
 
 @dataclass(frozen=True)
 class Fold:
-    """The presses that are scored, those that train, and the refined circles of the latter."""
+    """Presses held out, and what trains without them.
+
+    Attributes
+    ----------
+    held_out : indices of the presses that are scored
+    training : indices of those that train
+    contacts : refined circles of the training presses
+    """
 
     held_out: tuple[int, ...]
     training: tuple[int, ...]
     contacts: tuple[Contact, ...]
 
     def without(self, others: Sequence[int]) -> Fold:
-        """The same training presses but for some, which are scored instead."""
+        """The same training presses but for some, which are scored instead of those held out so far."""
         kept = [k for k, i in enumerate(self.training) if i not in set(others)]
         return Fold(
             held_out=tuple(i for i in others if i not in self.held_out),
@@ -47,7 +54,15 @@ def make_folds(
     start: HierarchicalModel | None = None,
     progress: Progress = no_progress,
 ) -> list[Fold]:
-    """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles."""
+    """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
+
+    Parameters
+    ----------
+    presses, found : prepared, and the circle found in each image
+    usable : indices of the presses that fit
+    start : another unit's model, where the refinement begins
+    progress : called with (done, total, what)
+    """
     ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
     count = min(FOLDS, len(ordered))
     folds = []
@@ -63,12 +78,13 @@ def size_folds(
     found: Sequence[Contact],
     usable: Sequence[int],
     *,
+    start: HierarchicalModel | None = None,
     progress: Progress = no_progress,
 ) -> list[Fold]:
     """One fold for each size of ball that can be left out: the others must be half of the presses at least, and 16.
 
     A model that has learnt the ball instead of the light gives itself away on another size alone. Fewer presses
-    would say what every model does with few presses.
+    would say what every model does with few presses. Parameters are those of `make_folds`.
     """
     sizes = sorted({presses[i].ball_radius_px for i in usable})
     folds = []
@@ -76,7 +92,7 @@ def size_folds(
         held_out = tuple(i for i in usable if presses[i].ball_radius_px == size)
         training = [i for i in usable if i not in held_out]
         if len(training) >= max(MIN_SHARE * len(usable), MIN_OF_OTHER_SIZES):
-            folds.append(_fold(presses, found, held_out, training))
+            folds.append(_fold(presses, found, held_out, training, start))
         progress(done + 1, len(sizes), "holding a ball size out")
     return folds
 
@@ -86,7 +102,7 @@ def _fold(
     found: Sequence[Contact],
     held_out: tuple[int, ...],
     training: Sequence[int],
-    start: HierarchicalModel | None = None,
+    start: HierarchicalModel | None,
 ) -> Fold:
     refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
@@ -98,7 +114,11 @@ def _fold(
 
 
 def unlike_the_others(
-    presses: Sequence[PreparedPress], found: Sequence[Contact], folds: Sequence[Fold]
+    presses: Sequence[PreparedPress],
+    found: Sequence[Contact],
+    folds: Sequence[Fold],
+    *,
+    start: HierarchicalModel | None = None,
 ) -> dict[int, str]:
     """Presses that a model of the others contradicts, with the reason: a wrong ball diameter, say.
 
@@ -109,7 +129,7 @@ def unlike_the_others(
         return {}
     indices, agreements = [], []
     for fold in folds:
-        model = fit_model([presses[i] for i in fold.training], fold.contacts)
+        model = fit_model([presses[i] for i in fold.training], fold.contacts, start)
         for i in fold.held_out:
             indices.append(i)
             agreements.append(agreement(presses[i], recentered(presses[i], found[i], found[i], model), model))

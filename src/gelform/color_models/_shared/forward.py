@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import (
-    monomials,
     polynomial_terms,
     position_powers,
     robust_ridge,
+    term_count,
     unit_position,
 )
 from gelform.color_models.seam import Samples
@@ -99,8 +99,7 @@ class ForwardResponse:
 
     @property
     def _gradient_terms(self) -> int:
-        degrees = self.position_degrees
-        return sum(len(position_powers(degrees[len(term) - 1])) for term in monomials(2, len(degrees)))
+        return term_count(2, self.position_degrees)
 
 
 def _terms_with_depth(

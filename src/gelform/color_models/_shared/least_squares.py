@@ -27,6 +27,12 @@ def position_powers(degree: int) -> list[tuple[int, int]]:
     return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
 
 
+def term_count(channels: int, position_degrees: tuple[int, ...]) -> int:
+    """How many columns `polynomial_terms` has."""
+    terms = monomials(channels, len(position_degrees))
+    return sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
+
+
 def unit_position(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, Any]:
     """Positions about the image's centre in units of half its larger side."""
     height, width = shape
@@ -45,11 +51,9 @@ def polynomial_terms(
     """
     channels = np.asarray(values, dtype=np.float64).T
     place = {(i, j): x**i * y**j for i, j in position_powers(max(position_degrees))}
-    terms = monomials(len(channels), len(position_degrees))
-    count = sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
-    columns = np.empty((count, channels.shape[1]))
+    columns = np.empty((term_count(len(channels), position_degrees), channels.shape[1]))
     filled = 0
-    for term in terms:
+    for term in monomials(len(channels), len(position_degrees)):
         product = np.prod(channels[list(term)], axis=0)
         for power in position_powers(position_degrees[len(term) - 1]):
             np.multiply(product, place[power], out=columns[filled])

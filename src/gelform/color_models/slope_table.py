@@ -15,6 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from gelform.color_models.seam import check_image_shape
+
 FADED_DEG = 10.0  # the table's own answer at slope 0 is subtracted there, and less and less up to this angle
 SMOOTHED_BINS = 1.0
 STEEPEST_DEG = 60.0
@@ -68,10 +70,7 @@ class SlopeTableModel:
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedSlopeTable:
         """The table and each pixel's place in it."""
-        if tuple(shape) != tuple(self.shape):
-            raise ValueError(
-                f"Expected images of {self.shape[0]}x{self.shape[1]} px, as imported, got {shape[0]}x{shape[1]}."
-            )
+        check_image_shape(shape, self.shape, made="imported")
         y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
         return PreparedSlopeTable(self._faded(), *self._place(x, y))
 

@@ -1,0 +1,123 @@
+"""A candidate on trial: fitted without some presses, scored on those, and what its scores say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.selection.candidates import Candidate
+from gelform.calibration.selection.folds import Fold
+from gelform.calibration.selection.press_score import PressScore, press_score
+
+SELECTION_SAMPLES = 5_000
+MIN_FOLDS = 4
+
+Scores = Mapping[int, PressScore]  # by the index of the press
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate's scores on presses that its models had not seen.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    by_fold : press -> score, the press's fold left out
+    by_size : press -> score, all balls of its size left out; empty where no size can be
+    by_pair : fold -> press of another fold -> score, both folds left out; empty until `with_pairs`
+    """
+
+    candidate: Candidate
+    by_fold: Scores
+    by_size: Scores
+    by_pair: Mapping[int, Scores] = field(default_factory=dict)
+
+    def mean_deg(self, by_size: bool = False) -> float:
+        """Mean held-out normal error, degrees; NaN where no size was left out."""
+        scores = self.by_size if by_size else self.by_fold
+        return float(np.mean([s.normal_deg for s in scores.values()])) if scores else float("nan")
+
+    def fold_losses(self, without: Sequence[int] = ()) -> NDArray[np.float64]:
+        """Cap error of each press, px, its fold left out; without some presses."""
+        return np.array([score.cap_px for i, score in sorted(self.by_fold.items()) if i not in without])
+
+    def zone_losses(self, without: Sequence[int] = ()) -> NDArray[np.float64]:
+        """Cap error of each press, px, the mean of both ways to leave it out; without some presses."""
+        ways = self.by_fold, self.by_size
+        asked = sorted(set(self.by_fold) - set(without))
+        return np.array([np.mean([scores[i].cap_px for scores in ways if i in scores]) for i in asked])
+
+    def expected_losses(self) -> NDArray[np.float64]:
+        """Cap error of each press, px, that a model of all presses can be expected to have.
+
+        Errors fall as a power of the number of presses; which power, the models of fewer presses tell.
+        """
+        seen = self.fold_losses()
+        folds = len(self.by_pair)
+        if folds < MIN_FOLDS:
+            return seen
+        fewer = _cap_px(self.by_pair.values())
+        learnt = min(float(seen.mean() / np.mean(fewer)), 1.0)
+        power = np.log(folds / (folds - 1)) / np.log((folds - 1) / (folds - 2))
+        return seen * learnt**power
+
+    def losses_without(self, fold: int) -> NDArray[np.float64]:
+        """Cap error, px, of the presses outside a fold, as if that fold did not exist."""
+        return np.array([score.cap_px for _, score in sorted(self.by_pair[fold].items())])
+
+    def size_ratio(self, without_fold: int | None = None) -> float:
+        """Cap error on balls of a size that was left out over that with as few presses of all sizes; 1 if unknown."""
+        pairs = [self.by_pair[without_fold]] if without_fold is not None else list(self.by_pair.values())
+        fewer = _cap_px(pairs)
+        asked = {i for scores in pairs for i in scores}
+        by_size = [score.cap_px for i, score in self.by_size.items() if i in asked]
+        return float(np.mean(by_size) / np.mean(fewer)) if by_size and fewer else 1.0
+
+
+def _cap_px(parts: Iterable[Scores]) -> list[float]:
+    return [score.cap_px for scores in parts for score in scores.values()]
+
+
+@dataclass(frozen=True)
+class HeldOutPresses:
+    """The presses, and the ways to leave some of them out.
+
+    Attributes
+    ----------
+    presses : prepared, by the `change_offset` that candidates want
+    found : the circles found in single images, one per press
+    folds, sizes : from `make_folds` and `size_folds`
+    """
+
+    presses: Mapping[float, Sequence[PreparedPress]]
+    found: Sequence[Contact]
+    folds: Sequence[Fold]
+    sizes: Sequence[Fold]
+
+    def try_candidate(self, candidate: Candidate) -> Trial:
+        """Fit a candidate without each fold and without each size that can be left out; score what was left out."""
+        return Trial(candidate, self._scores(candidate, self.folds), self._scores(candidate, self.sizes))
+
+    def with_pairs(self, trial: Trial) -> Trial:
+        """The trial with its scores where two folds are left out."""
+        by_pair = {}
+        for f, fold in enumerate(self.folds):
+            others = [other for g, other in enumerate(self.folds) if g != f]
+            pairs = [fold.without(other.held_out) for other in others]
+            by_pair[f] = self._scores(trial.candidate, pairs)
+        return replace(trial, by_pair=by_pair)
+
+    def _scores(self, candidate: Candidate, folds: Sequence[Fold]) -> dict[int, PressScore]:
+        suited = self.presses[candidate.change_offset]
+        scores: dict[int, PressScore] = {}
+        for fold in folds:
+            if fold.training:
+                training = [suited[i] for i in fold.training]
+                model = candidate.fit(training, fold.contacts, total=SELECTION_SAMPLES)
+                scores.update({i: press_score(suited[i], self.found[i], model) for i in fold.held_out})
+        return scores

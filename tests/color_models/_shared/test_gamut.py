@@ -1,0 +1,29 @@
+"""The gamut: 0 at the colours of the training presses, beyond them the slope that the difference is worth."""
+
+import numpy as np
+import pytest
+
+from gelform.color_models._shared.gamut import Gamut
+
+
+def test_distance_is_the_difference_of_colour_in_slopes():
+    rng = np.random.default_rng(2)
+    seen = rng.uniform(-0.3, 0.3, (20_000, 3)).astype(np.float32)
+    gamut = Gamut.fit(seen, 2 * seen[:, :2])
+    change = np.zeros((2, 3, 3), dtype=np.float32)
+    change[0, 1], change[0, 2], change[1, 0] = (0.25, 0, 0), (0.5, 0, 0), (5.0, 0, 0)
+    away = gamut.distance_of(change)
+    assert away[0, 0] == away[0, 1] == 0
+    worth = gamut.slope_per_change
+    assert worth == pytest.approx(2 * np.sqrt(2 / 3), rel=0.02)
+    assert away[0, 2] == pytest.approx(0.2 * worth, abs=1.6 * gamut.cell * worth)
+    assert away[1, 0] == pytest.approx(4.7 * worth, rel=0.1)
+
+
+def test_a_color_that_stands_alone_was_not_seen():
+    rng = np.random.default_rng(3)
+    seen = rng.uniform(-0.1, 0.1, (20_000, 3)).astype(np.float32)
+    seen[7] = 0.9
+    gamut = Gamut.fit(seen, seen[:, :2])
+    lone = np.full((1, 1, 3), 0.9, dtype=np.float32)
+    assert gamut.distance_of(lone)[0, 0] > 0.5 * gamut.slope_per_change

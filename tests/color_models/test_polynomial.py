@@ -1,0 +1,50 @@
+"""Polynomial: exact on its own law, follows lights that turn over the image."""
+
+import numpy as np
+import pytest
+
+from gelform.color_models import PolynomialModel, Samples
+from gelform.color_models._shared.least_squares import term_count
+from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
+
+
+def test_it_follows_lights_that_turn_over_the_image():
+    unseen = ball_samples(shading_change, seed=4)
+    errors = {}
+    for degrees in ((0,), (4, 3, 1)):
+        model = PolynomialModel.fit(ball_samples(shading_change), position_degrees=degrees)
+        found = model.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
+        errors[degrees] = np.sqrt(np.mean((found - unseen.gradients) ** 2))
+    assert errors[(4, 3, 1)] < 0.03
+    assert errors[(4, 3, 1)] < 0.3 * errors[(0,)]
+
+
+def test_it_recovers_a_polynomial_exactly():
+    rng = np.random.default_rng(5)
+    degrees = (5, 3, 1)
+    truth = PolynomialModel(rng.normal(size=(term_count(3, degrees), 2)), degrees, SHAPE)
+    samples = ball_samples(lambertian_change, count=3000)
+    gradients = truth.gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    samples = Samples(samples.color_change, samples.x_px, samples.y_px, gradients, samples.weight, SHAPE)
+    model = PolynomialModel.fit(samples, position_degrees=degrees, ridge=1e-13)
+    np.testing.assert_allclose(
+        model.gradients_at(samples.color_change, samples.x_px, samples.y_px), gradients, rtol=1e-4, atol=1e-4
+    )
+
+
+def test_it_refuses_frames_of_another_size():
+    model = PolynomialModel.fit(ball_samples(lambertian_change))
+    with pytest.raises(ValueError, match="as calibrated, got 10x10"):
+        model.prepare(np.zeros((10, 10, 3)), (10, 10))
+    with pytest.raises(ValueError, match="position degrees"):
+        PolynomialModel.fit(ball_samples(lambertian_change), position_degrees=(9,))
+
+
+@pytest.mark.parametrize(
+    ("presses", "largest"), [(2, (1,)), (6, (2, 1)), (9, (3, 2, 0)), (18, (4, 3, 1)), (30, (5, 4, 3))]
+)
+def test_more_presses_carry_more_terms(presses, largest):
+    variants = PolynomialModel.variants(presses)
+    assert variants[-1].settings == {"position_degrees": largest}
+    in_auto = [v.settings["position_degrees"] for v in variants if v.in_auto]
+    assert in_auto == ([(1,), largest] if presses >= 18 else [(1,)])
