@@ -35,10 +35,10 @@ def added(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, name, importlib.util.module_from_spec(spec))
     spec.loader.exec_module(sys.modules[name])
     listed = Path(color_models.__file__).read_text(encoding="utf-8")
-    last = "        LookupModel,\n"
+    last = '    "lookup": LookupModel,\n'
     assert last in listed
     namespace = {}
-    exec(import_line + listed.replace(last, last + blocks("text")[0]), namespace)
+    exec(import_line + listed.replace(last, f"{last}    {blocks('text')[0]}"), namespace)
     table = namespace["COLOR_MODELS"]
     (new,) = table.keys() - color_models.COLOR_MODELS.keys()
     monkeypatch.setitem(color_models.COLOR_MODELS, new, table[new])

@@ -20,20 +20,19 @@ from gelform.color_models.seam import ColorModel, FittableColorModel, PreparedCo
 from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, type[FittableColorModel]] = {
-    model.name: model
-    for model in (
-        LambertianModel,
-        NearLightModel,
-        PolynomialModel,
-        HierarchicalModel,
-        InterpolationModel,
-        MlpModel,
-        LookupModel,
-    )
+    "lambertian": LambertianModel,
+    "near_light": NearLightModel,
+    "polynomial": PolynomialModel,
+    "hierarchical": HierarchicalModel,
+    "interpolation": InterpolationModel,
+    "mlp": MlpModel,
+    "lookup": LookupModel,
 }
+
 # Made by other packages and read by `importers`, never fitted here.
 IMPORTED_MODELS: dict[str, type[ColorModel]] = {
-    model.name: model for model in (NetworkModel, SlopeTableModel)
+    "network": NetworkModel,
+    "slope_table": SlopeTableModel,
 }
 
 __all__ = [
