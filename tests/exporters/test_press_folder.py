@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.errors import DataError
 from gelform.exporters.press_folder import save_press_folder, save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 
@@ -60,13 +59,6 @@ def test_what_is_written_is_what_was_simulated(tmp_path, simulated):
     np.testing.assert_array_equal(cv2.imread(str(folder / "background.png"))[..., ::-1], simulated.background)
 
 
-def test_a_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(DataError, match="new or empty folder"):
-        save_press_folder(tmp_path, **ARGUMENTS)
-    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
-
-
 def test_nothing_is_left_where_writing_fails_halfway(tmp_path):
     wrong_size = [*ARGUMENTS["images"], np.zeros((3, 3, 3), np.uint8)]
     with pytest.raises(ValueError, match=r"0001\.png"):
@@ -74,12 +66,6 @@ def test_nothing_is_left_where_writing_fails_halfway(tmp_path):
             tmp_path / "out", **ARGUMENTS | {"images": wrong_size, "ball_diameters_mm": [4.0, 4.0]}
         )
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_written_is_a_data_error(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match="Cannot write"):
-        save_press_folder(tmp_path / "file" / "out", **ARGUMENTS)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,14 @@
 """Profiles cut the same part of the gel out of frames of any size, with square pixels."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from gelform.errors import SensorError
-from gelform.sensors.profiles import PROFILES, profile_named
+from gelform.sensors.profiles import PROFILES, SENSORS, light_order_of, profile_named
+from gelform.simulate import LAYOUTS
 from gelform.view import View, image_from_frame
 
 
@@ -52,3 +56,31 @@ def test_scales_carry_their_doubt():
 def test_unknown_profiles_name_the_known_ones():
     with pytest.raises(SensorError, match="gelsight-mini, digit, got 'gelsight'"):
         profile_named("gelsight")
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_every_sensor_can_be_simulated_under_its_name_and_scale(name):
+    known = SENSORS[name]
+    sensor = known.simulated()
+    assert sensor.name == name
+    if known.profile is not None:
+        assert sensor.shape == known.profile.image_shape
+        assert sensor.mm_per_px == known.profile.mm_per_px
+
+
+def test_no_two_sensors_share_a_name():
+    assert not LAYOUTS.keys() & SENSORS.keys()
+    assert all(sensor.name == name for name, sensor in LAYOUTS.items())
+
+
+def test_light_orders_are_known_by_the_start_of_a_name():
+    assert light_order_of("GelSight Mini, unit A") == "clockwise"
+    assert light_order_of("DIGIT 7") == "counter-clockwise"
+    assert light_order_of("digit") is None
+
+
+def test_the_names_of_sensors_cost_no_numpy():
+    """The command line's help lists them."""
+    code = "import sys; from gelform.sensors.profiles import SENSORS; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert not {"numpy", "scipy", "cv2"} & set(loaded.split())

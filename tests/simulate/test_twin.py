@@ -118,3 +118,8 @@ def test_the_same_seed_gives_the_same_presses_with_noise(calibration):
 def test_pixels_that_are_not_square_are_refused(calibration):
     with pytest.raises(ValueError, match="square pixels"):
         Twin(replace(calibration, mm_per_px=(0.06, 0.07)))
+
+
+def test_a_path_is_told_how_to_become_a_calibration():
+    with pytest.raises(TypeError, match=r"Expected a Calibration or a look .* got str.*load_calibration"):
+        Twin("mini.npz")

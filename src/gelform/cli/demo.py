@@ -44,7 +44,7 @@ def demo(
       gelform demo
       gelform demo -o somewhere --json
     """
-    from gelform.exporters.press_folder import written_whole
+    from gelform.exporters.folders import written_whole
     from gelform.plots.canvas import check_matplotlib
 
     check_matplotlib()

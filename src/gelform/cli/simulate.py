@@ -115,7 +115,9 @@ def simulate(
                 if height_map is None
                 else _height_map(height_map, height_map_mm_per_px, height_map_range_mm)
             )
-            _press_one(made, twin, face, depth_mm, seed, output)
+            from gelform.exporters.simulated_press import save_simulated_press
+
+            save_simulated_press(output, made, face, depth_mm=depth_mm, seed=seed, twin=twin)
         else:
             from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
 
@@ -205,39 +207,3 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
     if not isinstance(heights, np.ndarray):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
     return HeightMap(heights, mm_per_px)
-
-
-def _press_one(
-    sensor: SimulatedSensor, twin: Twin | None, face: Indenter, depth_mm: float, seed: int, folder: Path
-) -> None:
-    import json
-
-    import numpy as np
-
-    from gelform import __version__
-    from gelform.exporters.press_folder import toml_string, written_whole
-    from gelform.exporters.simulated_sets import write_truth
-    from gelform.plots.canvas import save_picture
-    from gelform.simulate import simulate_background, simulate_press
-    from gelform.simulate.settings import settings_from_sensor
-
-    rng = np.random.default_rng(seed)
-    press = simulate_press(sensor, face, depth_mm=depth_mm, rng=rng)
-    rest = simulate_background(sensor, rng) if twin is None else twin.background
-    if twin is not None:
-        press = twin.rendered(press, rng)
-    parameters = {
-        "sensor": settings_from_sensor(sensor),
-        "like": None if twin is None else twin.look.name,
-        "seed": seed,
-        "gelform_version": __version__,
-    }
-    with written_whole(folder) as partial:
-        save_picture(partial / "background.png", rest)
-        save_picture(partial / "image.png", press.image)
-        pitch = np.float64(sensor.mm_per_px)
-        write_truth(partial / "truth.npz", press, {"seed": seed}, mm_per_px=pitch)
-        text = json.dumps(parameters, indent=1, sort_keys=True)
-        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
-        text = f"name = {toml_string(sensor.name)}\nmm_per_px = {sensor.mm_per_px!r}\n"
-        (partial / "sensor.toml").write_text(text, encoding="utf-8")

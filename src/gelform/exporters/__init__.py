@@ -1,1 +1,15 @@
-"""Files for others: press folders and simulated data sets."""
+"""Files of simulated presses; folders appear whole or not at all."""
+
+from gelform.exporters.folders import written_whole
+from gelform.exporters.press_folder import save_press_folder, save_simulated_presses
+from gelform.exporters.simulated_press import save_simulated_press
+from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
+
+__all__ = [
+    "SetOfPresses",
+    "save_press_folder",
+    "save_simulated_press",
+    "save_simulated_presses",
+    "save_simulated_set",
+    "written_whole",
+]

@@ -1,22 +1,16 @@
-"""Writers: a press folder as calibration reads it; written whole or not at all."""
+"""A press folder as calibration reads it, from images or from a simulated set."""
 
 from __future__ import annotations
 
-import csv
 import os
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import cv2
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gelform.checks import check_image, check_mm_per_px, check_positive
-from gelform.errors import DataError
+from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
+from gelform.exporters.simulated_press import truth_from_press
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPresses
 
@@ -63,20 +57,18 @@ def save_press_folder(
     if truths is not None and len(truths) != len(images):
         raise ValueError(f"Expected {len(images)} truths, one per image, got {len(truths)}.")
     pitch = check_mm_per_px(mm_per_px)[0]
-    shape = check_image(background, name="background").shape[:2]
+    height, width = check_image(background, name="background").shape[:2]
     with written_whole(target) as partial:
-        _write_png(partial / "background.png", background, shape)
+        write_png(partial / "background.png", background, (height, width))
         (partial / "images").mkdir()
         for k, image in enumerate(images):
-            _write_png(partial / rows[k]["image"], image, shape)
+            write_png(partial / rows[k]["image"], image, (height, width))
             if truths is not None:
                 (partial / "truth").mkdir(exist_ok=True)
-                _write_npz(partial / "truth" / f"{k:04d}.npz", truths[k])
+                write_npz(partial / "truth" / f"{k:04d}.npz", truths[k])
             progress(k + 1, len(images), "writing presses")
-        _write_csv(partial / "presses.csv", rows)
-        (partial / "sensor.toml").write_text(
-            f"name = {toml_string(name)}\nmm_per_px = {pitch!r}\n", encoding="utf-8"
-        )
+        write_csv(partial / "presses.csv", rows)
+        write_sensor_toml(partial / "sensor.toml", name, pitch)
     return target
 
 
@@ -101,47 +93,6 @@ def save_simulated_presses(
         truths=[truth_from_press(press) for press in presses] if truth else None,
         progress=progress,
     )
-
-
-def truth_from_press(press: Any) -> dict[str, NDArray[Any]]:
-    """The truth of a simulated press as it is saved: depth_mm, gradients (float32), contact."""
-    return {
-        "depth_mm": press.depth_mm.astype(np.float32),
-        "gradients": press.gradients.astype(np.float32),
-        "contact": press.contact,
-    }
-
-
-@contextmanager
-def written_whole(target: Path) -> Iterator[Path]:
-    """A temporary folder beside `target` that takes its name when the block ends well, else vanishes."""
-    try:
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise DataError(
-                f"Expected a new or empty folder, got {target}, which holds something. Choose another name."
-            )
-        target.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
-    except OSError as error:
-        raise DataError(f"Cannot write into {target.parent}: {error.strerror or error}.") from error
-    try:
-        yield partial
-        partial.chmod(0o777 & ~_umask())
-        if target.exists():
-            target.rmdir()
-        partial.rename(target)
-    except OSError as error:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise DataError(f"Cannot write {target}: {error.strerror or error}. Nothing was kept.") from error
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-
-
-def toml_string(text: str) -> str:
-    """A TOML basic string."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return f'"{escaped}"'
 
 
 def _rows(
@@ -170,32 +121,3 @@ def _rows(
             row |= {"contact_radius_px": f"{radii_px[k]:.4f}"}
         rows.append(row)
     return rows
-
-
-def _write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def _write_png(path: Path, image: ArrayLike, shape: tuple[int, ...]) -> None:
-    pixels = check_image(image, shape=(shape[0], shape[1]), name=path.name)
-    if pixels.dtype != np.uint8:
-        pixels = np.rint(pixels).astype(np.uint8)
-    done, encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))
-    if not done:
-        raise DataError(f"Cannot encode {path.name} as PNG.")
-    path.write_bytes(encoded.tobytes())
-
-
-def _write_npz(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
-    members: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
-    with path.open("wb") as file:
-        np.savez_compressed(file, **members)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

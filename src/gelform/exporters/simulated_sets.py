@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import multiprocessing
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
-from gelform.errors import DataError
-from gelform.exporters.press_folder import toml_string, truth_from_press, written_whole
+from gelform.exporters.folders import write_csv, write_png, write_sensor_toml, written_whole
+from gelform.exporters.simulated_press import write_truth
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
 from gelform.simulate.sets import ball_press_of_set
@@ -110,21 +109,15 @@ def save_simulated_set(
     with written_whole(target) as partial:
         for name in ("images", "truth"):
             (partial / name).mkdir()
-        _write_png(partial / "background.png", presses.background())
+        write_png(partial / "background.png", presses.background())
         rows = []
         for row in _made(presses, partial, workers):
             rows.append(row)
             progress(len(rows), presses.count, "simulating")
-        with (partial / "presses.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_csv(partial / "presses.csv", rows)
         text = json.dumps(presses.parameters(), indent=1, sort_keys=True)
         (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
-        sensor = (
-            f"name = {toml_string(presses.sensor.name)}\nmm_per_px = {float(presses.sensor.mm_per_px)!r}\n"
-        )
-        (partial / "sensor.toml").write_text(sensor, encoding="utf-8")
+        write_sensor_toml(partial / "sensor.toml", presses.sensor.name, presses.sensor.mm_per_px)
     return target
 
 
@@ -152,38 +145,8 @@ def _one_thread() -> None:
 
 def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
     press = presses.press(k)
-    _write_png(folder / f"images/{k:04d}.png", press.image)
+    write_png(folder / f"images/{k:04d}.png", press.image)
     write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
     x, y = press.center_px
     numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
     return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers)))
-
-
-def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
-    """Write everything that is true of a press as .npz; `meta` joins its pose as JSON, `arrays` its arrays."""
-    pose = {
-        "depth_mm": press.press_depth_mm,
-        "center_mm": list(press.center_mm),
-        "spin_deg": press.pose.spin_deg,
-        "tilt_deg": list(press.pose.tilt_deg),
-        "time_s": press.time_s,
-    }
-    members: dict[str, Any] = {
-        **arrays,
-        **truth_from_press(press),
-        "albedo": press.albedo,
-        "shadowed": press.shadowed,
-        "saturated": press.saturated,
-        "markers_px": press.markers_px,
-        "markers_shift_mm": press.markers_shift_mm,
-        "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
-    }
-    with path.open("wb") as file:
-        np.savez_compressed(file, **members)
-
-
-def _write_png(path: Path, image: Any) -> None:
-    done, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if not done:
-        raise DataError(f"Cannot encode {path.name} as PNG.")
-    path.write_bytes(encoded.tobytes())

@@ -1,1 +1,15 @@
-"""Frames in: image files, and what is known of the sensors that made them."""
+"""Frames and images that come in, and what is known of the sensors that made them; imported when asked for."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "backgrounds": ["averaged_background", "background_files", "background_in", "read_background"],
+        "files": ["SensorSettings", "read_image", "read_sensor_toml"],
+        "profiles": ["PROFILES", "SENSORS", "KnownSensor", "SensorProfile", "profile_named"],
+        "simulated": ["SimulatedSource"],
+        "simulated_settings": ["read_simulated_sensor", "sensor_from_settings", "simulated_sensor_named"],
+        "video_files": ["Video", "VideoFacts"],
+    },
+)

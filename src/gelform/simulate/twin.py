@@ -129,6 +129,11 @@ class Twin:
         gel: Gel | None = None,
         relaxation_mm: float = RELAXATION_MM,
     ) -> None:
+        if not isinstance(look, Calibration) and not hasattr(look, "levels"):
+            raise TypeError(
+                f"Expected a Calibration or a look with `levels`, got {type(look).__name__}. "
+                "From a file: gelform.load_calibration(path)."
+            )
         self.look: Look = CalibratedLook(look) if isinstance(look, Calibration) else look
         height, width = self.look.background.shape[:2]
         self.sensor = SimulatedSensor(

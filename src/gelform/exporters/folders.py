@@ -1,0 +1,83 @@
+"""Folders that are written whole or not at all, and the files in them."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gelform.checks import check_image
+from gelform.errors import DataError
+
+
+@contextmanager
+def written_whole(target: Path) -> Iterator[Path]:
+    """A temporary folder beside `target` that takes its name when the block ends well, else vanishes."""
+    try:
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise DataError(
+                f"Expected a new or empty folder, got {target}, which holds something. Choose another name."
+            )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
+    except OSError as error:
+        raise DataError(f"Cannot write into {target.parent}: {error.strerror or error}.") from error
+    try:
+        yield partial
+        partial.chmod(0o777 & ~_umask())
+        if target.exists():
+            target.rmdir()
+        partial.rename(target)
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise DataError(f"Cannot write {target}: {error.strerror or error}. Nothing was kept.") from error
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def write_sensor_toml(path: Path, name: str, mm_per_px: float) -> None:
+    """Write the least that a `sensor.toml` says: a name and the width of a pixel, mm."""
+    escaped = name.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    path.write_text(f'name = "{escaped}"\nmm_per_px = {float(mm_per_px)!r}\n', encoding="utf-8")
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
+    """Write rows with the same keys, those of the first as the header."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_png(path: Path, image: ArrayLike, shape: tuple[int, int] | None = None) -> None:
+    """Write an RGB image (H, W, 3), of a given shape (H, W) where there is one, rounded to 8 bits, as PNG."""
+    pixels = check_image(image, shape=shape, name=path.name)
+    if pixels.dtype != np.uint8:
+        pixels = np.rint(pixels).astype(np.uint8)
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))
+    if not done:
+        raise DataError(f"Cannot encode {path.name} as PNG.")
+    path.write_bytes(encoded.tobytes())
+
+
+def write_npz(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
+    """Write named arrays, compressed."""
+    members: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
+    with path.open("wb") as file:
+        np.savez_compressed(file, **members)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
