@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.background.change import untouched_from_color_change
+from gelform.background.untouched import untouched_from_color_change
 from gelform.calibration.circles.find import Contact, find_contact
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress

@@ -22,10 +22,8 @@ import numpy as np
 
 import gelform
 from gelform.anchor import RestAnchor
-from gelform.background.change import (
-    PreparedBackground,
-    untouched_from_color_change,
-)
+from gelform.background.change import PreparedBackground
+from gelform.background.untouched import untouched_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.contact import contact_from_depth
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press

@@ -1,6 +1,7 @@
 """Calibration files: the same after a round trip, refused when damaged, altered or newer."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import gelform
 from gelform.calibration_file import KIND
 from gelform.errors import CalibrationError
 from gelform.npz_files import write_npz
+
+DATA = Path(__file__).parent / "data"
 
 
 @pytest.fixture
@@ -101,6 +104,22 @@ def test_missing_file(tmp_path):
 def test_forward_response_wants_a_frame(calibration):
     with pytest.raises(ValueError, match="Expected gradients of shape"):
         calibration.color_from_gradients(np.zeros((3, 3, 2)))
+
+
+def test_calibrations_of_every_format_are_read():
+    """Written by earlier releases; version 1 had no gamut."""
+    first, second = (gelform.load_calibration(DATA / f"calibration-version-{k}.npz") for k in (1, 2))
+    assert (first.color_model.name, second.color_model.name) == ("polynomial", "hierarchical")
+    assert first.gamut is None
+    assert second.gamut.slope_per_change == pytest.approx(0.8, rel=0.2)
+    assert second.slope_sigma.place[0] == (1.0, 1.1, 0.9, 1.0)
+    change = np.full((24, 32, 3), 0.1, dtype=np.float32)
+    model = second.color_model.prepare(second.background, second.image_shape)
+    gradients = model.gradients_from_color(change)[0][[3, 20], [5, 30]]
+    expected = [[0.00278398, 0.02183242], [-0.00439062, 0.03180937]]  # by the release that wrote it
+    np.testing.assert_allclose(gradients, expected, rtol=1e-5)
+    for one in (first, second):
+        assert gelform.Reconstructor(one)(one.background).shape == (24, 32)
 
 
 def test_the_first_format_is_read_for_ever(calibration, simulated, tmp_path):

@@ -3,15 +3,18 @@
 import base64
 import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from gelform.background.change import Finding
-from gelform.errors import DataError
+from gelform.errors import DataError, GelformError
 from gelform.npz_files import write_npz
 from gelform.reconstruction import KIND, Reconstruction, load_result, save_result
+
+DATA = Path(__file__).parent / "data"
 
 
 @pytest.fixture
@@ -19,7 +22,7 @@ def result():
     rng = np.random.default_rng(0)
     shape = (24, 32)
     return Reconstruction(
-        depth_mm=rng.normal(0, 1, shape).astype(np.float32),
+        depth=rng.normal(0, 1, shape).astype(np.float32),
         depth_sigma_mm=None,
         gradients=rng.normal(0, 1, (*shape, 2)).astype(np.float32),
         gradients_sigma=rng.uniform(0, 1, (*shape, 2)).astype(np.float32),
@@ -32,7 +35,6 @@ def result():
         solver="dct",
         curl_rms=0.01,
         health=(Finding("background_ratio", "<b>darker</b> & older", 0.87),),
-        contacts=({"peak_mm": 0.5},),
         index=3,
         time_s=1.5,
         wall_time_ns=1_700_000_000_123_456_789,
@@ -56,8 +58,8 @@ def test_a_saved_result_comes_back_to_the_bit(tmp_path, result):
 
 
 def test_every_optional_part_comes_back(tmp_path, result):
-    bare = replace(result, gradients_sigma=None, mm_per_px=(0.06, 0.05), contacts=None, health=(), index=None)
-    full = replace(result, depth_sigma_mm=result.confidence * 0.1, markers=np.ones((4, 2), dtype=np.float32))
+    bare = replace(result, gradients_sigma=None, mm_per_px=(0.06, 0.05), health=(), index=None)
+    full = replace(result, depth_sigma_mm=result.confidence * 0.1)
     for k, one in enumerate((bare, full)):
         save_result(one, tmp_path / f"{k}.npz")
         same(one, load_result(tmp_path / f"{k}.npz"))
@@ -84,6 +86,22 @@ def test_albedo_only_where_the_model_gives_it(result, tmp_path):
     assert known.albedo.mean() == 0.5
     save_result(known, tmp_path / "x.npz")
     assert load_result(tmp_path / "x.npz").albedo is None
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_results_of_every_format_are_read(version):
+    """Written by earlier releases: version 1 in mm, with fields that are gone; version 2 in pixels."""
+    old = load_result(DATA / f"result-version-{version}.npz")
+    assert (old.shape, old.zero, old.solver, old.index) == ((12, 16), "untouched", "multigrid", 3)
+    assert old.health == (Finding("exposure", "Exposure differs.", 1.05),)
+    assert old.depth_px.max() == pytest.approx(3.83, rel=0.01)
+    assert (old.mm_per_px, old.mm_per_px_sigma) == ((0.1, 0.001) if version == 1 else (None, None))
+    if version == 1:
+        assert old.depth_mm.max() == pytest.approx(0.383, rel=0.01)
+        assert old.depth_sigma_mm.max() == np.float32(0.02)
+    else:
+        with pytest.raises(GelformError, match="no depth_mm"):
+            old.depth_mm  # noqa: B018
 
 
 def test_an_existing_result_stays(tmp_path, result):
@@ -116,25 +134,25 @@ def test_a_future_and_an_incomplete_file(tmp_path):
     with pytest.raises(DataError, match=r"format version 99.*Install that release or a newer one"):
         load_result(tmp_path / "new.npz")
     write_npz(tmp_path / "part.npz", {"depth_mm": np.zeros((3, 4))}, {}, kind=KIND, version=1)
-    with pytest.raises(DataError, match="is damaged: KeyError: 'mm_per_px'"):
+    with pytest.raises(DataError, match="is damaged: KeyError: 'mm_per_px_sigma'"):
         load_result(tmp_path / "part.npz")
 
 
 def test_parts_of_other_shapes_are_refused(result):
-    with pytest.raises(ValueError, match=r"gradients of shape \(24, 32, 2\), as depth_mm, got \(2, 24, 32\)"):
+    with pytest.raises(ValueError, match=r"gradients of shape \(24, 32, 2\), as depth, got \(2, 24, 32\)"):
         replace(result, gradients=np.moveaxis(result.gradients, -1, 0))
     with pytest.raises(ValueError, match=r"contact of shape \(24, 32\)"):
         replace(result, contact=result.contact[:-1])
     with pytest.raises(ValueError, match="confidence"):
         replace(result, confidence=None)
-    with pytest.raises(ValueError, match=r"depth_mm of shape \(H, W\)"):
-        replace(result, depth_mm=result.depth_mm[None])
+    with pytest.raises(ValueError, match=r"depth of shape \(H, W\)"):
+        replace(result, depth=result.depth_mm[None])
 
 
 def test_a_notebook_shows_a_picture_and_the_figures(result):
     bump = np.zeros((24, 32), dtype=np.float32)
     bump[:, 24:] = 0.75
-    shown = replace(result, depth_mm=bump)._repr_html_()
+    shown = replace(result, depth=bump)._repr_html_()
     assert "&lt;b&gt;darker&lt;/b&gt; &amp; older" in shown
     assert "0.000 to 0.750 mm" in shown
     assert not re.search(r"https?://|<script", shown)
@@ -143,4 +161,4 @@ def test_a_notebook_shows_a_picture_and_the_figures(result):
     assert picture.shape == (180, 240, 3)
     assert picture[90, 220].astype(int).sum() > picture[90, 20].astype(int).sum() + 200
     assert len(shown) < 100_000
-    assert "0.750 mm" in repr(replace(result, depth_mm=bump))
+    assert "0.750 mm" in repr(replace(result, depth=bump))

@@ -111,13 +111,6 @@ def test_shown_in_pixels(bare, image):
     assert gelform.picture(result, image).shape[2] == 3
 
 
-def test_depth_must_fit_the_scale(calibration, bare, image):
-    with pytest.raises(ValueError, match="Expected unscaled_px and no depth_mm"):
-        replace(gelform.Reconstructor(calibration)(image), mm_per_px=None)
-    with pytest.raises(ValueError, match="Expected depth_mm and no unscaled_px"):
-        replace(gelform.Reconstructor(bare)(image), mm_per_px=0.1, depth_mm=None)
-
-
 def test_what_needs_more_says_so(bare, presses):
     with pytest.raises(gelform.CalibrationError, match="without a forward response"):
         bare.color_from_gradients(np.zeros((*bare.image_shape, 2)))

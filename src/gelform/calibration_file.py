@@ -137,7 +137,7 @@ class Calibration:
         )
 
     def describe(self) -> dict[str, Any]:
-        """What it is, in numbers and words that JSON can hold."""
+        """Its settings and figures, without its arrays, as JSON can hold them."""
         return {**self._contents()[1], "digest": self.digest}
 
     def _contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -166,8 +166,6 @@ class Calibration:
             "gamut": self.gamut
             and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
-            "background_digest": self.background_digest,
-            "crosstalk": self.change.crosstalk,
             "held_out": self.held_out,
             "training_digests": list(self.training_digests),
             "settings": self.settings,

@@ -188,6 +188,34 @@ class UnknownSigma:
 _NOTHING = np.zeros((0, 0), dtype=np.float32)
 
 
+def with_model_sigma(
+    sigma: NDArray[np.float32] | None,
+    confidence: NDArray[np.float32],
+    model_sigma: NDArray[np.float32] | None,
+    clean: float,
+) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
+    """Standard deviation of both components and confidence, where the color model states a deviation of its own.
+
+    Parameters
+    ----------
+    sigma : (H, W), the calibration's, alike for both components; None where nobody knows
+    confidence : (H, W)
+    model_sigma : (H, W, 2), the color model's; None where it states none
+    clean : deviation up to which confidence is 1
+
+    Returns
+    -------
+    gradients_sigma : (H, W, 2), the larger of both; None where there is neither
+    confidence : (H, W), the smaller of both
+    """
+    both = None if sigma is None else np.broadcast_to(sigma[..., None], (*sigma.shape, 2))
+    if model_sigma is None:
+        return both, confidence
+    limit = np.square(np.float32(clean) / model_sigma.max(axis=-1))
+    larger = model_sigma if both is None else np.maximum(model_sigma, both)
+    return larger, np.minimum(confidence, limit)
+
+
 def _law(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:
     """Linear between the knots, constant before the first, proportional to the slope beyond the last."""
     within = np.interp(slopes, knots, sigmas)

@@ -13,15 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.anchor import RestAnchor
-from gelform.background.change import (
-    PreparedBackground,
-    untouched_from_color_change,
-)
+from gelform.background.change import PreparedBackground
 from gelform.background.check import Finding, background_digest, check_own_background
+from gelform.background.untouched import remove_bias, untouched_pixels
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.checks import check_image
-from gelform.color_models.lambertian import PreparedLambertian
-from gelform.confidence import PreparedSigma, UnknownSigma
+from gelform.confidence import PreparedSigma, UnknownSigma, with_model_sigma
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, checked_solver, integrate
 from gelform.depth_sigma.sigma import DepthSigma
@@ -32,8 +29,6 @@ from gelform.reconstruction import Reconstruction
 from gelform.solvers import UNIFORM
 from gelform.view import image_from_frame
 
-MIN_UNTOUCHED = 0.02
-BIAS_SAMPLES = 5_000
 # Of a calibration that was imported without them: they only say where contact and rest are, never how deep.
 USUAL_WIDTH_MM = 20.0
 USUAL_SIGMA = 0.05
@@ -89,7 +84,7 @@ class Reconstructor:
             self.findings = check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
-        self._rest = PreparedBackground(self.background, calibration.change)
+        self._untouched_image = PreparedBackground(self.background, calibration.change)
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
         self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
         self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
@@ -100,7 +95,7 @@ class Reconstructor:
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
         self._markers = MarkerFinder(self.background)
-        self._no_dots = np.zeros(calibration.image_shape, dtype=bool)
+        self._no_markers = np.zeros(calibration.image_shape, dtype=bool)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -137,24 +132,24 @@ class Reconstructor:
             The background is clearly not of this image, or the image is BGR.
         """
         image = self._checked(image, "image")
-        exposure, health = self._rest.compare(image)
+        exposure, drifted = self._untouched_image.compare(image)
+        markers = self._marker_pixels(image)
         with self._pool.one() as change:
-            self._rest.change(image, exposure, out=change)
-            gradients, sigma = self._model.gradients_from_color(change)
-            dots = self._dots(image)
-            untouched, scarce = self._untouched(change, dots)
+            self._untouched_image.change(image, exposure, out=change)
+            gradients, model_sigma = self._model.gradients_from_color(change)
+            untouched, few = untouched_pixels(change, self.calibration.untouched_change, markers)
+            remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
+            sigma, confidence = self._sigma(gradients, image, untouched, change)
             albedo = self._albedo_source(change)
-            _remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
-            spread, confidence = self._sigma(gradients, image, untouched, change)
-            spread, confidence = self._with_own(sigma, spread, confidence)
-            confidence[dots] = 0  # what they hide is filled from around them
+        gradients_sigma, confidence = with_model_sigma(sigma, confidence, model_sigma, self._clean)
+        confidence[markers] = 0  # what they hide is filled from around them
+        solution, depth_sigma = self._integrate(gradients, confidence, untouched, gradients_sigma)
         scaled = self.calibration.mm_per_px is not None
-        solution, depth_sigma = self._integrate(gradients, confidence, untouched, spread)
         return Reconstruction(
-            depth_mm=solution.depth_mm if scaled else None,  # type: ignore[arg-type]  # then reading it raises
+            depth=solution.depth_mm if scaled else solution.depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
-            gradients_sigma=spread,
+            gradients_sigma=gradients_sigma,
             confidence=confidence,
             contact=contact_from_depth(solution.depth_mm, mm_per_px=self._pitch),
             known=solution.known,
@@ -163,24 +158,10 @@ class Reconstructor:
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*self.findings, *health, *scarce),
+            health=(*self.findings, *drifted, *few),
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
-            unscaled_px=None if scaled else solution.depth_mm / np.float32(self._pitch),
         )
-
-    def _with_own(
-        self,
-        own: NDArray[np.float32] | None,
-        spread: NDArray[np.float32] | None,
-        confidence: NDArray[np.float32],
-    ) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
-        """Deviation (H, W, 2) and confidence, where the color model knows of its own: the larger deviation counts."""
-        both = None if spread is None else np.broadcast_to(spread[..., None], (*spread.shape, 2))
-        if own is None:
-            return both, confidence
-        limit = np.square(np.float32(self._clean) / own.max(axis=-1))
-        return own if both is None else np.maximum(own, both), np.minimum(confidence, limit)
 
     def _prepared_sigma(self) -> DepthSigma | None:
         """The depth's standard deviation, where that of the slopes and the scale are known."""
@@ -199,7 +180,7 @@ class Reconstructor:
         gradients: NDArray[np.float32],
         confidence: NDArray[np.float32],
         untouched: NDArray[np.bool_],
-        spread: NDArray[np.float32] | None,
+        gradients_sigma: NDArray[np.float32] | None,
     ) -> tuple[Integration, NDArray[np.float32] | None]:
         """Depth of the slopes, weighted and anchored where the solver can, and its standard deviation.
 
@@ -210,16 +191,15 @@ class Reconstructor:
         if self.solver not in UNIFORM:
             how = {"weights": confidence, "anchor": self._anchor(gradients, untouched)}
         solution = integrate(gradients, mm_per_px=self._pitch, solver=self.solver, **how)
-        if self._depth_sigma is None or spread is None:
+        if self._depth_sigma is None or gradients_sigma is None:
             return solution, None
-        sigma = self._depth_sigma(spread, **how)
+        sigma = self._depth_sigma(gradients_sigma, **how)
         return solution, cv2.magnitude(sigma, self._gain_sigma * solution.depth_mm)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; only photometric stereo tells it."""
-        if not isinstance(self._model, PreparedLambertian):
-            return None
-        return partial(self._model.albedo_from_color, change.copy())
+        albedo_from_color = getattr(self._model, "albedo_from_color", None)
+        return None if albedo_from_color is None else partial(albedo_from_color, change.copy())
 
     def _checked(self, image: ArrayLike, name: str) -> NDArray[Any]:
         """An RGB image of the calibrated size; where it is a frame, the message says so."""
@@ -232,27 +212,11 @@ class Reconstructor:
             hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
             raise ValueError(f"{problem} {hint}") from None
 
-    def _dots(self, image: NDArray[Any]) -> NDArray[np.bool_]:
+    def _marker_pixels(self, image: NDArray[Any]) -> NDArray[np.bool_]:
         """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included."""
         if not len(self._markers.rest):
-            return self._no_dots
+            return self._no_markers
         return self._markers.mask(image, int(np.ceil(2 * self.calibration.change.blur_px)))
-
-    def _untouched(
-        self, change: NDArray[np.float32], dots: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
-        """Pixels that the touch left alone: what slope and depth are measured against."""
-        untouched = untouched_from_color_change(change, self.calibration.untouched_change) & ~dots
-        share = np.count_nonzero(untouched) / untouched.size
-        if share >= MIN_UNTOUCHED:
-            return untouched, ()
-        change_size = np.linalg.norm(change, axis=-1)
-        message = (
-            f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
-        )
-        return change_size <= np.quantile(change_size, MIN_UNTOUCHED), (
-            Finding("few_untouched", message, share),
-        )
 
 
 def _loaded(calibration: Calibration | str | PathLike[str]) -> Calibration:
@@ -261,13 +225,3 @@ def _loaded(calibration: Calibration | str | PathLike[str]) -> Calibration:
     if not isinstance(calibration, Calibration):
         raise TypeError(f"Expected a Calibration or the path of one, got {type(calibration).__name__}.")
     return calibration
-
-
-def _remove_bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> None:
-    """Subtract the untouched pixels' median slope, found on a lattice that is fine enough to be sure of it."""
-    step = max(1, round((untouched.size / BIAS_SAMPLES) ** 0.5))
-    rest = gradients[::step, ::step][untouched[::step, ::step]]
-    if not len(rest):
-        rest = gradients[untouched]
-    for component, bias in enumerate(np.median(rest, axis=0)):
-        gradients[..., component] -= bias

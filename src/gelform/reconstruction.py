@@ -23,26 +23,8 @@ from gelform.npz_files import read_npz, write_npz
 KIND = "gelform result"
 FORMAT_VERSION = 2  # the newest that is read; results with a scale are written as version 1
 MAX_BYTES = 4 * 2**30
-_DEPTH = ("depth_mm", "unscaled_px")
 _MAPS = ("depth_sigma_mm", "gradients", "gradients_sigma", "confidence", "contact", "known")
 _OPTIONAL = ("depth_sigma_mm", "gradients_sigma")
-
-
-class _DepthMm:
-    """The field `depth_mm`: reading it where it is None, because the scale is unknown, raises."""
-
-    def __get__(self, result: Reconstruction, owner: type | None = None) -> NDArray[np.float32]:
-        depth: NDArray[np.float32] | None = result.__dict__["depth_mm"]
-        if depth is None:
-            raise GelformError(
-                "The scale of this calibration is unknown, so there is no depth_mm. Read depth_px, the depth in "
-                "widths of a pixel, or import the calibration again with the width of a pixel on the gel: "
-                "gelform import ... --mm-per-px F."
-            )
-        return depth
-
-    def __set__(self, result: Reconstruction, depth: NDArray[np.float32] | None) -> None:
-        result.__dict__["depth_mm"] = depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +33,8 @@ class Reconstruction:
 
     Attributes
     ----------
-    depth_mm : (H, W) float32, mm, 0 at rest, positive where pressed; finite everywhere. Where the calibration has
-        no scale it is None, and reading it raises GelformError: read depth_px
+    depth : (H, W) float32, 0 at rest, positive where pressed; finite everywhere. In mm, or in widths of a pixel
+        where mm_per_px is None: read depth_mm or depth_px, which say which
     depth_sigma_mm : (H, W) float32, mm, one standard deviation, or None
     gradients : (H, W, 2) float32, slopes dz/dx and dz/dy, mm/mm
     gradients_sigma : (H, W, 2) float32, their standard deviation, or None
@@ -65,15 +47,12 @@ class Reconstruction:
     solver : the method that integrated
     curl_rms : RMS of `dp/dy - dq/dx`, slope per pixel: how far the slopes are from those of a surface
     health : findings that a user should know, each with its figure
-    contacts : figures of each contact, or None where they were not asked for
-    markers : (M, 2) float32, positions x, y in px, or None
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : of the calibration that was used
     albedo_source : gives the albedo when it is asked for; not saved
-    unscaled_px : (H, W) float32, depth in widths of a pixel, where mm_per_px is None
     """
 
-    depth_mm: NDArray[np.float32]
+    depth: NDArray[np.float32]
     depth_sigma_mm: NDArray[np.float32] | None
     gradients: NDArray[np.float32]
     gradients_sigma: NDArray[np.float32] | None
@@ -86,27 +65,21 @@ class Reconstruction:
     solver: str = ""
     curl_rms: float = 0.0
     health: tuple[Finding, ...] = ()
-    contacts: tuple[dict[str, float], ...] | None = None
-    markers: NDArray[np.float32] | None = None
     index: int | None = None
     time_s: float | None = None
     wall_time_ns: int | None = None
     calibration_digest: str = ""
     albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
-    unscaled_px: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        given, empty = _DEPTH if self.mm_per_px is not None else _DEPTH[::-1]
-        if self.__dict__[empty] is not None or self.__dict__[given] is None:
-            raise ValueError(f"Expected {given} and no {empty} with mm_per_px={self.mm_per_px}.")
-        shape = np.shape(self.__dict__[given])
+        shape = np.shape(self.depth)
         if len(shape) != 2:
-            raise ValueError(f"Expected {given} of shape (H, W), got {shape}.")
+            raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
         for name in _MAPS:
             wanted = (*shape, 2) if name.startswith("gradients") else shape
             values = getattr(self, name)
             if np.shape(values) != wanted and not (values is None and name in _OPTIONAL):
-                raise ValueError(f"Expected {name} of shape {wanted}, as {given}, got {np.shape(values)}.")
+                raise ValueError(f"Expected {name} of shape {wanted}, as depth, got {np.shape(values)}.")
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
@@ -122,6 +95,23 @@ class Reconstruction:
         return None if self.albedo_source is None else self.albedo_source()
 
     @property
+    def depth_mm(self) -> NDArray[np.float32]:
+        """Depth (H, W), mm, 0 at rest, positive where pressed; finite everywhere.
+
+        Raises
+        ------
+        GelformError
+            The calibration has no scale: there is depth_px only.
+        """
+        if self.mm_per_px is None:
+            raise GelformError(
+                "The scale of this calibration is unknown, so there is no depth_mm. Read depth_px, the depth in "
+                "widths of a pixel, or import the calibration again with the width of a pixel on the gel: "
+                "gelform import ... --mm-per-px F."
+            )
+        return self.depth
+
+    @property
     def depth_px(self) -> NDArray[np.float32]:
         """Depth (H, W) in widths of a pixel: depth_mm / mm_per_px, and all there is without a scale.
 
@@ -130,14 +120,14 @@ class Reconstruction:
         GelformError
             The pixels are not square.
         """
-        if self.unscaled_px is not None:
-            return self.unscaled_px
+        if self.mm_per_px is None:
+            return self.depth
         pitch_x, pitch_y = check_mm_per_px(self.mm_per_px)
         if pitch_x != pitch_y:
             raise GelformError(
                 f"Expected square pixels for a depth in pixels, got mm_per_px={self.mm_per_px}."
             )
-        return (self.depth_mm / np.float32(pitch_x)).astype(np.float32)
+        return (self.depth / np.float32(pitch_x)).astype(np.float32)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -156,8 +146,7 @@ class Reconstruction:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
-        depth = self.depth_mm if self.unscaled_px is None else self.unscaled_px
-        picture = base64.b64encode(_depth_png(depth)).decode("ascii")
+        picture = base64.b64encode(_depth_png(self.depth)).decode("ascii")
         rows = "".join(
             f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
             for name, value in [*self._figures().items(), *((f.name, f.message) for f in self.health)]
@@ -188,10 +177,6 @@ class Reconstruction:
         }
 
 
-# After the class is made, so that the field has no default.
-Reconstruction.depth_mm = _DepthMm()  # type: ignore[assignment]
-
-
 def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a result as one `.npz` without pickles, under a temporary name first.
 
@@ -203,13 +188,11 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
     DataError
         The file is already there and `overwrite` is False, or it cannot be written.
     """
-    arrays = {
-        name: getattr(result, name) for name in (*_MAPS, "markers") if getattr(result, name) is not None
-    }
+    arrays = {name: getattr(result, name) for name in _MAPS if getattr(result, name) is not None}
     if result.mm_per_px is None:
-        arrays["depth_px"] = result.depth_px
+        arrays["depth_px"] = result.depth
     else:
-        arrays |= {"depth_mm": result.depth_mm, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
+        arrays |= {"depth_mm": result.depth, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
     meta = {name: getattr(result, name) for name in _META}
     meta["health"] = [asdict(finding) for finding in result.health]
     version = FORMAT_VERSION if result.mm_per_px is None else 1
@@ -228,22 +211,23 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
     )
     try:
-        pitch = arrays.pop("mm_per_px") if "depth_px" not in arrays else None
+        scaled = "depth_px" not in arrays
         settings = {name: meta[name] for name in _META}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
-        settings["contacts"] = None if meta["contacts"] is None else tuple(meta["contacts"])
-        maps: dict[str, Any] = {name: arrays.pop(name, None) for name in (*_MAPS, "depth_mm", "markers")}
-        maps["unscaled_px"] = arrays.pop("depth_px", None)
-        return Reconstruction(**maps, **settings, mm_per_px=_pitch(pitch))
+        maps: dict[str, Any] = {name: arrays.get(name) for name in _MAPS}
+        return Reconstruction(
+            depth=arrays["depth_mm" if scaled else "depth_px"],
+            mm_per_px=_pitch(arrays["mm_per_px"]) if scaled else None,
+            **maps,
+            **settings,
+        )
     except (KeyError, TypeError, ValueError) as problem:
         raise DataError(
             f"{path} is damaged: {type(problem).__name__}: {problem}. Reconstruct again."
         ) from problem
 
 
-def _pitch(stored: NDArray[Any] | None) -> float | tuple[float, float] | None:
-    if stored is None:
-        return None
+def _pitch(stored: NDArray[Any]) -> float | tuple[float, float]:
     return float(stored.item()) if stored.ndim == 0 else tuple(stored.tolist())
 
 
@@ -253,7 +237,6 @@ _META = (
     "solver",
     "curl_rms",
     "health",
-    "contacts",
     "index",
     "time_s",
     "wall_time_ns",
@@ -261,16 +244,14 @@ _META = (
 )
 
 
-def _depth_png(depth_mm: NDArray[np.float32], width_px: int = 240) -> bytes:
+def _depth_png(depth: NDArray[np.float32], width_px: int = 240) -> bytes:
     """A small picture of the depth: dark at rest, bright where deep."""
-    low, high = float(depth_mm.min()), float(depth_mm.max())
-    levels = ((depth_mm - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
-    scale = width_px / depth_mm.shape[1]
-    size = (width_px, max(1, round(depth_mm.shape[0] * scale)))
+    low, high = float(depth.min()), float(depth.max())
+    levels = ((depth - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
+    scale = width_px / depth.shape[1]
+    size = (width_px, max(1, round(depth.shape[0] * scale)))
     small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     done, png = cv2.imencode(".png", cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
     if not done:
-        raise DataError(
-            f"OpenCV cannot encode a picture of {depth_mm.shape[0]}x{depth_mm.shape[1]} px as PNG."
-        )
+        raise DataError(f"OpenCV cannot encode a picture of {depth.shape[0]}x{depth.shape[1]} px as PNG.")
     return bytes(png.tobytes())

@@ -8,7 +8,6 @@ from gelform.background.change import (
     PreparedBackground,
     color_change_from_image,
     image_from_color_change,
-    untouched_from_color_change,
 )
 from made.touched_images import SHAPE, scene, touched
 
@@ -45,14 +44,6 @@ def test_division_by_zero_is_refused():
 def test_unknown_method_is_refused():
     with pytest.raises(ValueError, match="'divide' or 'subtract'"):
         ChangeSettings("ratio")  # type: ignore[arg-type]
-
-
-def test_untouched_ignores_an_exposure_step():
-    rest = scene()
-    change = color_change_from_image(np.clip(touched(rest) * 1.05, 0, 255), rest)
-    untouched = untouched_from_color_change(change, 0.05)
-    assert untouched[:15].all()
-    assert not untouched[22:38, 32:48].any()
 
 
 GAIN = np.array([1.08, 0.94, 1.03])

@@ -18,18 +18,15 @@ def result(scale=1.0, mm_per_px=0.1):
     slopes = gelform.gradients_from_depth(depth, mm_per_px=0.1).astype(np.float32)
     every = np.ones(SHAPE, dtype=bool)
     return gelform.Reconstruction(
-        depth_mm=depth.astype(np.float32), depth_sigma_mm=None, gradients=slopes, gradients_sigma=None,
+        depth=depth.astype(np.float32), depth_sigma_mm=None, gradients=slopes, gradients_sigma=None,
         confidence=every.astype(np.float32), contact=depth > 0.3 * scale, known=every, mm_per_px=mm_per_px,
         curl_rms=0.01 * scale,
     )  # fmt: skip
 
 
 def bare(one):
-    """`replace` reads every field; a result without a scale cannot give its depth_mm."""
-    return gelform.Reconstruction(
-        depth_mm=None, depth_sigma_mm=None, gradients=one.gradients, gradients_sigma=None,
-        confidence=one.confidence, contact=one.contact, known=one.known, mm_per_px=None, unscaled_px=one.depth_px,
-    )  # fmt: skip
+    """The same from a calibration without a scale."""
+    return replace(one, depth=one.depth_px, mm_per_px=None)
 
 
 def test_a_result_agrees_with_itself():

@@ -17,7 +17,7 @@ def result_with_bump(row, column, *, shape=(48, 64), contact=True):
     depth = np.exp(-((x - column) ** 2 + (y - row) ** 2) / 20).astype(np.float32)
     slopes = np.stack(np.gradient(depth, 0.05)[::-1], axis=-1)
     return Reconstruction(
-        depth_mm=depth,
+        depth=depth,
         depth_sigma_mm=None,
         gradients=slopes,
         gradients_sigma=None,

@@ -210,28 +210,3 @@ def image_from_color_change(
 
 def _camera_levels(light: NDArray[Any], response: float) -> NDArray[np.float32]:
     return np.asarray(255 * (light / 255) ** response, dtype=np.float32)
-
-
-def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
-    """Pixels (H, W) whose colour did not change: |change - its median over the frame| < threshold.
-
-    The median is taken on a coarse grid: an exposure step moves all pixels alike and touches none.
-    """
-    common = np.median(color_change[::8, ::8].reshape(-1, 3), axis=0).astype(np.float32)
-    inside: NDArray[np.bool_] = _within(color_change, common, float(threshold) ** 2)
-    return inside
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _within(change, center, square):  # type: ignore[no-untyped-def]
-    """Where the distance of a pixel's change to a center is less than the root of `square`."""
-    height, width, _ = change.shape
-    inside = np.empty((height, width), dtype=np.bool_)
-    limit = np.float32(square)
-    for y in range(height):
-        for x in range(width):
-            red = change[y, x, 0] - center[0]
-            green = change[y, x, 1] - center[1]
-            blue = change[y, x, 2] - center[2]
-            inside[y, x] = red * red + green * green + blue * blue < limit
-    return inside
