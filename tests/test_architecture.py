@@ -19,6 +19,7 @@ LEVELS = [
         "anchor",
         "confidence",
         "contact",
+        "health",
         "calibration_file",
         "reconstruction",
     },

@@ -1,0 +1,73 @@
+"""Torn: a part of the frame did not arrive, and holds one colour (black, grey, green) or rows of another part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.check import Finding
+from gelform.health.blocks import Blocks
+
+FLAT_RANGE = 2  # grey levels within a block; a camera's noise alone gives more
+ALIKE, UNLIKE = 4, 10  # grey levels: flat blocks among each other; a flat block and the rest image
+MIN_SHARE = 0.03
+APART_ROWS = 3  # video that halves the colour's rows makes neighbours equal
+
+
+class Torn:
+    """Finds parts of frames that are no picture; prepared once for an untouched image.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, the untouched image
+    rest : its blocks
+    """
+
+    def __init__(self, background: NDArray[Any], rest: Blocks) -> None:
+        self._background = background
+        self._rest = rest.means.astype(np.int16)
+        _, place, count = np.unique(rest.row_digests, return_inverse=True, return_counts=True)
+        self._own_rows = count.ravel()[place.ravel()] == 1  # rows that the rest image has only once
+
+    def flat(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+        """Blocks (h, w) of one and the same colour that is not the rest image's; None where they are few."""
+        flat = blocks.ranges <= FLAT_RANGE
+        least = MIN_SHARE * flat.size
+        if np.count_nonzero(flat) <= least:
+            return None
+        means = blocks.means.astype(np.int16)
+        flat &= np.abs(means - self._rest).max(axis=-1) > UNLIKE
+        if np.count_nonzero(flat) <= least:
+            return None
+        common = np.median(means[flat], axis=0)
+        flat &= np.abs(means - common).max(axis=-1) <= ALIKE
+        return flat if np.count_nonzero(flat) > least else None
+
+    def repeated_rows(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Rows (H,) that repeat another row of the frame; None where they are few.
+
+        Of rows that are alike, the one that fits the rest image best counts as the true one.
+        """
+        order = np.sort(blocks.row_digests)
+        least = MIN_SHARE * len(order)
+        if np.count_nonzero(order[1:] == order[:-1]) <= least:
+            return None
+        repeated = np.zeros(len(order), dtype=bool)
+        for digest in np.unique(order[1:][order[1:] == order[:-1]]):
+            rows = np.flatnonzero((blocks.row_digests == digest) & self._own_rows)
+            if len(rows) > 1 and rows[-1] - rows[0] >= APART_ROWS:
+                away = np.abs(image[rows].astype(np.float32) - self._background[rows]).mean(axis=(1, 2))
+                repeated[np.delete(rows, int(np.argmin(away)))] = True
+        return repeated if np.count_nonzero(repeated) > least else None
+
+
+def torn_finding(lost: NDArray[np.bool_]) -> Finding:
+    """The finding; its figure is the share of the frame."""
+    share = float(lost.mean())
+    message = (
+        f"{100 * share:.0f} % of the frame is torn: it holds one colour or rows of another part, not the gel. "
+        "Check the cable, and whether the camera's bandwidth is shared."
+    )
+    return Finding("torn", message, share)

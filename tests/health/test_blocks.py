@@ -1,0 +1,74 @@
+"""Blocks and digests of a frame."""
+
+import numpy as np
+import pytest
+
+from gelform.health import blocks
+from gelform.health.blocks import blocks_from_image
+from kernel_agreement import assert_kernel_agrees
+
+PRIME = np.uint64(0x9E3779B97F4A7C15)
+
+
+def reference(image, means, ranges, digests):
+    h, w = means.shape[:2]
+    seen = image[: 16 * h, : 16 * w].reshape(h, 16, w, 16, 3)[:, ::4].astype(int)
+    means = (seen.sum(axis=(1, 3)) + 32) // 64
+    return means, np.ptp(seen, axis=(1, 3)).max(axis=-1), np.array([digest(row.tobytes()) for row in image])
+
+
+def digest(row):
+    step = max(len(row) // 16, 8)
+    even, odd = np.uint64(1), np.uint64(2)
+    with np.errstate(over="ignore"):
+        for count, at in enumerate(range(0, len(row), step)):
+            word = np.uint64(int.from_bytes(row[at : at + 8], "little"))
+            if count % 2:
+                odd = (odd ^ word) * PRIME
+            else:
+                even = (even ^ word) * PRIME
+        return (even + np.uint64(3) * odd).astype(np.int64)
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (35, 50), (16, 16)])
+def test_the_kernel_agrees_with_numpy(shape):
+    image = np.random.default_rng(1).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    out = blocks_from_image(image)
+    assert_kernel_agrees(blocks._blocks, reference, image, out.means, out.ranges, out.row_digests)
+
+
+def test_a_constant_block_has_no_range_and_its_own_mean():
+    image = np.random.default_rng(2).integers(0, 256, (64, 80, 3), dtype=np.uint8)
+    image[16:32, 32:48] = (10, 20, 30)
+    found = blocks_from_image(image)
+    assert found.ranges[1, 2] == 0
+    assert found.means[1, 2].tolist() == [10, 20, 30]
+    assert np.count_nonzero(found.ranges < 3) == 1
+
+
+def test_only_rows_alike_have_one_digest():
+    image = np.random.default_rng(3).integers(0, 256, (64, 40, 3), dtype=np.uint8)
+    image[40] = image[7]
+    digests = blocks_from_image(image).row_digests
+    assert digests[40] == digests[7]
+    assert len(np.unique(digests)) == 63
+
+
+def test_floats_are_rounded_as_a_camera_would():
+    image = np.random.default_rng(4).uniform(0, 255, (32, 32, 3)).astype(np.float32)
+    rounded = np.rint(image).astype(np.uint8)
+    np.testing.assert_array_equal(blocks_from_image(image).means, blocks_from_image(rounded).means)
+
+
+def test_pixels_of_blocks_reach_the_border():
+    found = blocks_from_image(np.zeros((40, 60, 3), dtype=np.uint8))
+    mask = found.pixels(np.array([[False, False, False], [False, False, True]]), 60)
+    assert mask.shape == (40, 60)
+    assert mask[16:, 32:].all()
+    assert np.count_nonzero(mask) == 24 * 28
+
+
+def test_an_image_smaller_than_a_block_has_none():
+    found = blocks_from_image(np.zeros((5, 7, 3), dtype=np.uint8))
+    assert found.means.shape == (0, 0, 3)
+    assert not found.pixels(np.zeros((0, 0), dtype=bool), 7).any()

@@ -1,0 +1,138 @@
+"""Each fault is found and named, with its share; sound frames have none."""
+
+import numpy as np
+import pytest
+
+from gelform.health import FrameHealth
+from made.worn_frames import SHAPE, constant, gel, pressed, with_part
+
+EVERYWHERE = slice(None)
+
+
+@pytest.fixture(scope="module")
+def health():
+    return FrameHealth(gel().astype(np.float32))
+
+
+def names(faults):
+    return [finding.name for finding in faults.findings]
+
+
+@pytest.mark.parametrize("frame", [gel(7), pressed()], ids=["untouched", "pressed"])
+def test_a_sound_frame_has_no_faults(health, frame):
+    faults = health(frame)
+    assert names(faults) == []
+    assert faults.lost is None
+    assert not faults.all_is_lost
+
+
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [(0, "dark"), (3, "dark"), (255, "saturated"), (128, "torn"), ((90, 135, 90), "torn")],
+)
+def test_a_frame_of_one_colour_says_nothing(health, level, name):
+    faults = health(constant(level))
+    assert names(faults) == [name]
+    assert faults.findings[0].figure == pytest.approx(1.0, abs=0.03)
+    assert faults.all_is_lost
+
+
+def test_darkness_with_noise_is_dark(health):
+    noise = np.random.default_rng(5).integers(0, 5, (*SHAPE, 3), dtype=np.uint8)
+    assert names(health(noise)) == ["dark"]
+
+
+def test_one_light_that_is_off_is_named(health):
+    frame = pressed()
+    frame[..., 1] = 2
+    faults = health(frame)
+    assert names(faults) == ["dark"]
+    assert "green 100 %" in faults.findings[0].message
+    assert "red" not in faults.findings[0].message
+
+
+@pytest.mark.parametrize(
+    ("part", "level"),
+    [
+        ((slice(0, 24), EVERYWHERE), 0),
+        ((slice(60, None), EVERYWHERE), 128),
+        ((EVERYWHERE, slice(70, None)), 0),
+        ((slice(80, None), EVERYWHERE), (0, 135, 0)),
+    ],
+)
+def test_a_part_of_one_colour_is_torn_and_lost(health, part, level):
+    faults = health(with_part(pressed(), part, level))
+    true = np.zeros(SHAPE, dtype=bool)
+    true[part] = True
+    assert names(faults) == ["torn"]
+    assert faults.lost[true].all()
+    assert faults.findings[0].figure == pytest.approx(true.mean(), abs=0.08)
+    assert np.count_nonzero(faults.lost & ~true) < 0.4 * true.size
+    assert not faults.all_is_lost
+
+
+def test_rows_that_repeat_the_last_good_one_are_torn(health):
+    frame = pressed()
+    frame[80:] = frame[79]
+    faults = health(frame)
+    assert names(faults) == ["torn"]
+    assert faults.lost[80:].all()
+    assert not faults.lost[:48].any()
+
+
+def test_of_a_band_and_its_copy_the_copy_is_lost(health):
+    frame = gel(7)
+    frame[64:80] = frame[8:24]
+    faults = health(frame)
+    assert names(faults) == ["torn"]
+    assert faults.findings[0].figure == pytest.approx(16 / 96, abs=0.01)
+    assert faults.lost[64:80].all()
+
+
+def test_rows_that_the_untouched_image_repeats_too_are_sound():
+    framed = gel()
+    framed[:12] = framed[84:] = 0
+    frame = pressed()
+    frame[:12] = frame[84:] = 0
+    assert names(FrameHealth(framed)(frame)) == []
+
+
+def test_the_background_itself_is_frozen_and_a_second_look_is_not():
+    health = FrameHealth(gel().astype(np.float32))
+    assert names(health(gel())) == ["frozen"]
+    changed = gel()
+    changed[40, 60, 1] += 1
+    assert names(health(changed)) == []
+
+
+def test_a_quarter_that_saturates_is_found_and_only_it_is_lost(health):
+    frame = with_part(pressed(), (slice(0, 48), slice(0, 64)), 255)
+    noisy = frame.copy()
+    noisy[:48, :64] -= np.random.default_rng(6).integers(0, 4, (48, 64, 3), dtype=np.uint8)
+    faults = health(noisy)
+    assert names(faults) == ["saturated"]
+    assert faults.findings[0].figure == pytest.approx(0.25)
+    assert np.array_equal(np.argwhere(faults.lost).max(axis=0), [47, 63])
+
+
+def test_a_small_bright_spot_is_no_finding(health):
+    assert names(health(with_part(pressed(), (slice(20, 30), slice(20, 30)), 255))) == []
+
+
+def test_frames_of_real_sensors_raise_no_false_alarm(data):
+    from gelform import Video, read_image
+
+    ball = data / "mini-ball"
+    objects = data / "mini-objects"
+    sets = [
+        (ball / "background.png", sorted(ball.glob("*/*/gelsight.png"))),
+        (objects / "background.png", [objects / f"{name}.png" for name in ("bead", "key", "seed")]),
+    ]
+    for background, images in sets:
+        health = FrameHealth(read_image(background))
+        assert images
+        assert [path.name for path in images if health(read_image(path)).findings] == []
+    video = list(Video(data / "mini-markers-video" / "mini_example.avi"))
+    frames = [getattr(frame, "image", frame) for frame in video]
+    health = FrameHealth(np.mean(frames[:20], axis=0).astype(np.float32))
+    assert [k for k, frame in enumerate(frames) if health(frame).findings] == []
