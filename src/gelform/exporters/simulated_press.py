@@ -20,7 +20,7 @@ from gelform.simulate import (
     simulate_background,
     simulate_press,
 )
-from gelform.simulate.settings import settings_from_sensor
+from gelform.simulate.sensor.sensor import settings_from_sensor
 
 
 def save_simulated_press(

@@ -20,8 +20,8 @@ from gelform.exporters.folders import write_csv, write_png, write_sensor_toml, w
 from gelform.exporters.simulated_press import write_truth
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
+from gelform.simulate.sensor.sensor import settings_from_sensor
 from gelform.simulate.sets import ball_press_of_set
-from gelform.simulate.settings import settings_from_sensor
 from gelform.simulate.twin import Twin
 
 COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px")

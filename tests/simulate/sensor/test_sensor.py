@@ -1,12 +1,32 @@
-"""Sensors that cannot be."""
+"""A sensor as settings and back; sensors that cannot be."""
 
+import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from gelform.simulate import Led, SimulatedSensor
+from gelform.sensors.profiles import SENSORS
+from gelform.sensors.simulated_settings import sensor_from_settings
+from gelform.simulate import LAYOUTS, Coating, Led, SimulatedSensor
+from gelform.simulate.sensor.sensor import settings_from_sensor
 from made.sensors import PLAIN, SMALL
+
+
+@pytest.mark.parametrize(
+    "sensor", [*LAYOUTS.values(), *(known.simulated() for known in SENSORS.values())], ids=lambda s: s.name
+)
+def test_settings_make_the_same_sensor_again(sensor):
+    settings = json.loads(json.dumps(settings_from_sensor(sensor)))
+    assert sensor_from_settings(settings) == sensor
+
+
+def test_an_albedo_map_comes_through():
+    sensor = replace(LAYOUTS["ring-120"], coating=Coating(albedo=np.linspace(0.2, 1, 12).reshape(3, 4)))
+    again = sensor_from_settings(json.loads(json.dumps(settings_from_sensor(sensor))))
+    np.testing.assert_array_equal(again.coating.albedo.values, sensor.coating.albedo.values)
+
 
 REFUSED = [
     (lambda: replace(PLAIN, leds=(Led((1, 0, 1), (1, 1, 1)),)), "outside the gel"),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +123,14 @@ class SimulatedSensor:
         return x / self.mm_per_px + (width - 1) / 2, y / self.mm_per_px + (height - 1) / 2
 
 
+def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
+    """A sensor as lists, numbers and words that JSON can hold; an albedo map as its values.
+
+    `gelform.sensors.simulated_settings.sensor_from_settings` turns them back into the sensor.
+    """
+    return {one.name: _plain(getattr(sensor, one.name)) for one in fields(sensor)}
+
+
 def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
     """Refuse a light between the gel's two faces; one beside the gel may be as low as it likes."""
     x, y, z = led.position_mm
@@ -136,3 +145,13 @@ def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
 def _check_shape(shape: tuple[int, int]) -> None:
     if len(shape) != 2 or any(int(n) != n or n < 2 for n in shape):
         raise ValueError(f"Expected shape as (H, W), at least 2x2, got {shape}.")
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return np.asarray(getattr(value, "values", value)).tolist()
