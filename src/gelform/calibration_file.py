@@ -166,6 +166,7 @@ class Calibration:
             "gamut": self.gamut
             and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
+            "background_digest": self.background_digest,
             "held_out": self.held_out,
             "training_digests": list(self.training_digests),
             "settings": self.settings,
