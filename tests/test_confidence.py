@@ -114,7 +114,7 @@ def test_colours_beyond_the_training_presses_are_not_trusted():
     assert away[0, 0] == away[0, 1] == 0
     worth = gamut.slope_per_change
     assert worth == pytest.approx(2 * np.sqrt(2 / 3), rel=0.02)
-    assert away[0, 2] == pytest.approx(0.2 * worth, abs=1.6 * gamut.cell * worth)
+    assert away[0, 2] == pytest.approx(0.2 * worth, abs=1.6 * gamut.bin_width * worth)
     assert away[1, 0] == pytest.approx(4.7 * worth, rel=0.1)
     args = np.zeros((2, 3, 2), np.float32), np.full((2, 3, 3), 9, np.uint8), np.zeros((2, 3), dtype=bool)
     sigma, confidence = LAW.prepare((2, 3), gamut)(*args, change)

@@ -164,7 +164,7 @@ class Calibration:
             "forward_settings": self.forward and {"position_degrees": list(self.forward.position_degrees)},
             "slope_sigma": self.slope_sigma and asdict(self.slope_sigma),
             "gamut": self.gamut
-            and {"cell": self.gamut.cell, "slope_per_change": self.gamut.slope_per_change},
+            and {"cell": self.gamut.bin_width, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
             "background_digest": self.background_digest,
             "held_out": self.held_out,
@@ -221,9 +221,7 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         settings=meta["settings"],
         library_version=meta["library_version"],
         created_utc=meta["created_utc"],
-        gamut=Gamut(arrays["gamut_distance"], arrays["gamut_low"], **meta["gamut"])
-        if meta.get("gamut")
-        else None,
+        gamut=_gamut(arrays, meta["gamut"]) if meta.get("gamut") else None,
     )
 
 
@@ -231,6 +229,11 @@ def _forward_arrays(forward: ForwardResponse | None) -> dict[str, NDArray[Any]]:
     if forward is None:
         return {}
     return {"forward_coefficients": forward.coefficients, "forward_noise": forward.noise}
+
+
+def _gamut(arrays: dict[str, NDArray[Any]], settings: dict[str, float]) -> Gamut:
+    bin_width, slope_per_change = settings["cell"], settings["slope_per_change"]  # the file's own names
+    return Gamut(arrays["gamut_distance"], arrays["gamut_low"], bin_width, slope_per_change)
 
 
 def _forward(

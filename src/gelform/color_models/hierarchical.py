@@ -211,8 +211,8 @@ def _interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int
     found: list[Any] = []
     for position, nodes in zip((y_px, x_px), _node_positions(shape)):
         along = np.asarray(position, dtype=np.float64) / NODE_PX
-        cell = np.clip(along.astype(np.intp), 0, len(nodes) - 2)
-        found += [cell, along - cell]
+        before = np.clip(along.astype(np.intp), 0, len(nodes) - 2)
+        found += [before, along - before]
     return tuple(found)
 
 
@@ -234,7 +234,7 @@ class PreparedHierarchical:
         v = v[:, None, None, None]
         rows = model.nodes[row] * (1 - v) + model.nodes[row + 1] * v
         start, step = rows[:, :-1], np.diff(rows, axis=1)
-        table = np.stack([start, step], axis=-1)  # (rows, cells, terms, 2, 2)
+        table = np.stack([start, step], axis=-1)  # (rows, nodes before the last, terms, 2, 2)
         self._table = np.ascontiguousarray(table.transpose(0, 2, 1, 3, 4), dtype=np.float32)
         terms = monomials(3, model.degree)
         index = {term: t for t, term in enumerate(terms)}

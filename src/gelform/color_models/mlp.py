@@ -19,7 +19,7 @@ from gelform.color_models.seam import Samples, Variant, check_image_shape
 
 @dataclass(frozen=True)
 class MlpModel:
-    """A network of five inputs (colour change R, G, B in units of its spread; x, y) and two slopes.
+    """A network of five inputs (colour change R, G, B in units of its size; x, y) and two slopes.
 
     Attributes
     ----------

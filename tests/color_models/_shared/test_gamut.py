@@ -16,7 +16,7 @@ def test_distance_is_the_difference_of_colour_in_slopes():
     assert away[0, 0] == away[0, 1] == 0
     worth = gamut.slope_per_change
     assert worth == pytest.approx(2 * np.sqrt(2 / 3), rel=0.02)
-    assert away[0, 2] == pytest.approx(0.2 * worth, abs=1.6 * gamut.cell * worth)
+    assert away[0, 2] == pytest.approx(0.2 * worth, abs=1.6 * gamut.bin_width * worth)
     assert away[1, 0] == pytest.approx(4.7 * worth, rel=0.1)
 
 

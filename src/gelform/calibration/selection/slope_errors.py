@@ -1,8 +1,9 @@
-"""How far off held-out slopes are: their standard deviation by slope and place, and their correlation."""
+"""Errors of held-out slopes: their standard deviation by slope and place, their correlation, their gain."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,33 @@ from gelform.metrics import score_slopes
 
 LAGS = 24
 PER_PRESS = 2_000
-ZONE = 0.85  # beyond it the gel has left the ball: what differs there is no error of the model
+ZONE = 0.85  # part of the contact radius; beyond it the gel has left the ball, and the label is wrong, not the model
+
+
+@dataclass(frozen=True)
+class PressResiduals:
+    """What a model that has not seen a press reads there, and how far off it is.
+
+    Attributes
+    ----------
+    slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its inner part
+    rows, cols : (N,) of the pixels of that part, in the image
+    untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
+    """
+
+    slopes: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    rows: NDArray[np.intp]
+    cols: NDArray[np.intp]
+    untouched: NDArray[np.float64]
+
+    def columns(self, shape: tuple[int, int], press: int) -> tuple[NDArray[np.float64], ...]:
+        """Slope, errors, x and y in parts of the image, and the press's index, of some 2000 pixels."""
+        thin = slice(None, None, max(1, len(self.rows) // PER_PRESS))
+        rows, cols = self.rows[thin], self.cols[thin]
+        at = rows - self.rows.min(), cols - self.cols.min()
+        x, y = (cols + 0.5) / shape[1], (rows + 0.5) / shape[0]
+        return np.linalg.norm(self.slopes[at], axis=-1), self.errors[at], x, y, np.full(len(rows), press)
 
 
 def slope_sigma_from_folds(
@@ -25,37 +52,27 @@ def slope_sigma_from_folds(
     presses: Sequence[PreparedPress],
     found: Sequence[Contact],
 ) -> SlopeSigma:
-    """Standard deviation and correlation of the slopes, from presses that each model has not seen.
+    """Standard deviation and correlation of the slopes, from presses that each fold's model has not seen.
 
     A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
     the root of the number of presses, the rate at which errors of estimation fall.
     """
-    share_seen = np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds])
-    step = max(1, round(scale_of(presses[0].size.shape)))
-    parts, rest, products, gains = [], [], [], []
-    for model, fold in zip(models, folds):
-        for i in fold.held_out:
-            seen, error, rows, cols = _residual_map(presses[i], found[i], model)
-            products.append(_lag_products(error, step))
-            gains.append(gain_of(seen, seen - error))
-            thin = slice(None, None, max(1, len(rows) // PER_PRESS))
-            at = (rows - rows.min())[thin], (cols - cols.min())[thin]
-            height, width = presses[i].size.shape
-            parts.append(
-                (
-                    np.linalg.norm(seen[at], axis=-1),
-                    error[at],
-                    (cols[thin] + 0.5) / width,
-                    (rows[thin] + 0.5) / height,
-                    np.full(len(at[0]), i),
-                )
-            )
-            rest.append(_rest_slopes(presses[i], found[i], model))
-    slopes, errors, x, y, press = (np.concatenate([part[k] for part in parts]) for k in range(5))
-    length, share = correlation_from_products(np.mean(products, axis=0), step)
-    held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, np.concatenate(rest))
+    share_seen = float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
+    shape = presses[0].size.shape
+    step = max(1, round(scale_of(shape)))
+    residuals = {
+        i: press_residuals(presses[i], found[i], model)
+        for model, fold in zip(models, folds)
+        for i in fold.held_out
+    }
+    gains = [gain_of(one.slopes, one.slopes - one.errors) for one in residuals.values()]
+    products = [_lag_products(one.errors, step) for one in residuals.values()]
+    parts = [one.columns(shape, i) for i, one in residuals.items()]
+    slopes, errors, x, y, press = (np.concatenate(column) for column in zip(*parts))
+    untouched = np.concatenate([one.untouched for one in residuals.values()])
+    held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, untouched)
     gain_sigma = float(np.sqrt(share_seen * np.mean((np.array(gains) - 1) ** 2)))
-    return SlopeSigma.fit(held_out, length, share, gain_sigma)
+    return SlopeSigma.fit(held_out, *correlation_from_products(np.mean(products, axis=0), step), gain_sigma)
 
 
 def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
@@ -65,9 +82,14 @@ def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
 
 
 def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
-    """Length (px) and share of the correlated part: `share exp(-lag^2 / (2 length^2))` at lags from 1 on.
+    """Length (px) and share (0-1) of the correlated part of errors: `share exp(-lag^2 / (2 length^2))` from lag 1 on.
 
-    The nugget, what of the variance is gone at the first lag, is white.
+    The rest, 1 - share, is white: its correlation is gone at the first lag.
+
+    Parameters
+    ----------
+    products : mean products of errors at lags of 0, 1, 2 ... steps
+    step : px
     """
     correlation = products / max(products[0], 1e-30)
     below = np.nonzero(correlation[1:] < 0.05)[0]
@@ -82,13 +104,8 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     return best[1], best[2]
 
 
-def _residual_map(
-    press: PreparedPress, found: Contact, model: ColorModel
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
-    """Slopes and their errors in the contact's bounding box, NaN outside its inner part, and its pixels.
-
-    The centre is free: labels are off by a pixel.
-    """
+def press_residuals(press: PreparedPress, found: Contact, model: ColorModel) -> PressResiduals:
+    """What a model reads on a press and how far off it is; the centre is free, since labels are off by a pixel."""
     rows, cols = press.pixels(found, ZONE)
     gradients = press.gradients(model, rows, cols)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
@@ -96,10 +113,10 @@ def _residual_map(
     maps = np.full((2, *box), np.nan)
     for values, into in zip((gradients, error), maps):
         into[rows - rows.min(), cols - cols.min()] = values
-    return maps[0], maps[1], rows, cols
+    return PressResiduals(maps[0], maps[1], rows, cols, _untouched_slopes(press, found, model))
 
 
-def _rest_slopes(press: PreparedPress, found: Contact, model: ColorModel) -> NDArray[np.float64]:
+def _untouched_slopes(press: PreparedPress, found: Contact, model: ColorModel) -> NDArray[np.float64]:
     """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does."""
     height, width = press.size.shape
     step = max(1, int(np.sqrt(height * width / PER_PRESS)))
