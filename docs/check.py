@@ -14,9 +14,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from gelform.cli import command_names
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
-COMMANDS = ("demo", "calibrate", "reconstruct", "evaluate", "simulate", "design", "import", "compare", "info")
 
 
 def broken_links(page: Path) -> list[str]:
@@ -53,7 +54,7 @@ def unknown_commands(page: Path) -> list[str]:
     used = {
         name for block in shells for name in re.findall(r"^(?:\S*/)?gelform ([a-z]+)", block, re.MULTILINE)
     }
-    return [f"{page.relative_to(ROOT)}: gelform {name}" for name in sorted(used - set(COMMANDS))]
+    return [f"{page.relative_to(ROOT)}: gelform {name}" for name in sorted(used - set(command_names()))]
 
 
 def main() -> int:

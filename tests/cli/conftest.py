@@ -16,6 +16,12 @@ SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name
 
 
 @pytest.fixture(scope="session")
+def small():
+    """The sensor behind the press folder."""
+    return SMALL
+
+
+@pytest.fixture(scope="session")
 def press_folder(tmp_path_factory):
     presses = simulate_ball_presses(
         SMALL, ball_diameters_mm=(6, 9), count=10, rng=np.random.default_rng(0), oversample=1

@@ -1,4 +1,4 @@
-"""What all commands share with the terminal: common options, progress, tables, JSON."""
+"""What all commands share with the terminal: progress, tables, JSON."""
 
 from __future__ import annotations
 
@@ -8,35 +8,11 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from gelform.progress import Progress, no_progress
-
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show neither progress nor tables.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that are already there.")]
-CalibrationFile = Annotated[
-    Path, typer.Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
-]
-Sensor = Annotated[
-    str | None,
-    typer.Option(metavar="PROFILE", help="Sensor profile: gelsight-mini or digit; crop and scale."),
-]
-MmPerPx = Annotated[float | None, typer.Option(metavar="F", help="Width of an image pixel on the gel, mm.")]
-BallDiameter = Annotated[
-    float | None,
-    typer.Option(metavar="F", help="Diameter of the ball, mm, for a video or a folder without presses.csv."),
-]
-Background = Annotated[
-    Path | None,
-    typer.Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average."),
-]
-Crop = Annotated[
-    str | None,
-    typer.Option(metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."),
-]
 
 
 @contextmanager

@@ -53,7 +53,7 @@ class Geometry:
         scale = self.scale_source or "the number given"
         notes = [
             f"Scale from {scale}; its standard deviation {sigma} and is not in the errors.",
-            "Crosstalk is absorbed in the color model (no --led-frames)."
+            "Crosstalk is absorbed in the color model (no frames of single LEDs)."
             if self.crosstalk is None
             else f"Crosstalk is undone before the color model: {self.crosstalk.describe()}.",
         ]

@@ -69,5 +69,7 @@ def _homemade() -> SimulatedSensor:
 
 
 LAYOUTS: dict[str, SimulatedSensor] = {
-    sensor.name: sensor for sensor in (_three_edges(), _ring_120(), _homemade())
+    "three-edges": _three_edges(),
+    "ring-120": _ring_120(),
+    "homemade": _homemade(),
 }

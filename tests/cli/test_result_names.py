@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.cli.names import check_results, make_folder, result_paths
+from gelform.cli.result_names import check_results, make_folder, result_paths
 from gelform.errors import DataError
 
 part = st.sampled_from(["a", "b", "a.b", "gelsight", "ä ö", "0", "1"])

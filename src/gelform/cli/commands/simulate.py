@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gelform.cli.console import Json, Quiet, print_json, progress_shown, say
+from gelform.cli.console import print_json, progress_shown, say
+from gelform.cli.failures import mistakes_in
+from gelform.cli.options import Json, Quiet, positive
+from gelform.cli.tables import LAYOUTS, SENSORS, listed
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
@@ -21,12 +24,11 @@ TABLES_NOISE = 1.0
 
 def simulate(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
-    layout: Annotated[str, typer.Option(help="Lights: three-edges, ring-120 or homemade.")] = "three-edges",
     sensor: Annotated[
         str | None,
         typer.Option(
             metavar="NAME|FILE.toml",
-            help="Instead of a layout: gelsight-mini, digit, gelslim, first-build, or your own as TOML.",
+            help=f"{listed(LAYOUTS + SENSORS)} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
     ] = None,
     like: Annotated[
@@ -40,30 +42,37 @@ def simulate(
         Path | None, typer.Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
     ] = None,
     mm_per_px: Annotated[
-        float | None, typer.Option(metavar="F", help="Pixel pitch of that image, mm: the tables hold none.")
+        float | None,
+        typer.Option(
+            metavar="F", parser=positive, help="Pixel pitch of that image, mm: the tables hold none."
+        ),
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40,
     ball_diameter_mm: Annotated[
-        list[float], typer.Option(metavar="F", help="Diameter of a ball, mm; give several, they take turns.")
+        list[float],
+        typer.Option(
+            metavar="F", parser=positive, help="Diameter of a ball, mm; give several, they take turns."
+        ),
     ] = [6.0, 9.0],  # noqa: B006, typer reads it and never changes it
     height_map: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image."),
     ] = None,
     height_map_mm_per_px: Annotated[
-        float | None, typer.Option(metavar="F", help="Its sample pitch, mm.")
+        float | None, typer.Option(metavar="F", parser=positive, help="Its sample pitch, mm.")
     ] = None,
     height_map_range_mm: Annotated[
         float | None, typer.Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
     ] = None,
     depth_mm: Annotated[
-        float, typer.Option(metavar="F", help="How deep the height map or mesh is pressed, mm.")
+        float,
+        typer.Option(metavar="F", parser=positive, help="How deep the height map or mesh is pressed, mm."),
     ] = 0.5,
     mesh: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
     ] = None,
     mesh_mm_per_unit: Annotated[
-        float, typer.Option(metavar="F", help="Its unit: 1 for mm, 1000 for metres.")
+        float, typer.Option(metavar="F", parser=positive, help="Its unit: 1 for mm, 1000 for metres.")
     ] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
     workers: Annotated[
@@ -81,7 +90,7 @@ def simulate(
     \b
     Examples:
       gelform simulate -o presses
-      gelform simulate -o presses --layout homemade --count 60 --ball-diameter-mm 5 --ball-diameter-mm 8
+      gelform simulate -o presses --sensor homemade --count 60 --ball-diameter-mm 5 --ball-diameter-mm 8
       gelform simulate -o presses --sensor digit --count 10000 --workers 8
       gelform simulate -o presses --sensor mine.toml
       gelform simulate -o twin --like cal.npz --count 1000 --workers 4
@@ -92,22 +101,13 @@ def simulate(
       gelform simulate -o gear --mesh gear.stl --sensor gelsight-mini
     """
 
-    from gelform.checks import check_positive
-    from gelform.simulate import LAYOUTS
-
-    for ball in ball_diameter_mm:
-        check_positive(ball, "ball_diameter_mm")
-    if layout not in LAYOUTS:
-        raise typer.BadParameter(
-            f"expected one of {', '.join(LAYOUTS)}, got {layout!r}.", param_hint="--layout"
-        )
     if sum(given is not None for given in (sensor, like)) > 1 or None not in (height_map, mesh):
         raise typer.BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
     twin = _twin_of(like, background, mm_per_px)
     if twin is not None:
         made = twin.sensor
     else:
-        made = LAYOUTS[layout] if sensor is None else sensor_of(sensor)
+        made = sensor_of(sensor or LAYOUTS[0])
     with progress_shown(quiet) as progress:
         if height_map is not None or mesh is not None:
             face = (
@@ -128,7 +128,7 @@ def simulate(
     if as_json:
         presses = count if height_map is None and mesh is None else 1
         name = made.name if like is None else f"like {like}"
-        print_json({"folder": output, "layout": layout, "sensor": name, "presses": presses, "seed": seed})
+        print_json({"folder": output, "sensor": name, "presses": presses, "seed": seed})
 
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:
@@ -206,4 +206,5 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
         ) from problem
     if not isinstance(heights, np.ndarray):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
-    return HeightMap(heights, mm_per_px)
+    with mistakes_in(path):
+        return HeightMap(heights, mm_per_px)

@@ -5,7 +5,7 @@ import json
 import pytest
 from tests.cli.conftest import SMALL
 
-from gelform.cli import demo
+from gelform.cli.commands import demo
 from gelform.reconstruction import load_result
 from gelform.simulate import LAYOUTS
 

@@ -7,19 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import (
-    Background,
-    Json,
-    Overwrite,
-    Quiet,
-    figure,
-    print_json,
-    progress_shown,
-    say,
-    show_table,
-)
-from gelform.cli.names import check_results, make_folder, result_paths
-from gelform.errors import GelformError
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.options import Background, Json, Overwrite, Quiet
+from gelform.cli.result_names import check_results, make_folder, result_paths
+from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
 
 if TYPE_CHECKING:
     from gelform.reconstruct import Reconstructor
@@ -77,17 +68,9 @@ def compare(
 def _pair(calibrations: list[Path], background: Path | None) -> tuple[Reconstructor, Reconstructor]:
     from gelform.calibration_file import load_calibration
     from gelform.reconstruct import Reconstructor
-    from gelform.sensors.files import read_image
-    from gelform.view import image_from_frame
 
-    frame = None if background is None else read_image(background)
-
-    def prepared(path: Path) -> Reconstructor:
-        loaded = load_calibration(path)
-        rest = None if frame is None else image_from_frame(frame, loaded.view)
-        return Reconstructor(loaded, background=rest)
-
-    a, b = (prepared(path) for path in calibrations)
+    loaded = [load_calibration(path) for path in calibrations]
+    a, b = (Reconstructor(one, background=background_in(background, one)) for one in loaded)
     return a, b
 
 
@@ -99,21 +82,15 @@ def _compare_one(
     overwrite: bool,
 ) -> dict[str, Any]:
     from gelform.plots.comparison import compare_results, comparison_picture
-    from gelform.sensors.files import read_image
-    from gelform.view import image_from_frame
 
-    frame = read_image(path)
-    try:
-        a, b = (run(frame) for run in pair)
-        compared = compare_results(a, b)
-    except (GelformError, ValueError) as problem:
-        raise GelformError(f"{path}: {problem}") from problem
+    images = [image_in(path, run.calibration) for run in pair]
+    a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
+    compared = compare_results(a, b)
     if picture is not None:
         from gelform.plots.canvas import save_picture
 
         make_folder(picture.parent)
-        shown = image_from_frame(frame, pair[0].calibration.view)
-        save_picture(picture, comparison_picture(a, b, shown, names=names), overwrite=overwrite)
+        save_picture(picture, comparison_picture(a, b, images[0], names=names), overwrite=overwrite)
     return {"image": str(path), "picture": picture and str(picture), **compared.figures()}
 
 

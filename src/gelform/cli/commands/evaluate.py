@@ -7,21 +7,9 @@ from typing import Annotated
 
 import typer
 
-from gelform.cli.console import (
-    Background,
-    BallDiameter,
-    CalibrationFile,
-    Json,
-    MmPerPx,
-    Quiet,
-    Sensor,
-    figure,
-    print_json,
-    progress_shown,
-    say,
-    show_table,
-    warm,
-)
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.failures import mistakes_in
+from gelform.cli.options import Background, BallDiameter, CalibrationFile, Json, MmPerPx, Quiet, Sensor
 
 COLUMNS = ("normal_free_deg", "cap_free_um", "radius_percent", "off_contact_um")
 
@@ -49,6 +37,7 @@ def evaluate(
     from gelform.calibration.evaluate import evaluate as evaluate_presses
     from gelform.calibration.presses.folder import read_presses
     from gelform.calibration_file import load_calibration
+    from gelform.checks import check_image
 
     loaded = load_calibration(calibration)
     with progress_shown(quiet) as progress:
@@ -61,6 +50,8 @@ def evaluate(
             background=background,
             progress=progress,
         )
+        with mistakes_in(presses):
+            check_image(found.background, shape=loaded.image_shape, name="images")
         evaluation = evaluate_presses(loaded, found, progress=progress)
     if evaluation.seen:
         say(

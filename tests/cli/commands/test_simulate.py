@@ -20,7 +20,7 @@ def small_layout(monkeypatch):
 
 
 def test_presses_with_their_truth(run_json, tmp_path):
-    arguments = ("simulate", "--layout", "small", "--count", "3", "--ball-diameter-mm", "5", "--seed", "4")
+    arguments = ("simulate", "--sensor", "small", "--count", "3", "--ball-diameter-mm", "5", "--seed", "4")
     assert run_json(*arguments, "-o", tmp_path / "a")["presses"] == 3
     presses = read_presses(tmp_path / "a")
     assert [press.ball_diameter_mm for press in presses.presses] == [5, 5, 5]
@@ -36,7 +36,7 @@ def test_a_height_map(run, tmp_path):
     _, x = np.mgrid[-2:2:41j, -2:2:41j]
     np.save(tmp_path / "roof.npy", -0.3 * np.abs(x))
     arguments = ("--height-map", tmp_path / "roof.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
-    code, _, err = run("simulate", "-o", tmp_path / "out", "--layout", "small", *arguments)
+    code, _, err = run("simulate", "-o", tmp_path / "out", "--sensor", "small", *arguments)
     assert code == 0, err
     with np.load(tmp_path / "out" / "truth.npz") as truth:
         assert np.isclose(truth["depth_mm"].max(), 0.4, atol=0.02)
@@ -49,7 +49,7 @@ def test_a_grey_image_is_a_height_map_and_all_truth_is_written(run, fails, tmp_p
     grey[20:40, 20:40] = 255
     cv2.imwrite(str(tmp_path / "block.png"), grey)
     face = ("--height-map", tmp_path / "block.png", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.3")
-    arguments = ("simulate", "-o", tmp_path / "out", "--layout", "small", *face)
+    arguments = ("simulate", "-o", tmp_path / "out", "--sensor", "small", *face)
     assert "--height-map-range-mm" in fails(*arguments)
     code, _, err = run(*arguments, "--height-map-range-mm", "0.5", "--seed", "7")
     assert code == 0, err
@@ -73,21 +73,23 @@ def test_mistakes_are_one_line(fails, tmp_path):
         "simulate",
         "-o",
         tmp_path / "out",
-        "--layout",
+        "--sensor",
         "small",
         "--height-map-mm-per-px",
         "0.1",
         "--height-map",
     )
     assert "holds something" in fails(
-        "simulate", "-o", tmp_path / "full", "--layout", "small", "--count", "1"
+        "simulate", "-o", tmp_path / "full", "--sensor", "small", "--count", "1"
     )
-    assert "ball" in fails("simulate", "-o", tmp_path / "out", "--layout", "small", "--ball-diameter-mm", "0")
+    assert "--ball-diameter-mm" in fails(
+        "simulate", "-o", tmp_path / "out", "--ball-diameter-mm", "0", status=2
+    )
     assert "damaged" in fails(*height_map, tmp_path / "text.npy")
     assert "got an archive" in fails(*height_map, tmp_path / "many.npz")
     assert "NaN" in fails(*height_map, tmp_path / "nan.npy")
     assert "No file" in fails(*height_map, tmp_path / "missing.npy")
-    assert "three-edges" in fails("simulate", "-o", tmp_path / "out", "--layout", "x", status=2)
+    assert "three-edges" in fails("simulate", "-o", tmp_path / "out", "--sensor", "x", status=2)
     assert "--height-map-mm-per-px" in fails(
         "simulate", "-o", tmp_path / "out", "--height-map", tmp_path / "nan.npy", status=2
     )
@@ -153,7 +155,7 @@ def test_a_mesh(run, fails, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box((4, 3, 2)).export(tmp_path / "box.stl")
     code, _, err = run(
-        "simulate", "--mesh", tmp_path / "box.stl", "--layout", "small", "-o", tmp_path / "out"
+        "simulate", "--mesh", tmp_path / "box.stl", "--sensor", "small", "-o", tmp_path / "out"
     )
     assert code == 0, err
     with np.load(tmp_path / "out" / "truth.npz") as truth:

@@ -9,21 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import (
-    Background,
-    CalibrationFile,
-    Json,
-    Overwrite,
-    Quiet,
-    figure,
-    print_json,
-    progress_shown,
-    say,
-    show_table,
-    warm,
-)
-from gelform.cli.names import check_results, make_folder, result_paths
-from gelform.errors import GelformError
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.options import Background, CalibrationFile, Json, Overwrite, Quiet, one_of
+from gelform.cli.result_names import check_results, make_folder, result_paths
+from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
 
 if TYPE_CHECKING:
     from gelform.reconstruct import Reconstructor
@@ -90,31 +79,20 @@ def reconstruct(
 def _prepared(calibration: Path, background: Path | None, solver: str) -> Reconstructor:
     from gelform.calibration_file import load_calibration
     from gelform.reconstruct import Reconstructor
-    from gelform.sensors.backgrounds import read_background
     from gelform.solvers import SOLVERS
-    from gelform.view import image_from_frame
 
-    if solver != "auto" and solver not in SOLVERS:
-        raise typer.BadParameter(
-            f"expected auto or one of {', '.join(SOLVERS)}, got {solver!r}.", param_hint="--solver"
-        )
+    one_of(solver, ("auto", *SOLVERS), "--solver")
     loaded = load_calibration(calibration)
-    rest = None if background is None else image_from_frame(read_background(background), loaded.view)
-    return Reconstructor(loaded, background=rest, solver=solver)
+    return Reconstructor(loaded, background=background_in(background, loaded), solver=solver)
 
 
 def _reconstruct_one(
     run: Reconstructor, path: Path, results: dict[str, Path], overwrite: bool
 ) -> dict[str, Any]:
     from gelform.reconstruction import save_result
-    from gelform.sensors.files import read_image
-    from gelform.view import image_from_frame
 
-    frame = read_image(path)
-    try:
-        result = run(frame)
-    except (GelformError, ValueError) as problem:
-        raise GelformError(f"{path}: {problem}") from problem
+    image = image_in(path, run.calibration)
+    result = reconstruction_of(run, image, path)
     make_folder(next(iter(results.values())).parent)
     if "npz" in results:
         save_result(result, results["npz"], overwrite=overwrite)
@@ -122,8 +100,7 @@ def _reconstruct_one(
         from gelform.plots.canvas import save_picture
         from gelform.plots.result import picture
 
-        shown = picture(result, image_from_frame(frame, run.calibration.view))
-        save_picture(results["png"], shown, overwrite=overwrite)
+        save_picture(results["png"], picture(result, image), overwrite=overwrite)
     return {
         "image": str(path),
         "outputs": [str(one) for one in results.values()],

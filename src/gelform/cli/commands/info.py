@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from gelform.cli.console import Json, print_json
+from gelform.cli.console import print_json
+from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
 
@@ -149,7 +150,7 @@ def _presses(path: Path, layout: str | None) -> dict[str, Any]:
     facts: dict[str, Any] = {"kind": layout}
     try:
         presses = read_presses(path)
-    except (GelformError, ValueError) as problem:
+    except GelformError as problem:
         return {**facts, "missing": [str(problem)]}
     balls = Counter(press.ball_diameter_mm for press in presses.presses)
     return {

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import (
-    Json,
-    Quiet,
-    json_bytes,
-    print_json,
-    progress_shown,
-    say,
-    show_table,
-    warm,
-)
+from gelform.cli.console import json_bytes, print_json, progress_shown, say, show_table, warm
+from gelform.cli.options import Json, Quiet
 from gelform.progress import Progress
 
 if TYPE_CHECKING:
@@ -92,7 +84,7 @@ def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
 def _calibrated(folder: Path, progress: Progress) -> Calibration:
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.folder import read_presses
-    from gelform.cli.calibrate import write_report
+    from gelform.cli.report_files import write_report
 
     presses = read_presses(folder / "presses", progress=progress)
     calibration = calibrate(presses, progress=progress)

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from gelform.cli.console import Json, Quiet, figure, print_json, progress_shown, say, show_table
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.options import Json, Quiet
 
 
 def design(
@@ -34,7 +35,7 @@ def design(
     """
     import numpy as np
 
-    from gelform.cli.simulate import sensor_of
+    from gelform.cli.commands.simulate import sensor_of
     from gelform.design.study import compare_designs
 
     chosen = sensor_of(sensor)

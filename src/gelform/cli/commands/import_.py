@@ -7,17 +7,18 @@ from typing import Annotated
 
 import typer
 
-from gelform.cli.console import Background, Json, MmPerPx, Overwrite, Quiet, print_json, say
-from gelform.cli.names import make_folder
+from gelform.cli.console import print_json, say
+from gelform.cli.failures import mistakes_in
+from gelform.cli.options import Background, Json, MmPerPx, Overwrite, Quiet, one_of
+from gelform.cli.result_names import make_folder
+from gelform.cli.tables import PACKAGES, listed
 from gelform.errors import CalibrationError
-
-NAMES = ("gs_sdk", "gsrobotics", "gsrobotics-web", "taxim", "lut")
 
 
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The package's calibration file.")],
     package: Annotated[
-        str, typer.Option("--from", metavar="PACKAGE", help=f"Whose file it is: {', '.join(NAMES)}.")
+        str, typer.Option("--from", metavar="PACKAGE", help=f"Whose file it is: {listed(PACKAGES)}.")
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
@@ -53,8 +54,7 @@ def import_(
       gelform import polycalib.npz --from taxim --background rest.png -o cal.npz
       gelform import table_smooth.npy --from lut --flip-depth --background rest.png -o cal.npz
     """
-    if package not in NAMES:
-        raise typer.BadParameter(f"expected one of {', '.join(NAMES)}, got {package!r}.", param_hint="--from")
+    one_of(package, PACKAGES, "--from")
     if background is None:
         raise typer.BadParameter(
             "needed: an image of the untouched gel; these files hold none.", param_hint="--background"
@@ -65,15 +65,16 @@ def import_(
 
     make_folder(output.parent)
     check_free(output, overwrite=overwrite, error=CalibrationError)
-    calibration = import_calibration(
-        file,
-        package,
-        background=read_image(background),
-        mm_per_px=mm_per_px,
-        position=position,
-        flip_depth=flip_depth,
-        sensor_name=name,
-    )
+    with mistakes_in(file):
+        calibration = import_calibration(
+            file,
+            package,
+            background=read_image(background),
+            mm_per_px=mm_per_px,
+            position=position,
+            flip_depth=flip_depth,
+            sensor_name=name,
+        )
     calibration.save(output, overwrite=overwrite)
     if calibration.mm_per_px is None:
         say("note: without --mm-per-px the scale is unknown: results will be in pixels, not mm.", quiet)

@@ -1,0 +1,5 @@
+"""`python -m gelform` is `gelform`."""
+
+from gelform.cli import main
+
+main()

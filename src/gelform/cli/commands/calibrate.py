@@ -1,0 +1,137 @@
+"""gelform calibrate: presses of a ball to a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.options import (
+    Background,
+    BallDiameter,
+    Json,
+    MmPerPx,
+    Overwrite,
+    Quiet,
+    Sensor,
+    numbers,
+    one_of,
+)
+from gelform.cli.report_files import REPORT_FILES, check_report_folder, write_report
+from gelform.cli.result_names import make_folder
+from gelform.cli.tables import COLOR_MODELS, listed
+from gelform.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from gelform.calibration_file import Calibration
+
+MODELS = ("auto", *COLOR_MODELS)
+
+
+def calibrate(
+    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Ball presses: a folder or a video.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
+    ],
+    model: Annotated[str, typer.Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CAL.npz", help="Calibration of another unit of this sensor to begin with: 5 presses do."
+        ),
+    ] = None,
+    sensor: Sensor = None,
+    mm_per_px: MmPerPx = None,
+    ball_diameter_mm: BallDiameter = None,
+    background: Background = None,
+    crop: Annotated[
+        str | None,
+        typer.Option(
+            metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for a page that says how good it is and what to do next."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Calibrate a sensor from presses of a ball of known diameter, without a click.
+
+    PRESSES holds background.png (the untouched gel), images, presses.csv (columns image,ball_diameter_mm) and
+    sensor.toml (name, mm_per_px). A plain folder of images does too, with --ball-diameter-mm and --mm-per-px
+    or --sensor; so do a video that begins with the untouched gel, gs_sdk's and py3DCal's folders and Taxim's
+    dataPack.npz. Twenty presses all over the gel are enough, forty of two balls are good. Scale, lens and
+    crosstalk are measured before, by `gelform scale` and `gelform lens`.
+
+    \b
+    Examples:
+      gelform calibrate presses/ -o cal.npz
+      gelform calibrate presses/ -o cal.npz --report report/
+      gelform calibrate frames/ -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
+      gelform calibrate presses.avi -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
+      gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
+      gelform calibrate five_presses/ -o second.npz --start first.npz
+    """
+    one_of(model, MODELS, "--model")
+    box = None if crop is None else numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
+    _check_outputs(output, report, overwrite)
+    from gelform.calibration.fit import calibrate as calibrate_presses
+    from gelform.calibration.presses.folder import read_presses
+    from gelform.calibration_file import load_calibration
+
+    with progress_shown(quiet) as progress:
+        warm(progress)
+        found = read_presses(
+            presses,
+            sensor=sensor,
+            mm_per_px=mm_per_px,
+            ball_diameter_mm=ball_diameter_mm,
+            background=background,
+            crop=box,  # type: ignore[arg-type]
+            progress=progress,
+        )
+        first = None if start is None else load_calibration(start)
+        calibration = calibrate_presses(found, color_model=model, start=first, progress=progress)
+        calibration.save(output, overwrite=overwrite)
+        if report is not None:
+            write_report(found, calibration, report, overwrite=overwrite, progress=progress)
+    _show(calibration, quiet or as_json)
+    say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.", quiet)
+    if as_json:
+        print_json({"calibration": str(output), **calibration.report.to_dict()})
+
+
+def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:
+    """Everything that could stop the writing is said before the work."""
+    from gelform.npz_files import check_free
+
+    make_folder(output.parent)
+    check_free(output, overwrite=overwrite, error=CalibrationError)
+    if report is not None:
+        check_report_folder(report, overwrite)
+
+
+def _show(calibration: Calibration, quiet: bool) -> None:
+    report = calibration.report
+    rejected = [(row.name, row.reason or "") for row in report.presses if not row.accepted]
+    used = len(report.presses) - len(rejected)
+    say(
+        f"{calibration.sensor_name}: {used} of {len(report.presses)} presses used, {report.seconds:.0f} s.",
+        quiet,
+    )
+    if rejected:
+        show_table("Presses left out", ("press", "why"), rejected, quiet=quiet)
+    tried = [
+        (one["candidate"] + (" <" if one["chosen"] else ""), figure(one["normal_free_deg"]))
+        for one in report.candidates
+    ]
+    show_table("Color models tried", ("model (< chosen)", "held-out normal (deg)"), tried, quiet=quiet)
+    held_out = [(name, figure(value)) for name, value in report.held_out.items()]
+    show_table("Errors on presses that were held out", ("figure", "value"), held_out, quiet=quiet)
+    for note in report.notes:
+        say(f"note: {note}", quiet)

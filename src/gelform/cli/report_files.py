@@ -1,0 +1,77 @@
+"""The files of a calibration's report: the page, the numbers behind it, and the circles as a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gelform.cli.console import json_bytes
+from gelform.cli.result_names import make_folder
+from gelform.errors import DataError
+from gelform.progress import Progress
+
+if TYPE_CHECKING:
+    from gelform.calibration.presses.folder import Presses
+    from gelform.calibration_file import Calibration
+
+REPORT_FILES = ("report.html", "report.json", "circles.csv")
+REPORT_SEED = 0
+
+
+def check_report_folder(folder: Path, overwrite: bool) -> None:
+    """Make the folder, and refuse one that holds a report (unless `overwrite`): before the work, not after it."""
+    make_folder(folder)
+    there = [name for name in REPORT_FILES if (folder / name).exists()]
+    if there and not overwrite:
+        raise DataError(f"{folder / there[0]} is already there. Choose another folder, or allow --overwrite.")
+
+
+def write_report(
+    presses: Presses,
+    calibration: Calibration,
+    folder: Path,
+    *,
+    overwrite: bool,
+    progress: Progress,
+    with_learning: bool = True,
+) -> None:
+    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table.
+
+    The learning curve calibrates a dozen times more; without it the page says less and comes sooner.
+    """
+    import numpy as np
+
+    from gelform.calibration.report.content import report_content
+    from gelform.calibration.report.learning import learning_curve
+    from gelform.calibration.report.page.page import report_page
+    from gelform.npz_files import written_file
+
+    rng = np.random.default_rng(REPORT_SEED)
+    learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
+    progress(0, 1, "drawing the report")
+    content = report_content(presses, calibration, rng=rng, learning=learning)
+    page = report_page(content, presses, calibration)
+    make_folder(folder)
+    files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
+    for name, data in zip(REPORT_FILES, files):
+        with written_file(folder / name, overwrite=overwrite) as file:
+            file.write(data)
+    progress(1, 1, "drawing the report")
+
+
+def _circles_csv(rows: Any) -> bytes:
+    """The table of presses with the circles found: as presses.csv wants its labels."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    named = ["image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px"]
+    writer.writerow([*named, "center_sigma_px", "contact_radius_sigma_px", "accepted", "reason"])
+    for row in rows:
+        circle = [f"{value:.2f}" for value in (row.center_x_px, row.center_y_px, row.contact_radius_px)]
+        sigma = (row.center_sigma_px, row.contact_radius_sigma_px)
+        known = ["" if value is None else f"{value:.2f}" for value in sigma]
+        writer.writerow(
+            [row.name, f"{row.ball_diameter_mm:g}", *circle, *known, int(row.accepted), row.reason or ""]
+        )
+    return text.getvalue().encode()

@@ -1,0 +1,47 @@
+"""Image files of a calibrated sensor: through its view, of its size, and reconstructed; what is wrong names the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gelform.cli.failures import mistakes_in
+from gelform.errors import GelformError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from gelform.calibration_file import Calibration
+    from gelform.reconstruct import Reconstructor
+    from gelform.reconstruction import Reconstruction
+
+
+def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
+    """The image (H, W, 3) of a camera frame in a file."""
+    from gelform.sensors.files import read_image
+
+    return _viewed(read_image(path), path, calibration)
+
+
+def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
+    """The untouched image of a file or a folder of frames; None where none is given."""
+    from gelform.sensors.backgrounds import read_background
+
+    return None if path is None else _viewed(read_background(path), path, calibration)
+
+
+def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) -> Reconstruction:
+    """What the image of a file gave; an image that is refused is named."""
+    try:
+        return run.from_image(image)
+    except GelformError as problem:
+        raise type(problem)(f"{path}: {problem}") from problem
+
+
+def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArray[Any]:
+    from gelform.checks import check_image
+    from gelform.view import image_from_frame
+
+    with mistakes_in(path):
+        return check_image(image_from_frame(frame, calibration.view), shape=calibration.image_shape)

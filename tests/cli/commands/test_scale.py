@@ -1,0 +1,79 @@
+"""gelform scale: what is measured is in sensor.toml, and a calibration made after it has it."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from gelform.calibration_file import load_calibration
+from gelform.plots.canvas import save_picture
+from gelform.sensors.files import read_sensor_toml
+from gelform.simulate import Punch, Screw, simulate_press
+
+
+@pytest.fixture(scope="module")
+def images(small, tmp_path_factory):
+    """A punch and a thread, pressed into the sensor behind the press folder."""
+    folder = tmp_path_factory.mktemp("measured")
+    rng = np.random.default_rng(4)
+    for name, thing in (("punch", Punch(7.0)), ("thread", Screw(8, 1.25, 30))):
+        press = simulate_press(small, thing, depth_mm=0.4, rng=rng, oversample=1)
+        save_picture(folder / f"{name}.png", press.image)
+    return folder
+
+
+@pytest.fixture
+def folder(press_folder, tmp_path):
+    """The press folder with a scale that is wrong by half."""
+    copy = tmp_path / "presses"
+    shutil.copytree(press_folder, copy, ignore=shutil.ignore_patterns("truth"))
+    text = (copy / "sensor.toml").read_text().replace("mm_per_px = 0.1268", "mm_per_px = 0.19  # a guess")
+    assert "a guess" in text
+    (copy / "sensor.toml").write_text(text)
+    return copy
+
+
+def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
+    given = ("--punch", f"{images / 'punch.png'},7", "--thread", f"{images / 'thread.png'},1.25")
+    said = run_json("scale", folder, *given)
+    assert said["file"] == str(folder / "sensor.toml")
+    assert said["mm_per_px"] == pytest.approx(small.mm_per_px, rel=0.015)
+    assert abs(said["mm_per_px"] - small.mm_per_px) < 3 * said["mm_per_px_sigma"]
+    settings = read_sensor_toml(folder / "sensor.toml")
+    assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert settings.mm_per_px_sigma == pytest.approx(said["mm_per_px_sigma"])
+    assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")[0] == 0
+    calibration = load_calibration(tmp_path / "cal.npz")
+    assert calibration.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert "a punch of 7 mm" in calibration.settings["scale_source"]
+    assert "a thread of pitch 1.25 mm" in calibration.settings["scale_source"]
+
+
+def test_marked_points(run, folder):
+    code, _, err = run("scale", folder, "--points", "20,10,100,70,12")
+    assert code == 0
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.12)
+    assert "0.12 +- " in err
+
+
+def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images):
+    before = (folder / "sensor.toml").read_bytes()
+    for arguments, text, status in (
+        ((), "--points, --punch, --thread, --stage", 2),
+        (("--points", "1,2,3"), "X1,Y1,X2,Y2,MM", 2),
+        (("--punch", "punch.png"), "IMG,MM", 2),
+        (("--stage", "punch.png,2"), "A,B,MM", 2),
+        (("--points", "1,1,2,2,5"), "--points: Expected two points at least", 1),
+        (("--points", "20,10,100,70,-12"), "--points: Expected length_mm > 0", 1),
+        (("--thread", "nothing.png,1"), "No file", 1),
+        (("--points", "20,10,100,70,12", "--punch", f"{images / 'punch.png'},14"), "agree", 1),
+    ):
+        assert text in fails("scale", folder, *arguments, status=status)
+    assert (folder / "sensor.toml").read_bytes() == before
+
+
+def test_a_calibration_of_presses_keeps_its_scale(fails, calibration_file):
+    before = calibration_file.read_bytes()
+    said = fails("scale", calibration_file, "--points", "20,10,100,70,12")
+    assert "sensor.toml" in said
+    assert calibration_file.read_bytes() == before
