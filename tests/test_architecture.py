@@ -1,6 +1,9 @@
-"""The import levels of ARCHITECTURE.md, file sizes, and what the inner rooms may touch."""
+"""Who may import whom (ARCHITECTURE.md), what the inner rooms may touch, how long files and folders may be."""
 
 import ast
+import re
+import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -8,6 +11,8 @@ import pytest
 import gelform
 
 SOURCE = Path(gelform.__file__).parent
+TESTS = Path(__file__).parent
+ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
     {"errors", "checks", "_native", "progress", "pool", "resample"},
     {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files"},
@@ -28,13 +33,15 @@ LEVELS = [
     {"calibration", "design"},
     {"cli"},
 ]
-LEVEL = {name: level for level, names in enumerate(LEVELS) for name in names}
+SHELLS = {"__main__"}  # what starts the command line
+LEVEL = {name: level for level, names in enumerate([*LEVELS, SHELLS]) for name in names}
+INNER = 4  # the last level that neither reads, prints nor draws
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
 # Whose same-level neighbours they may use, said in ARCHITECTURE.md.
 NEIGHBOURS = {
     ("_native", "errors"),
-    ("view", "lens"),
     ("metrics", "ball"),
+    ("view", "lens"),
     ("calibration_file", "confidence"),
     ("reconstruction", "normals"),
     ("depth_sigma", "depth"),
@@ -42,7 +49,14 @@ NEIGHBOURS = {
 }
 INNER_LIBRARIES = {"numpy", "scipy", "numba", "cv2", "gelform"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
-READERS = {"calibration_file", "reconstruction", "npz_files"}
+READERS = {"calibration_file", "reconstruction", "npz_files", "_native"}
+MAX_LINES, MAX_FILES = 400, 14
+PUBLIC = {
+    alias.name: f"gelform.{node.module}"
+    for node in ast.parse((SOURCE / "__init__.pyi").read_text(encoding="utf-8")).body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}
 
 
 def room(path: Path) -> str:
@@ -50,38 +64,78 @@ def room(path: Path) -> str:
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
 
 
-def imports(path: Path) -> set[str]:
-    """Every module that a file imports, inside functions too."""
+def name_of(path: Path) -> str:
+    """The module's name, a package's for its `__init__`."""
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+NAMES = {name_of(path) for path in MODULES}
+
+
+@cache
+def imports(path: Path) -> frozenset[str]:
+    """Every module that a file imports, inside functions and through package inits too."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            found.add(node.module)
-    return found
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: write imports from gelform, not from ."
+            found |= {_imported(node.module or "", alias.name) for alias in node.names}
+    return frozenset(found)
 
 
-def test_every_module_has_a_level():
-    assert {room(path) for path in MODULES} <= LEVEL.keys()
+def _imported(module: str, name: str) -> str:
+    """The module that `from module import name` brings in: a module of that name, or the one that holds it."""
+    if f"{module}.{name}" in NAMES:
+        return f"{module}.{name}"
+    return PUBLIC.get(name, module) if module == "gelform" else module
+
+
+def own(path: Path) -> set[str]:
+    """Which of gelform's modules a file imports; `gelform` alone is its version."""
+    return {module for module in imports(path) if module.startswith("gelform.")}
+
+
+def test_imports_are_seen_however_they_are_written(tmp_path):
+    code = "from gelform import depth, read_image\nimport gelform.view\nfrom gelform.simulate import Ball"
+    (tmp_path / "a.py").write_text(f"def f():\n    {code.replace(chr(10), chr(10) + '    ')}\n")
+    wanted = {"gelform.depth", "gelform.sensors.files", "gelform.view", "gelform.simulate"}
+    assert imports(tmp_path / "a.py") == wanted
+
+
+def test_every_module_has_a_level_and_every_level_its_rooms():
+    assert {room(path) for path in MODULES} == LEVEL.keys()
+
+
+def test_the_document_has_the_same_levels():
+    listed = re.findall(r"^(\d) (\w+(?: \w+)*)$", ARCHITECTURE.read_text(encoding="utf-8"), re.M)
+    assert [set(names.split()) for _, names in listed] == LEVELS
+    assert [int(level) for level, _ in listed] == list(range(len(LEVELS)))
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_imports_go_down(path):
     here = room(path)
-    for module in imports(path):
-        if not module.startswith("gelform."):
-            continue
+    for module in own(path):
         there = module.split(".")[1]
         allowed = LEVEL[there] < LEVEL[here] or there == here or (here, there) in NEIGHBOURS
         assert allowed, f"{path.name} (level {LEVEL[here]}) imports {module} (level {LEVEL[there]})"
 
 
+def test_every_exception_is_used():
+    used = {(room(path), module.split(".")[1]) for path in MODULES for module in own(path)}
+    assert used >= NEIGHBOURS
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_inner_rooms_only_compute(path):
-    if LEVEL[room(path)] > 4:
+    if LEVEL[room(path)] > INNER:
         return
     foreign = {m.split(".")[0] for m in imports(path)} - INNER_LIBRARIES - EXTRAS.get(path.name, set())
-    assert foreign <= set(__import__("sys").stdlib_module_names), foreign
+    assert foreign <= sys.stdlib_module_names, foreign
+    assert "logging" not in foreign
     calls = {
         node.func.id
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
@@ -91,22 +145,16 @@ def test_inner_rooms_only_compute(path):
     assert "open" not in calls or room(path) in READERS
 
 
-def test_no_cycles_inside_a_folder():
-    graph = {
-        ".".join(path.relative_to(SOURCE).with_suffix("").parts): {
-            module.removeprefix("gelform.") for module in imports(path) if module.startswith("gelform.")
-        }
-        for path in MODULES
-    }
+def test_no_cycles_among_modules():
+    graph = {name_of(path): own(path) for path in MODULES}
     done: set[str] = set()
 
     def visit(name: str, above: tuple[str, ...]) -> None:
         assert name not in above, " -> ".join((*above, name))
-        if name in done or name not in graph:
+        if name in done:
             return
-        for other in graph[name]:
-            if other in graph and not other.endswith("__init__"):
-                visit(other, (*above, name))
+        for other in graph.get(name, ()):
+            visit(other, (*above, name))
         done.add(name)
 
     for name in graph:
@@ -115,8 +163,20 @@ def test_no_cycles_inside_a_folder():
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_files_stay_short(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MAX_LINES
+
+
+def test_folders_stay_small():
+    """But for the top, where the files of the path lie side by side."""
+    folders = {path.parent for path in MODULES} - {SOURCE}
+    crowded = {str(f.relative_to(SOURCE)): n for f in folders if (n := len(list(f.glob("*.py")))) > MAX_FILES}
+    assert not crowded
 
 
 def test_no_rooms_that_say_nothing():
-    assert not {"utils", "core", "base", "common", "helpers"} & {room(path) for path in MODULES}
+    assert not {"utils", "core", "base", "common", "helpers"} & {path.stem for path in MODULES}
+
+
+def test_every_test_file_says_what_it_is_about():
+    files = {path: path.read_text(encoding="utf-8") for path in TESTS.rglob("test_*.py")}
+    assert not [path.name for path, text in files.items() if not ast.get_docstring(ast.parse(text))]
