@@ -31,4 +31,6 @@ found_mm = gelform.depth_from_gradients(found_gradients, mm_per_px=MM_PER_PX, ze
 print(f"albedo {albedo.mean():.3f} (180 put in), peak {found_mm.max():.4f} mm (0.4 put in)")
 assert np.abs(albedo - 180).max() < 1e-3
 assert np.abs(found_mm - depth_mm).max() < 1e-3  # mm: a thousandth of a millimetre
-assert np.abs(gelform.curl(found_gradients, mm_per_px=MM_PER_PX)).max() < 1e-2  # it is a surface
+assert (
+    np.abs(gelform.curl_from_gradients(found_gradients, mm_per_px=MM_PER_PX)).max() < 1e-2
+)  # it is a surface

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.gradients import curl, fill, gradients_from_depth, gradients_from_normals
+from gelform.gradients import curl_from_gradients, fill_unknown, gradients_from_depth, gradients_from_normals
 from gelform.normals import normals_from_gradients
 from scenes import PEAKS, polynomial, scene
 
@@ -52,10 +52,10 @@ def test_normals_that_face_away_are_refused():
 @pytest.mark.parametrize("pitch", PITCHES)
 def test_curl_of_a_surface_is_zero_and_of_a_rotation_is_not(pitch):
     truth, gradients, _ = scene(QUADRATIC, (12, 17), pitch)
-    assert curl(gradients, mm_per_px=pitch) == pytest.approx(np.zeros_like(truth), abs=1e-5)
+    assert curl_from_gradients(gradients, mm_per_px=pitch) == pytest.approx(np.zeros_like(truth), abs=1e-5)
     y, x = np.mgrid[:12, :17] * np.array([pitch[1], pitch[0]])[:, None, None]
     rotation = np.stack([y, -x], axis=-1)
-    assert curl(rotation, mm_per_px=pitch) == pytest.approx(np.full((12, 17), 2.0), abs=1e-4)
+    assert curl_from_gradients(rotation, mm_per_px=pitch) == pytest.approx(np.full((12, 17), 2.0), abs=1e-4)
 
 
 class TestFill:
@@ -67,8 +67,8 @@ class TestFill:
         known = rng.uniform(size=(11, 14)) > 0.6
         known[5, 5] = True
         other = np.where(known[..., None], values, 1e3 * rng.standard_normal(values.shape)).astype(np.float32)
-        filled = fill(values, known)
-        assert np.array_equal(filled, fill(other, known))
+        filled = fill_unknown(values, known)
+        assert np.array_equal(filled, fill_unknown(other, known))
         assert np.array_equal(filled[known], values[known])
         assert filled.min() >= values[known].min() - 1e-5
         assert filled.max() <= values[known].max() + 1e-5
@@ -76,7 +76,7 @@ class TestFill:
     def test_scattered_holes_in_a_plane_are_filled_closely(self):
         plane, _, _ = scene(polynomial({(1, 0): 1.0, (0, 1): -0.5}), (60, 80), 0.1)
         known = np.random.default_rng(1).uniform(size=plane.shape) > 0.3
-        error = np.abs(fill(plane[..., None], known)[..., 0] - plane)[2:-2, 2:-2]
+        error = np.abs(fill_unknown(plane[..., None], known)[..., 0] - plane)[2:-2, 2:-2]
         assert error.max() < 0.12
         assert np.sqrt(np.mean(error[~known[2:-2, 2:-2]] ** 2)) < 0.02
 
@@ -84,7 +84,7 @@ class TestFill:
         x = np.linspace(0, 1, 64)[None, :, None] * np.ones((64, 1, 1))
         known = np.ones((64, 64), dtype=bool)
         known[20:44, 20:44] = False
-        filled = fill(x, known)[..., 0]
+        filled = fill_unknown(x, known)[..., 0]
         assert np.max(np.abs(filled - x[..., 0])) < 0.1
         assert np.all(np.diff(filled[32]) > -1e-3)
 
@@ -93,20 +93,20 @@ class TestFill:
         known[3, 7] = True
         values = np.zeros((9, 13, 2))
         values[3, 7] = (2.0, -1.0)
-        assert fill(values, known) == pytest.approx(np.broadcast_to([2.0, -1.0], (9, 13, 2)))
+        assert fill_unknown(values, known) == pytest.approx(np.broadcast_to([2.0, -1.0], (9, 13, 2)))
 
     def test_argument_is_not_changed(self):
         values = np.ones((4, 5, 2), dtype=np.float32)
         values[0, 0] = 9
         known = np.ones((4, 5), dtype=bool)
         known[0, 0] = False
-        fill(values, known)
+        fill_unknown(values, known)
         assert values[0, 0, 0] == 9
 
     def test_nothing_known_is_refused(self):
         with pytest.raises(ValueError, match="Expected known with at least one True pixel"):
-            fill(np.zeros((3, 4, 2)), np.zeros((3, 4), dtype=bool))
+            fill_unknown(np.zeros((3, 4, 2)), np.zeros((3, 4), dtype=bool))
 
     def test_wrong_shape_is_refused(self):
         with pytest.raises(ValueError, match=r"Expected values of shape \(H, W, C\), got \(3, 4\)"):
-            fill(np.zeros((3, 4)), np.ones((3, 4), dtype=bool))
+            fill_unknown(np.zeros((3, 4)), np.ones((3, 4), dtype=bool))

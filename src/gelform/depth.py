@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
-from gelform.gradients import curl_rms, fill
+from gelform.gradients import curl_rms, fill_unknown
 from gelform.solvers import SOLVERS, UNIFORM
 from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
 from gelform.solvers.system import Solution, Weights
@@ -285,7 +285,7 @@ def _placed(depth: NDArray[np.float32], request: _Request) -> NDArray[np.float32
     depth = _levelled(depth, request, request.region if mask is None else request.region & mask)
     if mask is None or mask.all():
         return depth
-    return fill(depth[..., None], mask)[..., 0]
+    return fill_unknown(depth[..., None], mask)[..., 0]
 
 
 def _offset(depth: NDArray[np.float32], inside: NDArray[np.bool_], request: _Request) -> float:

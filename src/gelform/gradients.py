@@ -57,7 +57,7 @@ def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[flo
     return gradients.astype(np.float32)
 
 
-def curl(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
+def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
     """Integrability check `dp/dy - dq/dx` per pixel, in 1/mm: zero where the slopes are those of a surface.
 
     Parameters
@@ -98,7 +98,7 @@ def _curl_squares(g, known):  # type: ignore[no-untyped-def]
     return total, count
 
 
-def fill(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
+def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
     """Replace unknown pixels of a map by a smooth surface through their neighbours.
 
     Unknown pixels come from the next coarser level of a pyramid of averages of known pixels, and are then

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gelform.gradients import fill
+from gelform.gradients import fill_unknown
 from gelform.solvers.multigrid.cycle import KERNEL
 from gelform.solvers.system import FLOOR, problem_from_gradients
 
@@ -66,7 +66,7 @@ class Cells:
             self.white, self.common = (np.repeat(v, 2, axis=-1) for v in (self.white, self.common))
         known = weight >= FLOOR * weight.max()
         if not known.all():
-            self.common = fill(self.common, known)  # as the slopes are
+            self.common = fill_unknown(self.common, known)  # as the slopes are
 
     def share_in_median(self) -> NDArray[np.float32]:
         """How much each slope (h, w, 2) counts in the zero pixels' median: as likely as it is near 0."""

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gelform.gradients import fill
+from gelform.gradients import fill_unknown
 from gelform.solvers.edges import Pair, divergence, edges_from_gradients
 from gelform.solvers.multigrid.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
 
@@ -84,7 +84,7 @@ def problem_from_gradients(
     if not whole:
         told, confidence = told & mask, confidence * mask
     if np.count_nonzero(told) < (told.size if whole else np.count_nonzero(mask)):
-        gradients = fill(gradients, told)
+        gradients = fill_unknown(gradients, told)
     known = told if anchor is _constant(shape, 0.0) else told | (anchor > 0)
     if largest != 1:
         anchor = anchor * np.float32(1 / largest)
@@ -104,7 +104,7 @@ def _problem_per_edge(
     largest = _largest(np.concatenate([w[i] for w, i in zip(weights, inside)]))
     told = tuple((w >= FLOOR * largest) & i for w, i in zip(weights, inside))
     edges = edges_from_gradients(gradients)
-    filled = tuple(e if t.all() else fill(e[..., None], t)[..., 0] for e, t in zip(edges, told))
+    filled = tuple(e if t.all() else fill_unknown(e[..., None], t)[..., 0] for e, t in zip(edges, told))
     scaled = tuple(np.maximum(w / largest, FLOOR) * i for w, i in zip(weights, inside))
     known = anchor > 0
     known[:, 1:] |= told[0]

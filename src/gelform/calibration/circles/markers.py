@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gelform.background.change import PreparedBackground
 from gelform.background.exposure import Exposure
-from gelform.gradients import fill
+from gelform.gradients import fill_unknown
 from gelform.markers import MarkerFinder
 
 BLUR_REACH = 2.0
@@ -43,7 +43,7 @@ def change_without_markers(
     settings = rest.settings
     usable = ~_grown(finder.rest.mask | finder(image).mask, BLUR_REACH * max(settings.blur_px, 0.5))
     sharp = PreparedBackground(rest.background, replace(settings, blur_px=0.0))
-    change = fill(sharp.change(image, exposure), usable)
+    change = fill_unknown(sharp.change(image, exposure), usable)
     if settings.blur_px > 0:
         cv2.GaussianBlur(change, (0, 0), settings.blur_px, dst=change, borderType=cv2.BORDER_REFLECT_101)
     return change, usable
