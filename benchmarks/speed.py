@@ -25,6 +25,7 @@ from gelform.anchor import RestAnchor
 from gelform.background.change import PreparedBackground
 from gelform.background.untouched import untouched_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
+from gelform.confidence import PreparedSigma
 from gelform.contact import contact_from_depth
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from gelform.view import View
@@ -80,7 +81,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     untouched = untouched_from_color_change(change, calibration.untouched_change)
     pitch = calibration.mm_per_px
     depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, zero=untouched)
-    sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
+    sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
     _, confidence = sigma(gradients, image, untouched, change)
     hold = anchor(gradients, untouched)

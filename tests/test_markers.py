@@ -167,7 +167,7 @@ def test_real_gels_without_markers_have_none(data):
 def test_real_gel_with_markers(data):
     frames = list(gelform.Video(data / "mini-markers-video" / "mini_example.avi").frames({0, 109, 170}))
     finder = MarkerFinder(frames[0].image)
-    assert len(finder.rest) == 80
-    assert finder.rest.radius_px == pytest.approx(5.9, abs=0.5)
+    assert len(finder.untouched) == 80
+    assert finder.untouched.radius_px == pytest.approx(5.9, abs=0.5)
     for frame in frames[1:]:
         assert 74 <= len(finder(frame.image)) <= 84

@@ -1,7 +1,7 @@
-"""Where depth is held at 0, and how firmly: gel that looks untouched and, as far as its slopes tell, lies at rest.
+"""Where depth is held at 0, and how firmly: gel whose colour and coarse depth are those of untouched gel.
 
-Colour alone cannot say that nothing touches: the flat face of a punch or a coin has the colour of rest. So a
-coarse depth is found first, and a pixel holds the less the farther that says it is from rest.
+Colour alone cannot show that nothing touches: the flat face of a punch or a coin has the colour of untouched gel.
+So a coarse depth is found first, and the deeper it is at a pixel, the less firmly that pixel is held.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from gelform.solvers.dct import DctSolver
 
-# Gel that looks untouched lies this close to its rest: beside a press it is drawn down a little.
+# How close to 0 gel of untouched colour is: beside a press it is drawn down a little.
 REST_SIGMA_MM = 0.1
-# What is farther from rest than this, by the coarse depth, was more likely pressed flat than has drifted.
+# Gel of untouched colour that is deeper than this was more likely pressed flat than has drifted.
 PRESSED_MM = 0.05
 COARSER = 4
 UNTOUCHED_SHARE = 0.9

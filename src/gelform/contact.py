@@ -54,9 +54,10 @@ def contact_from_depth(
     depth = check_map(depth_mm, "depth_mm")
     if depth.ndim != 2:
         raise ValueError(f"Expected depth_mm of one frame, (H, W), got {depth.shape}.")
-    if not 0 <= rim_fraction < 1 or noise_factor < 0:
+    if not (0 <= rim_fraction < 1 and noise_factor >= 0 and min_area_mm2 >= 0):
         raise ValueError(
-            f"Expected 0 <= rim_fraction < 1 <= noise_factor, got {rim_fraction} and {noise_factor}."
+            f"Expected rim_fraction of 0 to below 1, noise_factor >= 0 and min_area_mm2 >= 0, got {rim_fraction}, "
+            f"{noise_factor} and {min_area_mm2}."
         )
     pitch_x, pitch_y = check_mm_per_px(mm_per_px)
     threshold = max(check_positive(min_depth_mm, "min_depth_mm"), noise_factor * _noise_mm(depth))

@@ -1,4 +1,4 @@
-"""Marker dots on the gel: found, so that their pixels can be left out. Tracking them is another step.
+"""Marker dots on the gel: found, so that their pixels can be left out. They are not tracked.
 
 A dot is dark in all channels against the gel around it; a contact is bright on one side and dark on the other. So
 the mean of the channels is held against its closing (the largest value nearby, then the smallest of those: what
@@ -59,7 +59,7 @@ class MarkerFinder:
 
     Attributes
     ----------
-    rest : the dots of the untouched gel; none where they form no regular grid
+    untouched : the dots of the untouched gel; none where they form no regular grid
     """
 
     def __init__(self, background: ArrayLike) -> None:
@@ -68,7 +68,7 @@ class MarkerFinder:
         self._kernel = np.ones((size, size), dtype=np.uint8)
         darkness = self._darkness(image)
         self._peak, self._area = _dots_of_grid(darkness)
-        self.rest = self(image)
+        self.untouched = self(image)
 
     def __call__(self, image: NDArray[Any]) -> Markers:
         """The dots of an image (H, W, 3) of this gel, 0-255; they move with its surface."""
@@ -92,7 +92,7 @@ class MarkerFinder:
     def mask(self, image: NDArray[Any], grow_px: int = 0) -> NDArray[np.bool_]:
         """Pixels (H, W) that the dots darken in the image or in the background, grown by some pixels: for each frame.
 
-        Where the background is dark it is divided by, so both are to be distrusted. Faster than calling the finder
+        Where the background is dark it is divided by, so the slopes of both are wrong. Faster than calling the finder
         (half of a bare DCT pair at 240x320), because no dot is looked at: a narrow, deep shadow is taken for one too.
         """
         if not self._peak:
@@ -103,7 +103,7 @@ class MarkerFinder:
         dark = cv2.compare(
             level, cv2.convertScaleAbs(closed, alpha=1 - share, beta=-share * LEVEL_OFFSET), cv2.CMP_LT
         )
-        dark |= self.rest.mask.view(np.uint8) * np.uint8(255)
+        dark |= self.untouched.mask.view(np.uint8) * np.uint8(255)
         if grow_px:
             dark = cv2.dilate(dark, np.ones((2 * grow_px + 1,) * 2, dtype=np.uint8))
         return dark > 0
@@ -133,9 +133,9 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
     """
     pixels = check_image(image)
     if background is None:
-        return MarkerFinder(pixels).rest
-    rest = check_image(background, shape=pixels.shape[:2], name="background")
-    return MarkerFinder(rest)(pixels)
+        return MarkerFinder(pixels).untouched
+    untouched = check_image(background, shape=pixels.shape[:2], name="background")
+    return MarkerFinder(untouched)(pixels)
 
 
 def _level(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -29,7 +29,7 @@ from gelform.reconstruction import Reconstruction
 from gelform.solvers import UNIFORM
 from gelform.view import image_from_frame
 
-# Of a calibration that was imported without them: they only say where contact and rest are, never how deep.
+# Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
 USUAL_WIDTH_MM = 20.0
 USUAL_SIGMA = 0.05
 
@@ -90,7 +90,7 @@ class Reconstructor:
         self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
         self._sigma: PreparedSigma | UnknownSigma = UnknownSigma()
         if calibration.slope_sigma is not None:
-            self._sigma = calibration.slope_sigma.prepare(calibration.image_shape, calibration.gamut)
+            self._sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
@@ -197,7 +197,7 @@ class Reconstructor:
         return solution, cv2.magnitude(sigma, self._gain_sigma * solution.depth_mm)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
-        """The albedo, worked out when it is asked for; only photometric stereo tells it."""
+        """The albedo, worked out when it is asked for; color models that know none give none."""
         albedo_from_color = getattr(self._model, "albedo_from_color", None)
         return None if albedo_from_color is None else partial(albedo_from_color, change.copy())
 
@@ -214,7 +214,7 @@ class Reconstructor:
 
     def _marker_pixels(self, image: NDArray[Any]) -> NDArray[np.bool_]:
         """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included."""
-        if not len(self._markers.rest):
+        if not len(self._markers.untouched):
             return self._no_markers
         return self._markers.mask(image, int(np.ceil(2 * self.calibration.change.blur_px)))
 

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.background.exposure import cells_from_image
+from gelform.background.exposure import block_means
 from gelform.checks import check_image
 from gelform.errors import DataError
 
 MAX_BYTES = 192 * 2**20
 TRIMMED_SHARE = 0.2
-CELL_SHARE, CELL_LEVELS, CELL_SIGMAS = 0.03, 1.5, 6.0  # a cell off by 3 % + 1.5 levels + noise is touched
-TOUCHED_CELLS = 0.01
+BLOCK_SHARE, BLOCK_LEVELS, BLOCK_SIGMAS = 0.03, 1.5, 6.0  # a block off by 3 % + 1.5 levels + noise is touched
+TOUCHED_BLOCKS = 0.01
 OTHER_EXPOSURE = 0.03
 ROWS_BYTES = 32 * 2**20
 
@@ -53,7 +53,7 @@ def background_from_frames(
     Returns
     -------
     Background
-        (background, noise, left_out). Of a single frame the noise is told by its second differences along rows.
+        (background, noise, left_out). Of a single frame the noise is estimated from second differences along rows.
 
     Raises
     ------
@@ -108,16 +108,16 @@ def _kept(
 
 def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
     """Names of the frames that are not like the median of all, with why."""
-    cells = np.stack([cells_from_image(image) for _, image in kept])
-    middle = np.median(cells, axis=0)
+    blocks = np.stack([block_means(image) for _, image in kept])
+    middle = np.median(blocks, axis=0)
     odd = {}
-    for (name, _), own in zip(kept, cells):
+    for (name, _), own in zip(kept, blocks):
         gain = np.median((own + 1) / (middle + 1), axis=(0, 1))
         off = np.abs(own - gain * middle)
         noise = 1.4826 * np.median(off, axis=(0, 1))
-        touched = (off > CELL_SHARE * middle + CELL_LEVELS + CELL_SIGMAS * noise).any(axis=-1).mean()
+        touched = (off > BLOCK_SHARE * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
         brighter = float(gain[np.argmax(np.abs(gain - 1))] - 1)
-        if touched > TOUCHED_CELLS:
+        if touched > TOUCHED_BLOCKS:
             odd[name] = f"{100 * touched:.1f} % of it differs: touched, or a shadow"
         elif abs(brighter) > OTHER_EXPOSURE:
             odd[name] = f"another exposure, {100 * brighter:+.0f} %"

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.background.check import Finding, compared
-from gelform.background.exposure import Exposure, cells_from_image
+from gelform.background.exposure import Exposure, block_means
 from gelform.checks import check_image
 
 MAX_CONDITION = 30.0
@@ -136,7 +136,7 @@ class PreparedBackground:
         self.background = check_image(background, name="background").astype(np.float32)
         self._light = light_from_image(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
-        self._cells = cells_from_image(self.background)
+        self._blocks = block_means(self.background)
 
     def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
         """How much brighter the frame is than the background, and what should be warned of.
@@ -146,7 +146,7 @@ class PreparedBackground:
         CalibrationError
             As `check_background`.
         """
-        return compared(cells_from_image(image), self._cells)
+        return compared(block_means(image), self._blocks)
 
     def change(
         self,
@@ -184,11 +184,11 @@ class PreparedBackground:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _scaled_change(light, scale, rest, gain, out):  # type: ignore[no-untyped-def]
-    """(light scale - rest) gain, row by row."""
+def _scaled_change(light, scale, untouched, gain, out):  # type: ignore[no-untyped-def]
+    """(light scale - untouched) gain, row by row."""
     for y in range(light.shape[0]):
         for x in range(light.shape[1]):
-            out[y, x] = (np.float32(light[y, x]) * scale[x] - rest[y, x]) * gain[y, x]
+            out[y, x] = (np.float32(light[y, x]) * scale[x] - untouched[y, x]) * gain[y, x]
 
 
 def image_from_color_change(
@@ -199,9 +199,9 @@ def image_from_color_change(
     Values are clipped to 0-255, as a camera would.
     """
     settings = settings or ChangeSettings()
-    rest = check_image(background, name="background").astype(np.float32)
-    gain = gain_from_background(rest, settings)
-    light = light_from_image(rest, settings) + np.asarray(color_change, dtype=np.float32) / gain
+    untouched = check_image(background, name="background").astype(np.float32)
+    gain = gain_from_background(untouched, settings)
+    light = light_from_image(untouched, settings) + np.asarray(color_change, dtype=np.float32) / gain
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)

@@ -10,13 +10,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gelform.background.exposure import Exposure, cells_from_image, exposure_from_cells
+from gelform.background.exposure import Exposure, block_means, exposure_from_blocks
 from gelform.errors import CalibrationError
 from gelform.frames import pixels_digest
 
 RATIO_WARN = (0.9, 1.1)
 RATIO_REFUSE = (0.7, 1.4)
-GAIN_TOLD = 0.02
+GAIN_REPORTED = 0.02
 CORRELATION_REFUSE = 0.8
 PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
 TOUCHED_SHARE = 0.4
@@ -43,7 +43,7 @@ def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Fin
         The channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
         correlation is under 0.8. The figure is in the message.
     """
-    return compared(cells_from_image(image), cells_from_image(background))[1]
+    return compared(block_means(image), block_means(background))[1]
 
 
 def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> tuple[Finding, ...]:
@@ -57,7 +57,7 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     CalibrationError
         As `check_background`, or half of the image differs by more than 6 %. The figure is in the message.
     """
-    exposure, _ = compared(cells_from_image(background), cells_from_image(calibrated))
+    exposure, _ = compared(block_means(background), block_means(calibrated))
     differs = exposure.middle_change
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
@@ -78,7 +78,7 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
 def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArray[Any]) -> None:
     """Refuse a background that is not of the sensor that took the frames; they are touched, each elsewhere.
 
-    The cells' median over eight frames or more is nearly the untouched image; fewer are not judged.
+    The blocks' median over eight frames or more is nearly the untouched image; fewer are not judged.
 
     Raises
     ------
@@ -87,8 +87,8 @@ def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArr
     """
     if len(frames) < MIN_FRAMES:
         return
-    middle = np.median([cells_from_image(frame) for frame in frames], axis=0).astype(np.float32)
-    exposure = exposure_from_cells(middle, cells_from_image(background))
+    middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
+    exposure = exposure_from_blocks(middle, block_means(background))
     if np.isfinite(exposure.least_change) and (
         exposure.least_change > LEAST_REFUSE and exposure.middle_change > PATTERN_REFUSE
     ):
@@ -105,10 +105,12 @@ def background_digest(background: NDArray[Any]) -> str:
     return pixels_digest(np.asarray(background, dtype="<f4"))
 
 
-def compared(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> tuple[Exposure, tuple[Finding, ...]]:
-    exposure = exposure_from_cells(seen, rest)
-    correlation = _correlation(seen, rest, exposure.gain)
-    turned = _correlation_reversed(seen, rest) if correlation < 0.97 else 0.0
+def compared(
+    seen: NDArray[np.float32], untouched: NDArray[np.float32]
+) -> tuple[Exposure, tuple[Finding, ...]]:
+    exposure = exposure_from_blocks(seen, untouched)
+    correlation = _correlation(seen, untouched, exposure.gain)
+    turned = _correlation_reversed(seen, untouched) if correlation < 0.97 else 0.0
     if turned > max(0.9, correlation + 0.03):
         raise CalibrationError(
             f"The image looks like BGR: its channels fit the background better reversed (correlation "
@@ -138,7 +140,7 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
     if gain.min() < RATIO_WARN[0] or gain.max() > RATIO_WARN[1]:
         message = f"Untouched pixels are {_times(gain)} times as bright as in the background: take a new background."
         return (Finding("background_ratio", message, largest),)
-    if exposure.is_known and abs(largest - 1) > GAIN_TOLD:
+    if exposure.is_known and abs(largest - 1) > GAIN_REPORTED:
         percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gain))
         message = f"Exposure differs from the background's by {percents}: compensated."
         return (Finding("exposure", message, largest),)
@@ -160,29 +162,29 @@ def _times(gain: NDArray[np.float64]) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
 
 
-def _correlation_reversed(seen: NDArray[np.float32], rest: NDArray[np.float32]) -> float:
+def _correlation_reversed(seen: NDArray[np.float32], untouched: NDArray[np.float32]) -> float:
     turned = np.ascontiguousarray(seen[..., ::-1])
-    return _correlation(turned, rest, exposure_from_cells(turned, rest).gain)
+    return _correlation(turned, untouched, exposure_from_blocks(turned, untouched).gain)
 
 
-def _correlation(seen: NDArray[np.float32], rest: NDArray[np.float32], gain: NDArray[Any]) -> float:
-    """Correlation over all but the `TOUCHED_SHARE` of the cells that changed most, channels together."""
-    return float(_correlated(seen.reshape(-1, 3), rest.reshape(-1, 3), 1 / gain, 1 - TOUCHED_SHARE))
+def _correlation(seen: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any]) -> float:
+    """Correlation over all but the `TOUCHED_SHARE` of the blocks that changed most, channels together."""
+    return float(_correlated(seen.reshape(-1, 3), untouched.reshape(-1, 3), 1 / gain, 1 - TOUCHED_SHARE))
 
 
 @njit(cache=True, nogil=True)
-def _correlated(seen, rest, scale, kept):  # type: ignore[no-untyped-def]
+def _correlated(seen, untouched, scale, kept):  # type: ignore[no-untyped-def]
     distance = np.zeros(seen.shape[0])
     for k in range(seen.shape[0]):
         for c in range(3):
-            distance[k] += abs(seen[k, c] * scale[c] - rest[k, c])
+            distance[k] += abs(seen[k, c] * scale[c] - untouched[k, c])
     last = min(int(kept * seen.shape[0]), seen.shape[0] - 1)
     limit = np.partition(distance, last)[last]
     sums = np.zeros(6)
     for k in range(seen.shape[0]):
         if distance[k] <= limit:
             for c in range(3):
-                a, b = seen[k, c] * scale[c] - 128, rest[k, c] - 128
+                a, b = seen[k, c] * scale[c] - 128, untouched[k, c] - 128
                 sums += np.array([1.0, a, b, a * a, b * b, a * b])
     a, b = sums[1] / sums[0], sums[2] / sums[0]
     var_a, var_b = sums[3] / sums[0] - a * a, sums[4] / sums[0] - b * b

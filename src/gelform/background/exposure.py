@@ -1,8 +1,8 @@
 """How much brighter a frame is than the untouched image, by channel: exposure and white balance, not touch.
 
-Both images are averaged over about 1200 cells. Exposure and white balance multiply a channel alike everywhere;
+Both images are averaged over about 1200 blocks. Exposure and white balance multiply a channel alike everywhere;
 a touch turns the gel's surface, which changes the three channels differently and from place to place. So the
-gain is where the cells' log ratios crowd, in all three channels at once.
+gain is where the blocks' log ratios crowd, in all three channels at once.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-CELLS = 1200
-DARK, BRIGHT = 6.0, 250.0  # mean levels of a cell between which its ratio tells the gain
+BLOCKS = 1200
+DARK, BRIGHT = 6.0, 250.0  # mean levels of a block between which its ratio tells the gain
 SPAN_LOG, BINS, WINDOW = 1.2, 240, 6  # the crowd is first sought in windows of 0.06 over +-1.2
 HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])  # what counts as untouched, round by round
 MIN_SHARE, FULL_SHARE = 0.15, 0.3
@@ -72,41 +72,43 @@ def exposure_from_image(image: NDArray[Any], background: NDArray[Any]) -> Exposu
         Only a gain is sought. A large contact does not pull it, but can leave too little to see it:
         `is_known` is then False, and the gain is not to be used.
     """
-    return exposure_from_cells(cells_from_image(image), cells_from_image(background))
+    return exposure_from_blocks(block_means(image), block_means(background))
 
 
-def cells_from_image(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Means over about 1200 square cells, (h, w, 3) float32."""
+def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Means over about 1200 square blocks, (h, w, 3) float32."""
     height, width = image.shape[:2]
-    step = max(1.0, (height * width / CELLS) ** 0.5)
+    step = max(1.0, (height * width / BLOCKS) ** 0.5)
     size = (max(1, round(width / step)), max(1, round(height / step)))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def exposure_from_cells(cells: NDArray[np.float32], rest: NDArray[np.float32]) -> Exposure:
-    """`exposure_from_image` of images that `cells_from_image` has averaged."""
-    center, distances, inside = _crowd(cells.reshape(-1, 3), rest.reshape(-1, 3), HALF_WIDTHS_LOG)
+def exposure_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> Exposure:
+    """`exposure_from_image` of images that `block_means` has averaged."""
+    center, distances, inside = _crowd(blocks.reshape(-1, 3), untouched.reshape(-1, 3), HALF_WIDTHS_LOG)
     if not len(distances):
         return Exposure(np.ones(3), 0.0, np.inf, np.inf)
     order = np.partition(distances, (len(distances) // 4, len(distances) // 2))
     quarter, half = order[len(distances) // 4], order[len(distances) // 2]
-    return Exposure(np.exp(center), inside / (cells.size // 3), float(quarter), float(half))
+    return Exposure(np.exp(center), inside / (blocks.size // 3), float(quarter), float(half))
 
 
 @njit(cache=True, nogil=True)
-def _crowd(cells, rest, half_widths):  # type: ignore[no-untyped-def]
-    """Where the cells' log ratios crowd, each cell's distance from there (largest channel), and how many are near.
+def _crowd(blocks, untouched, half_widths):  # type: ignore[no-untyped-def]
+    """Where the blocks' log ratios crowd, each block's distance from there (largest channel), and how many are near.
 
-    The start is each channel's fullest window; then the mean of the cells that are near in all channels.
+    The start is each channel's fullest window; then the mean of the blocks that are near in all channels.
     """
-    ratios = np.empty((cells.shape[0], 3))
+    ratios = np.empty((blocks.shape[0], 3))
     count = 0
-    for k in range(cells.shape[0]):
-        low = min(cells[k, 0], cells[k, 1], cells[k, 2], rest[k, 0], rest[k, 1], rest[k, 2])
-        high = max(cells[k, 0], cells[k, 1], cells[k, 2], rest[k, 0], rest[k, 1], rest[k, 2])
+    for k in range(blocks.shape[0]):
+        low = min(blocks[k, 0], blocks[k, 1], blocks[k, 2], untouched[k, 0], untouched[k, 1], untouched[k, 2])
+        high = max(
+            blocks[k, 0], blocks[k, 1], blocks[k, 2], untouched[k, 0], untouched[k, 1], untouched[k, 2]
+        )
         if low > DARK and high < BRIGHT:
             for c in range(3):
-                ratios[count, c] = np.log(cells[k, c] / rest[k, c])
+                ratios[count, c] = np.log(blocks[k, c] / untouched[k, c])
             count += 1
     ratios = ratios[:count]
     center = np.zeros(3)

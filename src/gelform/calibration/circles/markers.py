@@ -38,10 +38,10 @@ def change_without_markers(
     color_change : (H, W, 3) float32; smooth across the dots
     usable : (H, W) bool, False on the dots of either image; None on a gel without markers
     """
-    if not len(finder.rest):
+    if not len(finder.untouched):
         return rest.change(image, exposure), None
     settings = rest.settings
-    usable = ~_grown(finder.rest.mask | finder(image).mask, BLUR_REACH * max(settings.blur_px, 0.5))
+    usable = ~_grown(finder.untouched.mask | finder(image).mask, BLUR_REACH * max(settings.blur_px, 0.5))
     sharp = PreparedBackground(rest.background, replace(settings, blur_px=0.0))
     change = fill_unknown(sharp.change(image, exposure), usable)
     if settings.blur_px > 0:

@@ -1,4 +1,4 @@
-"""How far a pixel's slope is to be trusted: its standard deviation, and the confidence that follows."""
+"""Standard deviation of a slope by its size and place: a law, fitted to errors on held-out presses."""
 
 from __future__ import annotations
 
@@ -6,12 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from gelform.color_models._shared.gamut import Gamut
-
-SATURATED_SIGMA = 1.0
 SLOPE_BINS = 10
 PLACES = (3, 4)  # rows, columns
 ONE_SIGMA = 0.6827
@@ -19,7 +15,6 @@ MIN_IN_BIN = 50
 GOOD = 0.95
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
 ROUNDS = 3
-TABLE = 64  # the law, tabulated for the frame's kernel
 
 
 @dataclass(frozen=True)
@@ -81,13 +76,13 @@ class SlopeSigma:
         bins = np.clip(np.digitize(slopes, edges[1:-1]), 0, len(edges) - 2)
         place = np.ones(PLACES)
         for _ in range(ROUNDS):
-            factor = _at_place(place, held_out.x, held_out.y)[:, None]
+            factor = factor_at(place, held_out.x, held_out.y)[:, None]
             knots = [
                 (float(slopes[bins == b].mean()), float(np.quantile((error / factor)[bins == b], ONE_SIGMA)))
                 for b in range(len(edges) - 1)
                 if np.count_nonzero(bins == b) >= MIN_IN_BIN
             ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
-            law = _law(slopes, *np.array(knots).T)[:, None]
+            law = law_at(slopes, *np.array(knots).T)[:, None]
             place = _place_factors(held_out, error / law)
         rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA)) if held_out.rest.size else knots[0][1]
         clean = float(np.quantile(law * factor, GOOD))
@@ -120,109 +115,17 @@ class SlopeSigma:
 
     def of(self, slopes: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
         """Standard deviation of scattered slopes |g| in contact, at places 0-1."""
-        law = _law(np.asarray(slopes), np.array(self.slopes), np.array(self.sigmas))
-        return law * _at_place(np.array(self.place), x, y)
-
-    def prepare(self, shape: tuple[int, int], gamut: Gamut | None = None) -> PreparedSigma:
-        """Ready for frames of a shape (H, W)."""
-        return PreparedSigma(self, shape, gamut)
+        law = law_at(np.asarray(slopes), np.array(self.slopes), np.array(self.sigmas))
+        return law * factor_at(np.array(self.place), x, y)
 
 
-class PreparedSigma:
-    """Standard deviation and confidence of whole frames; immutable, shared by threads."""
-
-    def __init__(self, sigma: SlopeSigma, shape: tuple[int, int], gamut: Gamut | None) -> None:
-        self.gamut = gamut
-        grid = np.array(sigma.place)
-        y, x = ((np.arange(n) + 0.5) / n for n in shape)
-        factor = _at_place(grid, *np.broadcast_arrays(x[None, :], y[:, None]))
-        self._place = (factor**2).astype(np.float32)
-        self._step = np.float32(1.25 * max(sigma.slopes) / (TABLE - 2))
-        at = self._step * np.arange(TABLE)
-        knots = np.array(sigma.slopes), np.array(sigma.sigmas)
-        self._table = (_law(at, *knots) ** 2).astype(np.float32)
-        self._grows = np.float32(knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else np.float32(0)
-        self._rest = np.float32(sigma.rest**2)
-        self._clean = np.float32(sigma.clean**2)
-
-    def __call__(
-        self,
-        gradients: NDArray[np.float32],
-        image: NDArray[Any],
-        untouched: NDArray[np.bool_],
-        color_change: NDArray[np.float32] | None = None,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Standard deviation (H, W), alike for both components, and confidence (H, W) of a frame's slopes.
-
-        Untouched pixels have the deviation of rest. A pixel with a channel at 0 or 255 is clipped: its slope is
-        not known better than `SATURATED_SIGMA`. A colour beyond those of the training presses adds its distance
-        to them (`Gamut`).
-        """
-        sigma = np.empty(gradients.shape[:2], dtype=np.float32)
-        confidence = np.empty(gradients.shape[:2], dtype=np.float32)
-        beyond = _NOTHING
-        if self.gamut is not None and color_change is not None:
-            beyond = self.gamut.distance_of(color_change)
-        _sigma_and_confidence(
-            gradients, image, untouched, beyond, self._place, self._table, self._step, self._grows,
-            self._rest, self._clean, sigma, confidence,
-        )  # fmt: skip
-        return sigma, confidence
-
-
-class UnknownSigma:
-    """Of an imported calibration: no deviation, and confidence 1 but where a pixel is clipped."""
-
-    def __call__(
-        self,
-        gradients: NDArray[np.float32],
-        image: NDArray[Any],
-        untouched: NDArray[np.bool_],
-        color_change: NDArray[np.float32] | None = None,
-    ) -> tuple[None, NDArray[np.float32]]:
-        """None, and 0 where a channel is at 0 or 255, else 1."""
-        clipped = (image.min(axis=-1) <= 0) | (image.max(axis=-1) >= 255)
-        return None, (~clipped).astype(np.float32)
-
-
-_NOTHING = np.zeros((0, 0), dtype=np.float32)
-
-
-def with_model_sigma(
-    sigma: NDArray[np.float32] | None,
-    confidence: NDArray[np.float32],
-    model_sigma: NDArray[np.float32] | None,
-    clean: float,
-) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
-    """Standard deviation of both components and confidence, where the color model states a deviation of its own.
-
-    Parameters
-    ----------
-    sigma : (H, W), the calibration's, alike for both components; None where nobody knows
-    confidence : (H, W)
-    model_sigma : (H, W, 2), the color model's; None where it states none
-    clean : deviation up to which confidence is 1
-
-    Returns
-    -------
-    gradients_sigma : (H, W, 2), the larger of both; None where there is neither
-    confidence : (H, W), the smaller of both
-    """
-    both = None if sigma is None else np.broadcast_to(sigma[..., None], (*sigma.shape, 2))
-    if model_sigma is None:
-        return both, confidence
-    limit = np.square(np.float32(clean) / model_sigma.max(axis=-1))
-    larger = model_sigma if both is None else np.maximum(model_sigma, both)
-    return larger, np.minimum(confidence, limit)
-
-
-def _law(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:
+def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:
     """Linear between the knots, constant before the first, proportional to the slope beyond the last."""
     within = np.interp(slopes, knots, sigmas)
     return within * np.maximum(1.0, slopes / knots[-1] if knots[-1] > 0 else 1.0)
 
 
-def _at_place(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
+def factor_at(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
     """Factors at places 0-1, bilinear between the cells' centres."""
     rows, columns = grid.shape
     column = np.clip(np.asarray(x) * columns - 0.5, 0, columns - 1).astype(np.float32)
@@ -250,29 +153,3 @@ def _place_factors(held_out: SlopeErrors, ratio: NDArray[Any]) -> NDArray[np.flo
             trust = presses / (presses + PRIOR_PRESSES)
             factors[r, c] = max(float(np.quantile(ratio[here], ONE_SIGMA)), 0.1) ** trust
     return factors
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _sigma_and_confidence(  # type: ignore[no-untyped-def]
-    gradients, image, untouched, beyond, place, table, step, grows, rest, clean, sigma, confidence
-):
-    height, width, _ = gradients.shape
-    clipped = np.float32(SATURATED_SIGMA**2)
-    last = table.shape[0] - 2
-    for y in range(height):
-        for x in range(width):
-            p, q = gradients[y, x, 0], gradients[y, x, 1]
-            square = p * p + q * q
-            at = np.sqrt(square) / step
-            index = min(int(at), last)
-            between = at - np.float32(index)
-            inside = table[index] + between * (table[index + 1] - table[index])
-            law = inside if at <= np.float32(last) else grows * square
-            variance = rest if untouched[y, x] else law * place[y, x]
-            if beyond.shape[0] > 0:
-                variance += beyond[y, x] * beyond[y, x]
-            darkest = min(image[y, x, 0], image[y, x, 1], image[y, x, 2])
-            brightest = max(image[y, x, 0], image[y, x, 1], image[y, x, 2])
-            variance = max(variance, clipped if (darkest <= 0) | (brightest >= 255) else variance)
-            sigma[y, x] = np.sqrt(variance)
-            confidence[y, x] = min(np.float32(1), clean / variance)

@@ -1,0 +1,6 @@
+"""How far each slope of a frame is to be trusted: its standard deviation and the confidence that follows from it."""
+
+from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
+from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma
+
+__all__ = ["PreparedSigma", "SlopeErrors", "SlopeSigma", "UnknownSigma", "with_model_sigma"]
