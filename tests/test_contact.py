@@ -76,6 +76,8 @@ def test_the_contact_of_a_simulated_press_within_the_stated_range(layout):
     [
         ({"mm_per_px": 0}, "mm_per_px > 0"),
         ({"rim_fraction": 1}, "rim_fraction of 0 to below 1"),
+        ({"noise_factor": -1}, "noise_factor >= 0"),
+        ({"min_area_mm2": float("nan")}, "min_area_mm2 >= 0"),
         ({"min_depth_mm": 0}, "min_depth_mm > 0"),
     ],
 )
