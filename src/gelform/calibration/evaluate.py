@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from os import PathLike
 from typing import Any
 
-from gelform.background.change import PreparedBackground
 from gelform.calibration.circles.find import find_contact, why_no_contact
-from gelform.calibration.circles.markers import change_without_markers
-from gelform.calibration.presses.folder import Press, Presses
+from gelform.calibration.circles.prepare import ColorChanges
+from gelform.calibration.presses.adjust import with_view
+from gelform.calibration.presses.folder import Press, Presses, as_presses
+from gelform.calibration.report.held_out import errors_of
 from gelform.calibration.report.record import summary
-from gelform.calibration_file import Calibration
+from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import DataError
-from gelform.markers import MarkerFinder
-from gelform.metrics import PressErrors, press_errors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 
@@ -42,20 +42,36 @@ class Evaluation:
         return asdict(self)
 
 
-def evaluate(calibration: Calibration, presses: Presses, *, progress: Progress = no_progress) -> Evaluation:
+def evaluate(
+    calibration: Calibration | str | PathLike[str],
+    presses: Presses | str | PathLike[str],
+    *,
+    progress: Progress = no_progress,
+) -> Evaluation:
     """Reconstruct presses of known balls and compare; labels are used where the folder has them.
+
+    Parameters
+    ----------
+    calibration : or its file
+    presses : from `read_presses`, or what that reads without options
+        Frames without a view of their own are seen through the calibration's.
+    progress : called with (done, total, what)
 
     Raises
     ------
     DataError
         No press could be evaluated; the reasons are in the message.
-    CalibrationError, ValueError
-        The presses are not of the calibrated sensor, or of another image size.
+    CalibrationError, ValueError, TypeError
+        The presses are not of the calibrated sensor, or of another image size, or none.
     """
-    reconstruct = Reconstructor(calibration, presses.background)
+    calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+    presses = _through_view_of(calibration, as_presses(presses, progress=progress))
+    mm_per_px = calibration.known_mm_per_px
+    reconstruct = Reconstructor(calibration, presses.background, depth_sigma=False)
+    changes = ColorChanges(reconstruct.background, calibration.change)
     rows, errors = [], []
     for done, press in enumerate(presses.presses):
-        circle, reason = _circle(press, reconstruct)
+        circle, reason = _circle(press, changes)
         row: dict[str, Any] = {
             "name": press.name,
             "ball_diameter_mm": press.ball_diameter_mm,
@@ -64,9 +80,8 @@ def evaluate(calibration: Calibration, presses: Presses, *, progress: Progress =
             "reason": reason,
         }
         if reason is None:
-            found = errors_of(press, circle, reconstruct)
-            errors.append(found)
-            row["errors"] = asdict(found)
+            errors.append(errors_of(press, circle, reconstruct.from_image(press.image), mm_per_px))
+            row["errors"] = asdict(errors[-1])
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
     if not errors:
@@ -76,24 +91,18 @@ def evaluate(calibration: Calibration, presses: Presses, *, progress: Progress =
     return Evaluation(tuple(rows), summary(errors), seen, reconstruct.own_background, said)
 
 
-def errors_of(press: Press, circle_px: tuple[float, float, float], reconstruct: Reconstructor) -> PressErrors:
-    """Errors of one press whose circle is known."""
-    result = reconstruct.from_image(press.image)
-    return press_errors(
-        result.depth_mm,
-        result.gradients,
-        circle_px=circle_px,
-        ball_radius_mm=press.ball_diameter_mm / 2,
-        mm_per_px=reconstruct.calibration.known_mm_per_px,
-    )
+def _through_view_of(calibration: Calibration, presses: Presses) -> Presses:
+    """The presses as the calibration sees them: frames of its view become images, images stay."""
+    view = calibration.view
+    if presses.view != view and presses.view.is_identity and presses.image_shape == view.frame_shape:
+        return with_view(presses, view, presses.geometry.lens)
+    return presses
 
 
-def _circle(press: Press, reconstruct: Reconstructor) -> tuple[tuple[float, float, float], str | None]:
+def _circle(press: Press, changes: ColorChanges) -> tuple[tuple[float, float, float], str | None]:
+    """The label, or the circle found in the image, and why it is no contact."""
     if press.label is not None:
         return press.label, None
-    calibration = reconstruct.calibration
-    rest = PreparedBackground(reconstruct.background, calibration.change)
-    exposure, _ = rest.compare(press.image)
-    change, _ = change_without_markers(press.image, rest, exposure, MarkerFinder(reconstruct.background))
+    change, _ = changes(press.image)
     contact = find_contact(change)
     return contact.circle_px, why_no_contact(contact)

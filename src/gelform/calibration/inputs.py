@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gelform.background.change import color_change_from_image
 from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of, why_no_contact
+from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.presses.press_set import Presses
@@ -100,16 +101,17 @@ def contact_in_background(presses: Presses) -> Contact | None:
     return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
 
 
-def input_notes(
-    presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[Contact]
-) -> tuple[str, ...]:
+def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Refined) -> tuple[str, ...]:
     """What a user should know of the presses: how they were read, where some are missing, reversed channels.
 
     Parameters
     ----------
     presses : as read
-    prepared, contacts : those that fit, and their circles
+    prepared : the same with their color changes
+    refined : their circles, and which are accepted
     """
+    prepared = [prepared[i] for i in refined.accepted]
+    contacts = [refined.contacts[i] for i in refined.accepted]
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
     order = light_order_note(presses, prepared, contacts)
     return (*presses.notes, *covered, *(() if order is None else (order,)))

@@ -74,6 +74,25 @@ def read_presses(
     return _read(place, SOURCES[kind](place, asked), asked, progress)
 
 
+def as_presses(
+    presses: Presses | str | PathLike[str], *, progress: Progress = no_progress
+) -> Presses:
+    """Presses as they are, or read from a path: what functions that take presses accept.
+
+    Raises
+    ------
+    TypeError
+        It is neither.
+    """
+    if isinstance(presses, Presses):
+        return presses
+    if isinstance(presses, (str, PathLike)):
+        return read_presses(presses, progress=progress)
+    raise TypeError(
+        f"Expected presses, from gelform.read_presses(path), or the path of a press folder, got {type(presses).__name__}."
+    )
+
+
 def kind_of_presses(place: Path) -> str | None:
     """What layout of presses is at a path: VIDEO, a name in `SOURCES`, or None."""
     if place.is_file() and is_video(place):
@@ -180,4 +199,4 @@ SOURCES: Mapping[str, Callable[[Path, Asked], Source]] = {
     PLAIN: plain_source,
 }
 
-__all__ = ["Press", "Presses", "kind_of_presses", "read_presses"]
+__all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]

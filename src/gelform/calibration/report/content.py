@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from gelform.calibration.presses.folder import Presses
 from gelform.calibration.report.coverage import coverage, grid_of
-from gelform.calibration.report.held_out import (
+from gelform.calibration.report.held_out import HeldOutSample
+from gelform.calibration.report.record import PressReport
+from gelform.calibration.report.residuals import (
     DRAWS,
-    HeldOutSample,
     error_map,
     gain_curve,
     share_within_sigma,
     stated_sigma,
 )
-from gelform.calibration.report.record import PressReport
 from gelform.calibration.report.verdict import checks_of, verdict_of
 from gelform.calibration.selection.slope_errors import ZONE
 from gelform.calibration_file import Calibration
@@ -77,7 +77,7 @@ def report_content(
     samples: tuple[HeldOutSample, ...] = report.samples
     zone = float(calibration.settings["zone"])
     inner = [one.within(ZONE) for one in samples]
-    reconstruct = Reconstructor(calibration)
+    reconstruct = Reconstructor(calibration, depth_sigma=False)
     sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in inner]
     shape = calibration.image_shape
     content = {

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.ball import ball_gradients
-from gelform.calibration.report.held_out import HeldOutSample, cells_of
+from gelform.calibration.report.held_out import HeldOutSample
+from gelform.calibration.report.residuals import cells_of
 
 DIRECTIONS = 8
 COLUMNS = 8

@@ -1,27 +1,36 @@
-"""What held-out presses say pixel by pixel: the slopes that were read, the ball's own, and depth minus the cap.
+"""Errors on held-out presses: each is reconstructed once, by what was chosen and fitted without it.
 
-A calibration run keeps them in its report; they are not saved. The report is binned from them.
+Some of its pixels are kept with their slopes and the ball's own, and the depth minus the cap. They stay in the report of
+the run, unsaved; the report's statistics are binned from them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
-from gelform.calibration.presses.folder import Press
-from gelform.metrics import angle_deg
+from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.prepare import change_settings
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.presses.press_set import Press, Presses
+from gelform.calibration.selection.folds import Fold
+from gelform.calibration.selection.select import Selection
+from gelform.calibration.selection.slope_errors import slope_sigma_from_folds
+from gelform.calibration_file import Calibration
+from gelform.color_models import ColorModel
+from gelform.confidence import SlopeSigma
+from gelform.metrics import PressErrors, angle_deg, press_errors
+from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
 
 MAX_PIXELS = 2000
-SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
-MIN_PRESSES, MIN_PIXELS = 3, 60
-DRAWS = 1000
+CENTER_PIXELS = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,20 +86,103 @@ class HeldOutSample:
         )
 
 
-def held_out_sample(
+@dataclass(frozen=True)
+class HeldOut:
+    """What the held-out presses tell.
+
+    Attributes
+    ----------
+    errors : index of the press -> its errors through the whole path
+    samples : some pixels of each
+    slope_sigma : standard deviation of the slopes of the chosen color model
+    """
+
+    errors: Mapping[int, PressErrors]
+    samples: tuple[HeldOutSample, ...]
+    slope_sigma: SlopeSigma
+
+
+def measure_held_out(
+    draft: Calibration,
+    presses: Presses,
+    by_offset: Mapping[float, Sequence[PreparedPress]],
+    found: Sequence[Contact],
+    folds: Sequence[Fold],
+    selection: Selection,
+    *,
+    progress: Progress = no_progress,
+) -> HeldOut:
+    """Errors of every usable press, with what was chosen and fitted without its fold.
+
+    Parameters
+    ----------
+    draft : the calibration of all presses; its color model is replaced by each fold's
+    presses : as read
+    by_offset, found : prepared, and the circle found in each image by itself
+    folds, selection : from `make_folds` and `select`
+    progress : called with (done, total, what)
+    """
+    models: list[ColorModel] = []
+    errors: dict[int, PressErrors] = {}
+    samples: list[HeldOutSample] = []
+    prepared, mm_per_px = by_offset[selection.chosen.change_offset], draft.known_mm_per_px
+    for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
+        suited = by_offset[candidate.change_offset]
+        model = candidate.fit([suited[i] for i in fold.training], fold.contacts)
+        change = change_settings(presses, candidate.change_offset)
+        reconstruct = Reconstructor(replace(draft, color_model=model, change=change), depth_sigma=False)
+        for i in fold.held_out:
+            circle = _free_circle(suited[i], found[i], model, candidate.zone)
+            result = reconstruct.from_image(presses.presses[i].image)
+            errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
+            samples.append(sample_of(i, presses.presses[i], circle, result, mm_per_px))
+        if candidate != selection.chosen:
+            model = selection.chosen.fit([prepared[i] for i in fold.training], fold.contacts)
+        models.append(model)
+        progress(done + 1, len(folds), "measuring on held-out presses")
+    return HeldOut(errors, tuple(samples), slope_sigma_from_folds(models, folds, prepared, found))
+
+
+def _free_circle(
+    press: PreparedPress, found: Contact, model: ColorModel, zone: float
+) -> tuple[float, float, float]:
+    """The held-out press's circle: found in its own image, its centre free, its radius not refined."""
+    rows, cols = press.pixels(found, zone, CENTER_PIXELS)
+    gradients = press.gradients(model, rows, cols)
+    x, y = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    return x, y, found.radius_px
+
+
+def errors_of(press: Press, circle_px: tuple[float, float, float], result: Reconstruction, mm_per_px: float) -> PressErrors:
+    """Errors of a reconstructed press whose circle (centre x, centre y, contact radius, px) is known."""
+    return press_errors(
+        result.depth_mm,
+        result.gradients,
+        circle_px=circle_px,
+        ball_radius_mm=press.ball_diameter_mm / 2,
+        mm_per_px=mm_per_px,
+    )
+
+
+def sample_of(
     index: int,
     press: Press,
     circle_px: tuple[float, float, float],
-    reconstruct: Reconstructor,
+    result: Reconstruction,
+    mm_per_px: float,
     *,
     max_pixels: int = MAX_PIXELS,
 ) -> HeldOutSample:
-    """Reconstruct a press that the calibration has not seen, and keep what tells how far off it is.
+    """Pixels of a reconstructed press that tell how far off it is.
 
     The region and the free centres are those of `gelform.metrics.press_errors`.
+
+    Parameters
+    ----------
+    index : of the press in its folder
+    press, circle_px, result, mm_per_px : as in `errors_of`
+    max_pixels : how many pixels are kept, about
     """
-    result = reconstruct.from_image(press.image)
-    mm_per_px = reconstruct.calibration.known_mm_per_px
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
     reach = min(circle_px[2] - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
@@ -142,104 +234,3 @@ def _cap_error_um(
     return box
 
 
-def resampled(count: int, rng: np.random.Generator, draws: int = DRAWS) -> NDArray[np.float64]:
-    """How often each of `count` presses is drawn in each bootstrap, (draws, count)."""
-    return rng.multinomial(count, np.full(count, 1 / count), size=draws).astype(np.float64)
-
-
-def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Recovered over true slope, by bins of the true slope, with a 95 % interval over presses.
-
-    The gain of a bin is `sum g . t / sum t . t` over its pixels, g the reconstructed and t the true gradient:
-    noise does not raise it, and a regression to the mean at the rim shows as less than 1.
-    """
-    sums = np.zeros((3, len(samples), len(SLOPE_EDGES) - 1))
-    for k, one in enumerate(samples):
-        bins, true = one.true_slope, one.true_gradients.astype(np.float64)
-        for row, weights in enumerate(((one.gradients * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
-            sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
-    drawn = resampled(len(samples), rng)
-    curve = []
-    for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
-        projected, square, pixels = sums[:, :, b]
-        if np.count_nonzero(pixels) < MIN_PRESSES or pixels.sum() < MIN_PIXELS:
-            continue
-        among = drawn @ square
-        gains = (drawn @ projected)[among > 0] / among[among > 0]
-        curve.append(
-            {
-                "slope_from": low,
-                "slope_to": high,
-                "gain": float(projected.sum() / square.sum()),
-                "interval": [float(v) for v in np.percentile(gains, (2.5, 97.5))],
-                "presses": int(np.count_nonzero(pixels)),
-                "pixels": int(pixels.sum()),
-            }
-        )
-    return curve
-
-
-def cells_of(
-    x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]
-) -> NDArray[np.intp]:
-    """Flat index of the grid cell (rows, columns) that each pixel of an image (H, W) lies in."""
-    row = np.clip((np.asarray(y_px) + 0.5) * grid[0] / shape[0], 0, grid[0] - 1).astype(np.intp)
-    column = np.clip((np.asarray(x_px) + 0.5) * grid[1] / shape[1], 0, grid[1] - 1).astype(np.intp)
-    return row * grid[1] + column
-
-
-def error_map(
-    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
-) -> dict[str, Any]:
-    """Held-out slope errors by place: mean (dx, dy), RMS length and number of pixels of each cell, None if empty."""
-    cell = np.concatenate([cells_of(one.x_px, one.y_px, shape, grid) for one in samples])
-    errors = np.concatenate([one.errors for one in samples]).astype(np.float64)
-    count = np.bincount(cell, minlength=grid[0] * grid[1])
-    sums = [np.bincount(cell, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
-    full = count >= 10
-    mean = [
-        [float(sums[0][i] / count[i]), float(sums[1][i] / count[i])] if full[i] else None
-        for i in range(count.size)
-    ]
-    rms = [float(np.sqrt(sums[2][i] / count[i])) if full[i] else None for i in range(count.size)]
-    return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count.tolist()}
-
-
-def stated_sigma(
-    reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
-) -> NDArray[np.float32]:
-    """(N, 2) standard deviation that users of the calibration are told for the pixels of a sample."""
-    sigma = reconstruct.from_image(image).gradients_sigma
-    if sigma is None:
-        raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
-    rows, cols = sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)
-    stated: NDArray[np.float32] = sigma[rows, cols]
-    return stated
-
-
-def share_within_sigma(
-    samples: Sequence[HeldOutSample],
-    sigmas: Sequence[NDArray[np.float32]],
-    shape: tuple[int, int],
-    grid: tuple[int, int],
-) -> dict[str, Any]:
-    """Share of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
-    inside = np.concatenate([np.abs(one.errors) <= sigma for one, sigma in zip(samples, sigmas)]).mean(axis=1)
-    slope = np.concatenate([np.linalg.norm(one.gradients, axis=1) for one in samples])
-    by_slope = []
-    for low, high in pairwise(SLOPE_EDGES):
-        member = (slope >= low) & (slope < high)
-        if np.count_nonzero(member) >= MIN_PIXELS:
-            by_slope.append({"slope_from": low, "slope_to": high, "share": float(inside[member].mean())})
-    cell = np.concatenate([cells_of(one.x_px, one.y_px, shape, grid) for one in samples])
-    by_place = [
-        float(inside[cell == i].mean()) if np.count_nonzero(cell == i) >= MIN_PIXELS else None
-        for i in range(grid[0] * grid[1])
-    ]
-    return {
-        "all": float(inside.mean()),
-        "by_slope": by_slope,
-        "rows": grid[0],
-        "columns": grid[1],
-        "by_place": by_place,
-    }

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from gelform.calibration.circles.find import Contact, find_contact, scale_of
+from gelform.calibration.circles.find import Contact, scale_of
+from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.fit import prepare
-from gelform.calibration.presses.folder import Presses
-from gelform.calibration.selection.candidates import Candidate, candidates_for
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.selection.candidates import Candidate, candidates_for, candidates_from
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS, ColorModel
 from gelform.metrics import score_slopes
@@ -47,7 +47,7 @@ def learning_curve(
     Parameters
     ----------
     presses : what the calibration was made from, in the same order
-    calibration : with its `report`
+    calibration : with its `report`; where it began with another unit's, so do the curve's models
     rng : deals the presses
     progress : called with (done, total, what)
 
@@ -61,10 +61,10 @@ def learning_curve(
     if len(accepted) < MIN_ACCEPTED:
         return None
     own = presses.subset(accepted)
-    to_refine = prepare(own, COLOR_MODELS["polynomial"].change_offset)
+    to_refine = prepare(own)
     offset = COLOR_MODELS[calibration.color_model.name].change_offset
-    to_fit = to_refine if offset == COLOR_MODELS["polynomial"].change_offset else prepare(own, offset)
-    found = [find_contact(press.color_change) for press in to_refine]
+    to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
+    found = find_contacts(to_refine)
     sizes = sizes_for(len(own.presses))
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
     points = []
@@ -90,9 +90,11 @@ def sizes_for(accepted: int) -> list[int]:
 def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
     """The chosen color model with settings that so many presses can carry, simplest first."""
     zone = calibration.settings["zone"]
-    options = [replace(c, zone=zone) for c in candidates_for(calibration.color_model.name, presses)]
+    start = calibration.report.start
+    options = candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start, zone)
+    options = [replace(candidate, zone=zone) for candidate in options]
     own = tuple((key, calibration.settings[key]) for key, _ in options[0].settings)
-    chosen = Candidate(calibration.color_model.name, zone, own)
+    chosen = Candidate(calibration.color_model.name, zone, own, start)
     if presses >= MANY:
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
@@ -108,7 +110,8 @@ def _one_draw(
 ) -> list[float] | None:
     """Each candidate's mean normal error on the last presses of an order, fitted on the first ones."""
     training = [int(i) for i in order[:size]]
-    refined = refine([to_refine[i] for i in training], [found[i] for i in training])
+    start = None if candidates[0].start is None else candidates[0].start.model
+    refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
     if len(kept) < 2:
         return None

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from gelform.calibration.report.held_out import HeldOutSample
+from gelform.calibration.circles.refine import Refined
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.report.held_out import HeldOut, HeldOutSample
+from gelform.calibration.selection.candidates import Start
+from gelform.calibration.selection.select import Selection, standard_error
 from gelform.metrics import PressErrors
 
 
@@ -50,6 +55,7 @@ class CalibrationReport:
     seconds : how long it took
     notes : what a reader should know
     samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
+    start : another unit's model that the run began with, or None; not in `to_dict`, not saved
     """
 
     presses: tuple[PressReport, ...]
@@ -58,12 +64,88 @@ class CalibrationReport:
     seconds: float
     notes: tuple[str, ...] = ()
     samples: tuple[HeldOutSample, ...] = field(default=(), repr=False)
+    start: Start | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON can hold it, without the samples."""
-        content = asdict(replace(self, samples=()))
-        del content["samples"]
+        """The report as JSON can hold it, without the samples and the start."""
+        content = asdict(replace(self, samples=(), start=None))
+        del content["samples"], content["start"]
         return content
+
+
+def report_of_run(
+    presses: Presses,
+    refined: Refined,
+    held_out: HeldOut,
+    circle_sigmas: Mapping[int, tuple[float, float]],
+    selection: Selection,
+    *,
+    notes: Sequence[str],
+    seconds: float,
+    start: Start | None = None,
+) -> CalibrationReport:
+    """The report of a calibration run, from what its steps gave; `notes` follow its own."""
+    return CalibrationReport(
+        presses=_press_rows(presses, refined, held_out.errors, circle_sigmas),
+        candidates=_candidate_rows(selection, 1e3 * presses.mm_per_px),
+        held_out=summary(list(held_out.errors.values())),
+        seconds=seconds,
+        notes=(
+            _how_held_out(len(held_out.errors), selection),
+            *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
+            *notes,
+        ),
+        samples=held_out.samples,
+        start=start,
+    )
+
+
+def _press_rows(
+    presses: Presses,
+    refined: Refined,
+    errors: Mapping[int, PressErrors],
+    circle_sigmas: Mapping[int, tuple[float, float]],
+) -> tuple[PressReport, ...]:
+    rows = []
+    for i, (press, contact, reason) in enumerate(zip(presses.presses, refined.contacts, refined.reasons)):
+        sigmas = circle_sigmas.get(i, (None, None)) if reason is None else (None, None)
+        rows.append(
+            PressReport(
+                press.name,
+                press.ball_diameter_mm,
+                *contact.circle_px,
+                accepted=reason is None,
+                reason=reason,
+                errors=asdict(errors[i]) if i in errors else None,
+                center_sigma_px=sigmas[0],
+                contact_radius_sigma_px=sigmas[1],
+            )
+        )
+    return tuple(rows)
+
+
+def _candidate_rows(selection: Selection, um_per_px: float) -> tuple[dict[str, Any], ...]:
+    return tuple(
+        {
+            "candidate": trial.candidate.describe(),
+            "normal_free_deg": trial.mean_deg(),
+            "standard_error_deg": standard_error([s.normal_deg for s in trial.by_fold.values()]),
+            "normal_free_deg_other_size": trial.mean_deg(by_size=True),
+            "cap_free_um": um_per_px * float(trial.expected_losses().mean()),
+            "cap_free_um_se": um_per_px * standard_error(trial.expected_losses()),
+            "chosen": trial.candidate == selection.chosen,
+        }
+        for trial in selection.trials
+    )
+
+
+def _how_held_out(presses: int, selection: Selection) -> str:
+    agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
+    folds = len(selection.by_fold)
+    return (
+        f"Held-out errors: {presses} presses in {folds} folds; circles, model, its kind and its zone were found without a "
+        f"fold's presses. {agree} of {folds} folds chose what all presses together chose."
+    )
 
 
 def summary(errors: list[PressErrors]) -> dict[str, float]:

@@ -38,6 +38,7 @@ class Start:
 
     model: HierarchicalModel
     digest: str
+    zone: float
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,108 @@
+"""Color changes of presses, prepared once: what circles are found in and color models are fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.change import ChangeSettings, PreparedBackground
+from gelform.background.check import check_background_of_frames
+from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of
+from gelform.calibration.circles.markers import change_without_markers
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.presses.press_set import Presses
+from gelform.color_models import COLOR_MODELS
+from gelform.errors import CalibrationError
+from gelform.markers import MarkerFinder
+from gelform.progress import Progress, no_progress
+
+BLUR_PX = 1.25
+USUAL_OFFSET = COLOR_MODELS["polynomial"].change_offset
+
+
+class ColorChanges:
+    """Color changes of images against one untouched image; markers are bridged.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255
+    settings : how the change is taken
+    """
+
+    def __init__(self, background: NDArray[np.float32], settings: ChangeSettings) -> None:
+        self._rest = PreparedBackground(background, settings)
+        self._finder = MarkerFinder(background)
+
+    def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+        """The color change (H, W, 3) of an image, and which pixels are not on markers; None where all are.
+
+        Raises
+        ------
+        CalibrationError
+            The background is not of this image.
+        """
+        exposure, _ = self._rest.compare(image)
+        return change_without_markers(image, self._rest, exposure, self._finder)
+
+
+def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSettings:
+    """Division by the background, blurred by 1.25 px at 240 rows; known response and crosstalk undone."""
+    blur_px = BLUR_PX * scale_of(presses.image_shape)
+    return ChangeSettings("divide", offset, blur_px, presses.geometry.matrix, presses.response)
+
+
+def prepare(
+    presses: Presses, offset: float = USUAL_OFFSET, *, progress: Progress = no_progress
+) -> list[PreparedPress]:
+    """The presses with their color changes, each checked against the background.
+
+    Parameters
+    ----------
+    presses : from `read_presses`
+    offset : grey levels added to the background where the change is divided by it
+    progress : called with (done, total, what)
+
+    Raises
+    ------
+    CalibrationError
+        The background is not of a press, which is named, or not of all together.
+    """
+    changes = ColorChanges(presses.background, change_settings(presses, offset))
+    prepared = []
+    for done, press in enumerate(presses.presses):
+        try:
+            change, usable = changes(press.image)
+        except CalibrationError as problem:
+            raise CalibrationError(f"{press.name}: {problem}") from None
+        size = magnitude(change - np.median(change, axis=(0, 1)).astype(np.float32))
+        radius_px = press.ball_diameter_mm / 2 / presses.mm_per_px
+        prepared.append(PreparedPress(press.name, change, size, radius_px, usable, presses.background))
+        progress(done + 1, len(presses.presses), "preparing")
+    check_background_of_frames([press.image for press in presses.presses], presses.background)
+    return prepared
+
+
+def prepared_by_offset(
+    presses: Presses, prepared: list[PreparedPress], offsets: Iterable[float]
+) -> dict[float, list[PreparedPress]]:
+    """The presses as color models want them, by the offset of the division: `prepared` and what it lacks.
+
+    The offset 0 is left out where the background has pixels of 0.
+    """
+    by_offset = {USUAL_OFFSET: prepared}
+    for offset in set(offsets) - by_offset.keys():
+        if offset > 0 or float(presses.background.min()) > 0:
+            by_offset[offset] = prepare(presses, offset)
+    return by_offset
+
+
+def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[Contact]:
+    """The contact circle found in each image by itself."""
+    found = []
+    for done, press in enumerate(prepared):
+        found.append(find_contact(press.color_change))
+        progress(done + 1, len(prepared), "finding contact circles")
+    return found
