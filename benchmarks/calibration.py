@@ -24,9 +24,10 @@ import numpy as np
 import gelform
 from gelform.background.untouched import untouched_from_color_change
 from gelform.calibration.circles.find import Contact, find_contact
+from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.fit import _untouched_change, prepare
+from gelform.calibration.draft import untouched_change
 from gelform.calibration.report.record import summary
 from gelform.calibration.selection.candidates import Candidate, candidates_for
 from gelform.color_models import COLOR_MODELS
@@ -97,7 +98,7 @@ class Bench:
         model = candidate.fit(used, contacts)
         seconds = time.perf_counter() - start
         ready = model.prepare(self.presses.background, self.presses.image_shape)
-        threshold = _untouched_change(used, contacts)
+        threshold = untouched_change(used, contacts)
         errors = [self._press_errors(ready, prepared[i], i, threshold) for i in test]
         return {**summary(errors), "fit_s": seconds}
 

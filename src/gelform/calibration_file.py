@@ -195,6 +195,15 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         ) from problem
 
 
+def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibration:
+    """A calibration as it is, or read from a path: what functions that take one accept; TypeError for neither."""
+    if isinstance(calibration, (str, PathLike)):
+        return load_calibration(calibration)
+    if not isinstance(calibration, Calibration):
+        raise TypeError(f"Expected a Calibration or the path of one, got {type(calibration).__name__}.")
+    return calibration
+
+
 def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
     shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
     models = {**COLOR_MODELS, **IMPORTED_MODELS}

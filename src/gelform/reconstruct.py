@@ -16,7 +16,7 @@ from gelform.anchor import RestAnchor
 from gelform.background.change import PreparedBackground
 from gelform.background.check import Finding, background_digest, check_own_background
 from gelform.background.untouched import remove_bias, untouched_pixels
-from gelform.calibration_file import Calibration, load_calibration
+from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_image
 from gelform.confidence import PreparedSigma, UnknownSigma, with_model_sigma
 from gelform.contact import contact_from_depth
@@ -75,7 +75,7 @@ class Reconstructor:
         solver: str = "auto",
         depth_sigma: bool = True,
     ) -> None:
-        self.calibration = calibration = _loaded(calibration)
+        self.calibration = calibration = as_calibration(calibration)
         self.solver = checked_solver(solver)
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
@@ -217,11 +217,3 @@ class Reconstructor:
         if not len(self._markers.untouched):
             return self._no_markers
         return self._markers.mask(image, int(np.ceil(2 * self.calibration.change.blur_px)))
-
-
-def _loaded(calibration: Calibration | str | PathLike[str]) -> Calibration:
-    if isinstance(calibration, (str, PathLike)):
-        return load_calibration(calibration)
-    if not isinstance(calibration, Calibration):
-        raise TypeError(f"Expected a Calibration or the path of one, got {type(calibration).__name__}.")
-    return calibration

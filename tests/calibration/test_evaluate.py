@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.view import View
 
 
 def test_seen_presses_are_counted(calibration, presses):
@@ -28,3 +29,30 @@ def test_untouched_images_cannot_be_evaluated(calibration, presses):
     rest = replace(presses.presses[0], image=np.round(presses.background).astype(np.uint8))
     with pytest.raises(gelform.DataError, match="could be evaluated"):
         gelform.evaluate(calibration, replace(presses, presses=(rest,)))
+
+
+def test_paths_are_read(calibration, folder, presses, tmp_path):
+    calibration.save(tmp_path / "cal.npz")
+    assert gelform.evaluate(str(tmp_path / "cal.npz"), folder) == gelform.evaluate(calibration, presses)
+    with pytest.raises(TypeError, match="Expected a Calibration or the path of one, got int"):
+        gelform.evaluate(3, presses)
+    with pytest.raises(TypeError, match="Expected presses"):
+        gelform.evaluate(calibration, 3)
+
+
+def test_frames_are_seen_through_the_calibrations_view(calibration, presses, simulated):
+    """Presses without a view of their own, of the size of the view's frames: also where a flip alone changes them."""
+    view = View(presses.image_shape, flip="x")
+    label = (*simulated.presses[0].center_px, simulated.presses[0].contact_radius_px)
+    turned = tuple(
+        replace(press, image=np.ascontiguousarray(press.image[:, ::-1]), label=None)
+        for press in presses.presses[:2]
+    )
+    width = presses.image_shape[1]
+    turned = (replace(turned[0], label=(width - 1 - label[0], *label[1:])), turned[1])
+    frames = replace(presses, presses=turned, background=np.ascontiguousarray(presses.background[:, ::-1]))
+    straight = replace(presses, presses=(replace(presses.presses[0], label=label), presses.presses[1]))
+    found = gelform.evaluate(replace(calibration, view=view), frames)
+    assert found.rows[0]["circle_px"] == pytest.approx(label)
+    assert found.summary == pytest.approx(gelform.evaluate(calibration, straight).summary)
+    assert found.seen == 2

@@ -70,6 +70,19 @@ def test_progress_is_reported_in_words(presses):
     assert all(0 < done <= total for done, total, _ in calls)
 
 
+def test_paths_are_read(folder, calibration, tmp_path):
+    """What `read_presses` and `load_calibration` need no options for can be given as a path."""
+    calibration.save(tmp_path / "first.npz")
+    by_path = gelform.calibrate(str(folder), start=tmp_path / "first.npz")
+    assert by_path.settings["start"] == calibration.digest
+
+
+@pytest.mark.parametrize("wrong", [None, [1, 2], np.zeros((3, 4))])
+def test_what_is_no_presses_is_said(wrong):
+    with pytest.raises(TypeError, match=r"Expected presses, from gelform.read_presses\(path\)"):
+        gelform.calibrate(wrong)
+
+
 def test_unknown_model_fails_before_any_work(presses):
     with pytest.raises(ValueError, match=r"auto, lambertian, .*polynomial, .*got 'magic'"):
         gelform.calibrate(presses, color_model="magic")

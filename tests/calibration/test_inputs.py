@@ -7,7 +7,8 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.fit import prepare
+from gelform.calibration.circles.prepare import prepare
+from gelform.calibration.circles.refine import Refined
 from gelform.calibration.inputs import (
     check_inputs,
     contact_in_background,
@@ -120,7 +121,8 @@ def test_presses_in_one_corner_are_noted(presses, simulated):
     ]
     assert len(near) >= 3
     prepared, contacts, _ = turn_of(presses.subset(near))
-    notes = input_notes(presses, prepared, contacts)
+    refined = Refined(tuple(contacts), (None,) * len(contacts), None)
+    notes = input_notes(presses, prepared, refined)
     assert any(f"All {len(near)} presses lie in the" in note and "bottom right (" in note for note in notes)
 
 

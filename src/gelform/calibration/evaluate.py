@@ -12,7 +12,7 @@ from gelform.calibration.presses.adjust import with_view
 from gelform.calibration.presses.folder import Press, Presses, as_presses
 from gelform.calibration.report.held_out import errors_of
 from gelform.calibration.report.record import summary
-from gelform.calibration_file import Calibration, load_calibration
+from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
@@ -64,7 +64,7 @@ def evaluate(
     CalibrationError, ValueError, TypeError
         The presses are not of the calibrated sensor, or of another image size, or none.
     """
-    calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+    calibration = as_calibration(calibration)
     presses = _through_view_of(calibration, as_presses(presses, progress=progress))
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background, depth_sigma=False)

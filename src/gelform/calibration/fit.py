@@ -31,7 +31,7 @@ from gelform.calibration.selection.candidates import (
 from gelform.calibration.selection.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.selection.select import select
 from gelform.calibration.selection.trials import HeldOutPresses
-from gelform.calibration_file import Calibration, load_calibration
+from gelform.calibration_file import Calibration, as_calibration
 from gelform.color_models import HierarchicalModel
 from gelform.errors import CalibrationError
 from gelform.progress import Progress, no_progress
@@ -113,7 +113,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
     ValueError
         Its color model is none that can be started from, or its images are of another size.
     """
-    first = start if isinstance(start, Calibration) else load_calibration(start)
+    first = as_calibration(start)
     model = first.color_model
     if not isinstance(model, HierarchicalModel) or color_model not in ("auto", "hierarchical"):
         wanted = color_model if isinstance(model, HierarchicalModel) else model.name
@@ -164,7 +164,7 @@ def _candidates(
     """What is tried, simplest first, and the training zones to choose among."""
     if start is None:
         return candidates_for(color_model, training), ZONES
-    return candidates_from(start, start.zone), (start.zone,)
+    return candidates_from(start), (start.zone,)
 
 
 def _able(candidates: Sequence[Candidate], offsets: Collection[float]) -> list[Candidate]:

@@ -8,7 +8,7 @@ import pytest
 import gelform
 from gelform.background.change import ChangeSettings, PreparedBackground, color_change_from_image
 from gelform.calibration.circles.markers import change_without_markers
-from gelform.calibration.fit import prepare
+from gelform.calibration.circles.prepare import prepare
 from gelform.design.study import _as_read
 from gelform.markers import MarkerFinder
 from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence

@@ -6,8 +6,8 @@ import numpy as np
 
 import gelform
 from gelform.calibration.circles.find import find_contact
+from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import refine, refining_degrees
-from gelform.calibration.fit import prepare
 from gelform.calibration.selection.folds import make_folds, unlike_the_others
 
 

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.calibration.circles.refine import refine
+from gelform.calibration.report import learning as learning_module
 from gelform.calibration.report.learning import (
     _with_expectation,
     candidates_of,
@@ -14,6 +16,7 @@ from gelform.calibration.report.learning import (
     learning_curve,
     sizes_for,
 )
+from gelform.calibration.selection.candidates import START_RIDGES, Start
 from gelform.color_models import PolynomialModel
 
 
@@ -94,6 +97,28 @@ def test_progress_is_told(presses, calibration):
 def test_too_few_presses_have_no_curve(presses, calibration):
     few = replace(calibration, report=replace(calibration.report, presses=calibration.report.presses[:7]))
     assert learning_curve(presses, few, rng=np.random.default_rng(0)) is None
+
+
+def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
+    """A curve of models that began with another unit's says nothing if its own begin with nothing."""
+    start = Start(calibration.color_model, "digest", calibration.settings["zone"])
+    settings = {**calibration.settings, "ridge": START_RIDGES[1]}
+    rows = calibration.report.presses[:8]
+    started = replace(
+        calibration, settings=settings, report=replace(calibration.report, start=start, presses=rows)
+    )
+    assert [c.start for c in candidates_of(started, 5)] == [start, start]
+    began = []
+
+    def refined(*args, start=None):
+        began.append(start)
+        return refine(*args, start=start)
+
+    monkeypatch.setattr(learning_module, "refine", refined)
+    learning_curve(presses, started, rng=np.random.default_rng(0))
+    assert began
+    assert all(one is start.model for one in began)
+    assert "start" not in started.report.to_dict()
 
 
 def test_candidates_grow_no_larger_than_the_chosen_one(calibration):

@@ -3,7 +3,7 @@
 import pytest
 
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.fit import prepare
+from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.folds import make_folds, size_folds
 from gelform.calibration.selection.press_score import PressScore

@@ -79,8 +79,8 @@ def test_unknown_models_are_refused_with_the_names_of_all():
 
 
 def test_another_units_model_is_followed_less_and_less():
-    start = Start(None, "digest")
-    ridges = [dict(c.settings)["ridge"] for c in candidates_from(start, 0.7)]
+    start = Start(None, "digest", 0.7)
+    ridges = [dict(c.settings)["ridge"] for c in candidates_from(start)]
     assert ridges == sorted(ridges, reverse=True)
-    assert {c.start for c in candidates_from(start, 0.7)} == {start}
-    assert {c.zone for c in candidates_from(start, 0.7)} == {0.7}
+    assert {c.start for c in candidates_from(start)} == {start}
+    assert {c.zone for c in candidates_from(start)} == {0.7}

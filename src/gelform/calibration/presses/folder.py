@@ -74,9 +74,7 @@ def read_presses(
     return _read(place, SOURCES[kind](place, asked), asked, progress)
 
 
-def as_presses(
-    presses: Presses | str | PathLike[str], *, progress: Progress = no_progress
-) -> Presses:
+def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = no_progress) -> Presses:
     """Presses as they are, or read from a path: what functions that take presses accept.
 
     Raises

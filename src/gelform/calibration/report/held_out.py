@@ -6,7 +6,7 @@ the run, unsaved; the report's statistics are binned from them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,9 +18,9 @@ from gelform.calibration.circles.find import Contact
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Press, Presses
-from gelform.calibration.selection.folds import Fold
 from gelform.calibration.selection.select import Selection
 from gelform.calibration.selection.slope_errors import slope_sigma_from_folds
+from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration_file import Calibration
 from gelform.color_models import ColorModel
 from gelform.confidence import SlopeSigma
@@ -105,9 +105,7 @@ class HeldOut:
 def measure_held_out(
     draft: Calibration,
     presses: Presses,
-    by_offset: Mapping[float, Sequence[PreparedPress]],
-    found: Sequence[Contact],
-    folds: Sequence[Fold],
+    held_out: HeldOutPresses,
     selection: Selection,
     *,
     progress: Progress = no_progress,
@@ -118,16 +116,17 @@ def measure_held_out(
     ----------
     draft : the calibration of all presses; its color model is replaced by each fold's
     presses : as read
-    by_offset, found : prepared, and the circle found in each image by itself
-    folds, selection : from `make_folds` and `select`
+    held_out : the same, prepared and dealt into folds
+    selection : what was chosen by all presses, and without each fold
     progress : called with (done, total, what)
     """
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
     samples: list[HeldOutSample] = []
-    prepared, mm_per_px = by_offset[selection.chosen.change_offset], draft.known_mm_per_px
+    found, folds = held_out.found, held_out.folds
+    prepared, mm_per_px = held_out.presses[selection.chosen.change_offset], draft.known_mm_per_px
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
-        suited = by_offset[candidate.change_offset]
+        suited = held_out.presses[candidate.change_offset]
         model = candidate.fit([suited[i] for i in fold.training], fold.contacts)
         change = change_settings(presses, candidate.change_offset)
         reconstruct = Reconstructor(replace(draft, color_model=model, change=change), depth_sigma=False)
@@ -153,7 +152,9 @@ def _free_circle(
     return x, y, found.radius_px
 
 
-def errors_of(press: Press, circle_px: tuple[float, float, float], result: Reconstruction, mm_per_px: float) -> PressErrors:
+def errors_of(
+    press: Press, circle_px: tuple[float, float, float], result: Reconstruction, mm_per_px: float
+) -> PressErrors:
     """Errors of a reconstructed press whose circle (centre x, centre y, contact radius, px) is known."""
     return press_errors(
         result.depth_mm,
@@ -232,5 +233,3 @@ def _cap_error_um(
     rows, cols = np.nonzero(region)
     box: NDArray[np.float32] = error[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
     return box
-
-

@@ -91,7 +91,9 @@ def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
     """The chosen color model with settings that so many presses can carry, simplest first."""
     zone = calibration.settings["zone"]
     start = calibration.report.start
-    options = candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start, zone)
+    options = (
+        candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start)
+    )
     options = [replace(candidate, zone=zone) for candidate in options]
     own = tuple((key, calibration.settings[key]) for key, _ in options[0].settings)
     chosen = Candidate(calibration.color_model.name, zone, own, start)

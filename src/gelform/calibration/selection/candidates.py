@@ -34,6 +34,7 @@ class Start:
     ----------
     model : HierarchicalModel
     digest : of the calibration that it comes from
+    zone : training zone of that calibration
     """
 
     model: HierarchicalModel
@@ -126,9 +127,9 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     return [Candidate(name, DEFAULT_ZONE, tuple(variant.settings.items())) for name, variant in offered]
 
 
-def candidates_from(start: Start, zone: float) -> list[Candidate]:
+def candidates_from(start: Start) -> list[Candidate]:
     """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
-    return [Candidate("hierarchical", zone, (("ridge", ridge),), start) for ridge in START_RIDGES]
+    return [Candidate("hierarchical", start.zone, (("ridge", ridge),), start) for ridge in START_RIDGES]
 
 
 def zone_judge(presses: int) -> Candidate:

@@ -1,0 +1,84 @@
+"""Statistics of residuals: truths that are put into samples come out of them."""
+
+import numpy as np
+import pytest
+
+from gelform.calibration.report.residuals import (
+    SLOPE_EDGES,
+    cells_of,
+    error_map,
+    gain_curve,
+    share_within_sigma,
+    stated_sigma,
+)
+from gelform.reconstruct import Reconstructor
+
+SHAPE = (60, 80)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.25])
+def test_a_gain_is_found_in_every_bin_whatever_the_noise(sample, gain):
+    rng = np.random.default_rng(1)
+    samples = [sample(k, gain=gain, noise=0.1, rng=rng) for k in range(6)]
+    curve = gain_curve(samples, np.random.default_rng(0))
+    assert len(curve) >= 5
+    assert {b["slope_from"] for b in curve} <= set(SLOPE_EDGES)
+    for b in curve[1:]:
+        assert b["gain"] == pytest.approx(gain, abs=0.05)
+        assert b["interval"][0] <= b["gain"] <= b["interval"][1]
+        assert b["presses"] == 6
+
+
+def test_intervals_are_over_presses_not_pixels(sample):
+    """Presses that differ make a wide interval, however many pixels each has."""
+    alike = gain_curve([sample(k, gain=1.0) for k in range(8)], np.random.default_rng(0))
+    differ = gain_curve([sample(k, gain=0.8 + 0.05 * k) for k in range(8)], np.random.default_rng(0))
+    width = [b["interval"][1] - b["interval"][0] for b in (alike[2], differ[2])]
+    assert width[0] < 1e-3 < 0.1 < width[1]
+
+
+def test_bins_of_few_presses_are_left_out(sample):
+    assert gain_curve([sample(0), sample(1)], np.random.default_rng(0)) == []
+
+
+def test_cells_are_counted_along_rows():
+    assert cells_of(np.array([0, 79, 0, 79]), np.array([0, 0, 59, 59]), SHAPE, (3, 4)).tolist() == [
+        0,
+        3,
+        8,
+        11,
+    ]
+
+
+def test_the_error_map_has_the_bias_where_it_is(sample):
+    left = sample(0, bias=(0.1, 0.0), circle=(20.0, 30.0, 18.0))
+    right = sample(1, bias=(0.0, -0.2), circle=(60.0, 30.0, 18.0))
+    errors = error_map([left, right], SHAPE, (1, 2))
+    np.testing.assert_allclose(errors["mean"], [[0.1, 0.0], [0.0, -0.2]], atol=1e-6)
+    np.testing.assert_allclose(errors["rms"], [0.1, 0.2], atol=1e-6)
+    assert errors["pixels"] == [len(left.x_px), len(right.x_px)]
+    assert error_map([left], SHAPE, (1, 2))["rms"][1] is None
+
+
+def test_a_right_sigma_holds_68_percent_everywhere(sample):
+    rng = np.random.default_rng(2)
+    samples = [sample(k, noise=0.01, rng=rng) for k in range(8)]
+    sigmas = [np.full_like(one.gradients, 0.01) for one in samples]
+    share = share_within_sigma(samples, sigmas, SHAPE, (2, 2))
+    assert share["all"] == pytest.approx(0.683, abs=0.01)
+    assert all(0.63 < one["share"] < 0.73 for one in share["by_slope"][1:-1])
+    assert all(0.65 < one < 0.72 for one in share["by_place"])
+    halved = share_within_sigma(samples, [s / 2 for s in sigmas], SHAPE, (2, 2))
+    assert halved["all"] == pytest.approx(0.383, abs=0.01)
+
+
+def test_sigma_is_what_users_are_told_and_wide_where_clipped(calibration, presses):
+    one, reconstruct = calibration.report.samples[0], Reconstructor(calibration)
+    image = presses.presses[one.index].image
+    sigma = stated_sigma(reconstruct, image, one)
+    assert sigma.shape == one.gradients.shape
+    row, column = int(one.y_px[0]), int(one.x_px[0])
+    np.testing.assert_array_equal(sigma[0], reconstruct(image).gradients_sigma[row, column])
+    clipped = image.copy()
+    clipped[row, column] = 255
+    assert stated_sigma(reconstruct, clipped, one)[0, 0] > 2 * sigma[0, 0]
