@@ -23,7 +23,7 @@ import numpy as np
 
 import gelform
 from gelform.background.untouched import untouched_from_color_change
-from gelform.calibration.circles.find import Contact, find_contact
+from gelform.calibration.circles.find import ContactCircle, find_contact
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
@@ -83,13 +83,13 @@ class Bench:
             splits[f"{count} presses"] = (training, [i for i in self.order if i not in set(training)])
         return splits
 
-    def refined(self, training: list[int]) -> tuple[list[int], list[Contact]]:
+    def refined(self, training: list[int]) -> tuple[list[int], list[ContactCircle]]:
         """The presses that fit, and their circles."""
         refined = refine([self.prepared[10.0][i] for i in training], [self.found[i] for i in training])
         return [training[k] for k in refined.accepted], [refined.contacts[k] for k in refined.accepted]
 
     def errors(
-        self, candidate: Candidate, training: list[int], contacts: list[Contact], test: list[int]
+        self, candidate: Candidate, training: list[int], contacts: list[ContactCircle], test: list[int]
     ) -> dict[str, float]:
         """The figures of a model on the test presses, and the seconds of its fit."""
         prepared = self.prepared[candidate.change_offset]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.forward import depth_in_contact, forward_from_presses, image_noise
 from gelform.simulate.twin import press_depth_of_rim
@@ -13,10 +13,10 @@ BALL_PX, MM = 60.0, 0.05
 
 
 def contact_at(x, y, radius):
-    return Contact(x_px=x, y_px=y, radius_px=radius, **dict.fromkeys(EXTRA, 1.0))
+    return ContactCircle(x_px=x, y_px=y, radius_px=radius, **dict.fromkeys(EXTRA, 1.0))
 
 
-EXTRA = [name for name in Contact.__dataclass_fields__ if name not in ("x_px", "y_px", "radius_px")]
+EXTRA = [name for name in ContactCircle.__dataclass_fields__ if name not in ("x_px", "y_px", "radius_px")]
 
 
 def press_at(x, y, depth_change):

@@ -10,7 +10,7 @@ import numpy as np
 
 from gelform import __version__
 from gelform.background.average import noise_from_image
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress
@@ -82,7 +82,7 @@ def _settings(presses: Presses, chosen: Candidate, images: Sequence[Any]) -> dic
     }
 
 
-def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contact]) -> float:
+def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
     """Size of the color change that untouched pixels stay under, beyond three contact radii."""
     sizes = []
     for press, contact in zip(presses, contacts):

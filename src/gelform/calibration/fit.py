@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from os import PathLike
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import Refined, refine
 from gelform.calibration.circles.samples import PreparedPress
@@ -127,7 +127,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
 
 def _refined_and_folded(
     prepared: list[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     start: HierarchicalModel | None,
     progress: Progress,
 ) -> tuple[Refined, list[Fold]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import noise_from_image
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.simulate.twin import press_depth_of_rim
@@ -19,7 +19,7 @@ MAX_NOISE_IMAGES = 12
 
 
 def forward_from_presses(
-    presses: Sequence[PreparedPress], contacts: Sequence[Contact], zone: float, mm_per_px: float
+    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], zone: float, mm_per_px: float
 ) -> ForwardResponse:
     """The forward response of presses of balls, with the depths that their visible rims imply."""
     parts = []
@@ -33,7 +33,7 @@ def forward_from_presses(
 
 
 def depth_in_contact(
-    samples: Any, contact: Contact, ball_radius_px: float, mm_per_px: float
+    samples: Any, contact: ContactCircle, ball_radius_px: float, mm_per_px: float
 ) -> NDArray[np.float64]:
     """Depth in mm (N,) of samples under a ball whose visible rim is known."""
     radius = ball_radius_px * mm_per_px

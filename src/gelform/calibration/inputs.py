@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.change import color_change_from_image
-from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of, why_no_contact
+from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
@@ -77,7 +77,7 @@ def _check_untouched(presses: Presses) -> None:
         )
 
 
-def contact_in_background(presses: Presses) -> Contact | None:
+def contact_in_background(presses: Presses) -> ContactCircle | None:
     """The contact that the background shows, or None; five presses or more are needed to tell.
 
     Each place is untouched in most presses, so their median is the untouched gel. Where the background differs
@@ -118,7 +118,7 @@ def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Re
 
 
 def light_order_note(
-    presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[Contact]
+    presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
 ) -> str | None:
     """A note where the lights come round the gel the other way than in this kind of sensor, else None.
 
@@ -141,7 +141,7 @@ def light_order_note(
     )
 
 
-def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[Contact]) -> float:
+def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
     """Which way red, green and blue light come round the gel: > 0 clockwise in the image, < 0 the other way.
 
     The sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
@@ -152,7 +152,7 @@ def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[Contact]) -
     return float(np.sin(np.roll(towards, -1) - towards).sum())
 
 
-def _disc(shape: tuple[int, int], contact: Contact, share: float) -> NDArray[np.bool_]:
+def _disc(shape: tuple[int, int], contact: ContactCircle, share: float) -> NDArray[np.bool_]:
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     inside = np.hypot(cols - contact.x_px, rows - contact.y_px) < share * contact.radius_px
     return np.asarray(inside)

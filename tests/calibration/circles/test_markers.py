@@ -92,9 +92,9 @@ def test_an_unmarked_gel_is_left_as_it_is(plain):
 def test_samples_leave_the_dots_out(dotted):
     made, presses = dotted
     for true, press in zip(made.presses, prepare(presses, 10.0)):
-        from gelform.calibration.circles.find import Contact
+        from gelform.calibration.circles.find import ContactCircle
 
-        contact = Contact(*true.center_px, true.contact_radius_px, 1.0, 9.0)
+        contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
         rows, cols = press.pixels(contact, 0.8)
         assert len(rows) > 30
         assert true.albedo[rows, cols].min() > 0.9

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.sigma import _jackknife, circle_sigmas
 from gelform.calibration.selection.folds import Fold
 
@@ -33,7 +33,7 @@ def test_sigma_of_a_circle_is_of_the_size_of_its_distance_to_the_truth(calibrati
 
 
 def test_circles_that_do_not_move_are_known_exactly():
-    contact = Contact(10.0, 12.0, 5.0, 0.9, 9.0)
+    contact = ContactCircle(10.0, 12.0, 5.0, 0.9, 9.0)
     folds = [Fold((), (0, 1), (contact, contact)) for _ in range(3)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gelform.calibration.circles.sigma.fit_model", lambda *_: None)

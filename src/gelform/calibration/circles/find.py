@@ -19,7 +19,7 @@ MIN_SIGNAL = 2.0
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactCircle:
     """A contact circle.
 
     Attributes
@@ -51,7 +51,7 @@ def scale_of(shape: tuple[int, int]) -> float:
     return min(shape) / 240
 
 
-def find_contact(color_change: NDArray[np.float32]) -> Contact:
+def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
     """Contact circle of one ball press.
 
     Parameters
@@ -62,10 +62,10 @@ def find_contact(color_change: NDArray[np.float32]) -> Contact:
     x, y, antisymmetry = _antisymmetry_center(change)
     size = magnitude(change)
     radius = contact_radius(size, x, y)
-    return Contact(x, y, radius, antisymmetry, _signal(size, x, y, radius))
+    return ContactCircle(x, y, radius, antisymmetry, _signal(size, x, y, radius))
 
 
-def why_no_contact(contact: Contact) -> str | None:
+def why_no_contact(contact: ContactCircle) -> str | None:
     """The reason why a found circle is not a ball press, or None."""
     if contact.antisymmetry < MIN_ANTISYMMETRY:
         return f"no ball found: antisymmetry {contact.antisymmetry:.2f} (expected {MIN_ANTISYMMETRY} or more)"
@@ -94,7 +94,7 @@ def contact_radius(
     return peak + _parabola_offset(slope, peak)
 
 
-def moved(contact: Contact, size: NDArray[np.float32], x_px: float, y_px: float) -> Contact:
+def moved(contact: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float) -> ContactCircle:
     """The contact with another centre, its radius measured anew about it."""
     radius = contact_radius(size, x_px, y_px, contact.radius_px)
     return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.background.check import check_background_of_frames
-from gelform.calibration.circles.find import Contact, find_contact, magnitude, scale_of
+from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of
 from gelform.calibration.circles.markers import change_without_markers
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
@@ -99,7 +99,7 @@ def prepared_by_offset(
     return by_offset
 
 
-def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[Contact]:
+def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[ContactCircle]:
     """The contact circle found in each image by itself."""
     found = []
     for done, press in enumerate(prepared):

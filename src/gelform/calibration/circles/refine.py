@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.ball import STEEPEST_FRACTION, ball_center
-from gelform.calibration.circles.find import Contact, moved, scale_of, why_no_contact
+from gelform.calibration.circles.find import ContactCircle, moved, scale_of, why_no_contact
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
 from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel
 from gelform.progress import Progress, no_progress
@@ -42,7 +42,7 @@ class Refined:
     model : what refined them
     """
 
-    contacts: tuple[Contact, ...]
+    contacts: tuple[ContactCircle, ...]
     reasons: tuple[str | None, ...]
     model: ColorModel | None
 
@@ -61,7 +61,7 @@ def refining_degrees(count: int) -> tuple[int, ...]:
 
 def refine(
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     *,
     excluded: Mapping[int, str] | None = None,
     start: HierarchicalModel | None = None,
@@ -100,7 +100,7 @@ def refine(
     return Refined(tuple(contacts), tuple(reasons), model)
 
 
-def _is_whole(press: PreparedPress, contact: Contact) -> bool:
+def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
     """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
     height, width = press.size.shape
     margin = contact.radius_px
@@ -109,7 +109,7 @@ def _is_whole(press: PreparedPress, contact: Contact) -> bool:
 
 def fit_model(
     presses: Sequence[PreparedPress],
-    contacts: Sequence[Contact],
+    contacts: Sequence[ContactCircle],
     start: HierarchicalModel | None = None,
 ) -> ColorModel:
     """What circles are refined with: a polynomial, or a start that is followed closely."""
@@ -120,7 +120,7 @@ def fit_model(
     return PolynomialModel.fit(samples, position_degrees=refining_degrees(len(presses)))
 
 
-def why_impossible(press: PreparedPress, contact: Contact) -> str | None:
+def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
     """The reason why a circle found in one image cannot be a press of this ball, or None."""
     reason = why_no_contact(contact)
     if reason is None and contact.radius_px >= STEEPEST_FRACTION * press.ball_radius_px:
@@ -133,7 +133,9 @@ def why_impossible(press: PreparedPress, contact: Contact) -> str | None:
     return reason
 
 
-def recentered(press: PreparedPress, contact: Contact, found: Contact, model: ColorModel) -> Contact:
+def recentered(
+    press: PreparedPress, contact: ContactCircle, found: ContactCircle, model: ColorModel
+) -> ContactCircle:
     """The contact moved to where the ball agrees best with the model, not far from where it was found."""
     rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
     if len(rows) < 30:
@@ -148,7 +150,7 @@ def recentered(press: PreparedPress, contact: Contact, found: Contact, model: Co
 
 
 def why_misfits(
-    presses: Sequence[PreparedPress], contacts: Sequence[Contact], model: ColorModel
+    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], model: ColorModel
 ) -> list[str | None]:
     """For each press the reason why it does not agree with the model of all, or None."""
     return misfit_reasons([agreement(press, contact, model) for press, contact in zip(presses, contacts)])
@@ -175,7 +177,7 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None
     return reasons
 
 
-def agreement(press: PreparedPress, contact: Contact, model: ColorModel) -> tuple[float, float]:
+def agreement(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> tuple[float, float]:
     """Median slope error inside the contact, and the slope of model on ball (1 where they agree)."""
     rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
     ball = press.ball_gradients(contact, rows, cols)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.ball import STEEPEST_FRACTION, ball_gradients
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.color_models import ColorModel, Samples
 
 TOTAL_SAMPLES = 40_000
@@ -43,7 +43,7 @@ class PreparedPress:
     background: NDArray[np.float32] | None = None
 
     def pixels(
-        self, contact: Contact, zone: float, count: int | None = None
+        self, contact: ContactCircle, zone: float, count: int | None = None
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of about `count` pixels inside `zone` of the contact radius, on a regular lattice."""
         radius = min(zone * contact.radius_px, STEEPEST_FRACTION * self.ball_radius_px)
@@ -62,7 +62,7 @@ class PreparedPress:
         return found_rows + top, found_cols + left
 
     def ball_gradients(
-        self, contact: Contact, rows: NDArray[np.intp], cols: NDArray[np.intp]
+        self, contact: ContactCircle, rows: NDArray[np.intp], cols: NDArray[np.intp]
     ) -> NDArray[np.float64]:
         """The ball's slopes at pixels."""
         return ball_gradients(cols, rows, (contact.x_px, contact.y_px), self.ball_radius_px)
@@ -75,7 +75,11 @@ class PreparedPress:
 
 
 def contact_samples(
-    presses: Sequence[PreparedPress], contacts: Sequence[Contact], zone: float, *, total: int = TOTAL_SAMPLES
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    zone: float,
+    *,
+    total: int = TOTAL_SAMPLES,
 ) -> Samples:
     """Samples inside the contacts, labelled by the balls: about `total`, shared evenly by the presses."""
     parts = []
@@ -88,7 +92,7 @@ def contact_samples(
 
 
 def with_rest_samples(
-    samples: Samples, presses: Sequence[PreparedPress], contacts: Sequence[Contact]
+    samples: Samples, presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
 ) -> Samples:
     """The samples and up to half as many from the untouched gel, where the gradient is 0, at a lower weight."""
     parts = []

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.selection.folds import Fold
@@ -17,7 +17,7 @@ MOVES = 4
 
 def circle_sigmas(
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     folds: Sequence[Fold],
     start: HierarchicalModel | None = None,
 ) -> dict[int, tuple[float, float]]:

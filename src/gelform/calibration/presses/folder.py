@@ -16,7 +16,14 @@ from gelform.calibration.presses.packages import (
     taxim_pack_in,
     taxim_source,
 )
-from gelform.calibration.presses.press_set import Asked, Listed, Press, Presses, Source, press_from_frame
+from gelform.calibration.presses.press_set import (
+    Listed,
+    Press,
+    Presses,
+    ReadOptions,
+    Source,
+    press_from_frame,
+)
 from gelform.calibration.presses.tables import diameter, number, table_rows
 from gelform.calibration.presses.video import presses_from_video
 from gelform.errors import DataError
@@ -62,16 +69,16 @@ def read_presses(
         `presses_from_frames`). The message says what was expected and what to do.
     """
     place = Path(path)
-    asked = Asked(sensor, mm_per_px, ball_diameter_mm, Path(background) if background else None, crop)
+    options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, Path(background) if background else None, crop)
     kind = kind_of_presses(place)
     if kind == VIDEO:
-        return presses_from_video(place, asked, progress)
+        return presses_from_video(place, options, progress)
     if kind is None:
         is_what = "a file of another kind" if place.exists() else "not there"
         raise DataError(
             f"Expected a folder of presses, a video or a Taxim dataPack.npz, got {place}, which is {is_what}."
         )
-    return _read(place, SOURCES[kind](place, asked), asked, progress)
+    return _read(place, SOURCES[kind](place, options), options, progress)
 
 
 def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = no_progress) -> Presses:
@@ -106,13 +113,13 @@ def kind_of_presses(place: Path) -> str | None:
     return PLAIN if place.is_dir() else None
 
 
-def _read(place: Path, source: Source, asked: Asked, progress: Progress) -> Presses:
+def _read(place: Path, source: Source, options: ReadOptions, progress: Progress) -> Presses:
     """Every image of a source, through one view."""
-    settings = asked.settings(place, source.known)
+    settings = options.settings(place, source.known)
     if not source.listed:
         raise DataError(f"No press in {place}: expected images and a presses.csv with a row for each.")
     frame_shape = (source.background.shape[0], source.background.shape[1])
-    view = asked.view(settings, frame_shape)
+    view = options.view(settings, frame_shape)
     presses, sizes = [], {}
     for done, listed in enumerate(source.listed):
         frame = source.frame(done)
@@ -159,9 +166,9 @@ def _px(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]} px"
 
 
-def press_folder_source(folder: Path, asked: Asked) -> Source:
+def press_folder_source(folder: Path, options: ReadOptions) -> Source:
     """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels), `background.png`, images."""
-    rest = read_background(asked.background or background_in(folder))
+    rest = read_background(options.background or background_in(folder))
     listed = list(_press_table(folder))
     return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
 
@@ -177,19 +184,19 @@ def _press_table(folder: Path) -> Iterator[Listed]:
         yield Listed(row["image"], diameter(row["ball_diameter_mm"], where), label)
 
 
-def plain_source(folder: Path, asked: Asked) -> Source:
+def plain_source(folder: Path, options: ReadOptions) -> Source:
     """A folder of images of one ball, one press each, and `background.png`."""
-    rest_path = asked.background or background_in(folder)
+    rest_path = options.background or background_in(folder)
     images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
     images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
-    ball = asked.ball(f"{folder} has images but no presses.csv") if images else 0.0
+    ball = options.ball(f"{folder} has images but no presses.csv") if images else 0.0
     listed = [Listed(path.name, ball) for path in images]
     return Source(read_background(rest_path), listed, lambda k: read_image(images[k]))
 
 
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
 TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
-SOURCES: Mapping[str, Callable[[Path, Asked], Source]] = {
+SOURCES: Mapping[str, Callable[[Path, ReadOptions], Source]] = {
     PRESS_FOLDER: press_folder_source,
     GS_SDK: gs_sdk_source,
     PY3DCAL: py3dcal_source,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.presses.press_set import Asked, Listed, Source
+from gelform.calibration.presses.press_set import Listed, ReadOptions, Source
 from gelform.calibration.presses.tables import diameter, number, table_rows
 from gelform.checks import check_positive
 from gelform.errors import DataError
@@ -22,9 +22,9 @@ MAX_PACK_BYTES = 4 << 30
 TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 
 
-def gs_sdk_source(folder: Path, asked: Asked) -> Source:
+def gs_sdk_source(folder: Path, options: ReadOptions) -> Source:
     """gs_sdk's folder: `catalog.csv` (experiment_reldir, diameter(mm)), `<dir>/gelsight.png`, `background.png`."""
-    rest = read_background(asked.background or background_in(folder))
+    rest = read_background(options.background or background_in(folder))
     listed = list(_gs_sdk_rows(folder))
     return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
 
@@ -45,15 +45,15 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
         raise DataError(f"Expected center and radius in {path}, got: {problem}.") from problem
 
 
-def py3dcal_source(folder: Path, asked: Asked) -> Source:
+def py3dcal_source(folder: Path, options: ReadOptions) -> Source:
     """py3DCal's folder: a printer pressed one probe at places of a stage.
 
     `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
     probe_radius_mm), `blank_images/blank.png`, `probe_images/`.
     """
-    rest = read_background(asked.background or _blank_in(folder / "blank_images"))
+    rest = read_background(options.background or _blank_in(folder / "blank_images"))
     facts = _py3dcal_facts(folder)
-    ball = asked.ball_diameter_mm or 2 * facts["probe_radius_mm"]
+    ball = options.ball_diameter_mm or 2 * facts["probe_radius_mm"]
     rows = []
     for where, row in table_rows(folder / "annotations" / "annotations.csv", ("img_name", "x_px", "y_px")):
         center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))
@@ -101,7 +101,7 @@ def taxim_pack_in(path: Path) -> Path | None:
         return None
 
 
-def taxim_source(path: Path, asked: Asked) -> Source:
+def taxim_source(path: Path, options: ReadOptions) -> Source:
     """Taxim's `dataPack.npz`: f0, imgs (BGR, as OpenCV read them), touch_center (x, y), touch_radius, names.
 
     Nothing is unpickled: a member of Python objects is refused.
@@ -116,10 +116,10 @@ def taxim_source(path: Path, asked: Asked) -> Source:
             f"Expected imgs (N, H, W, 3), touch_center (N, 2) and touch_radius (N,) in {pack}, got "
             f"{images.shape}, {centers.shape} and {radii.shape}."
         )
-    ball = asked.ball(str(pack))
+    ball = options.ball(str(pack))
     names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
     rows = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
-    rest = read_background(asked.background) if asked.background is not None else _rgb(arrays["f0"])
+    rest = read_background(options.background) if options.background is not None else _rgb(arrays["f0"])
     return Source(rest, rows, lambda k: _rgb(images[k]))
 
 

@@ -85,8 +85,8 @@ class Presses:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a user gives beside the path; each goes before what the folder says.
+class ReadOptions:
+    """Options of `read_presses`; each goes before what the folder says.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class Asked:
         return settings
 
     def view(self, settings: SensorSettings, frame_shape: tuple[int, int]) -> View:
-        """The crop asked for, else sensor.toml's view, else the profile's where the images are frames of it."""
+        """The crop that was asked for, else sensor.toml's view, else the profile's where the images are frames of it."""
         if self.crop is not None:
             return View(frame_shape=frame_shape, crop=self.crop)
         if not settings.view.is_identity or self.sensor is None:

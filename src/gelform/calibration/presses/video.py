@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import trimmed_mean
-from gelform.calibration.presses.press_set import Asked, Listed, Presses, press_from_frame
+from gelform.calibration.presses.press_set import Listed, Presses, ReadOptions, press_from_frame
 from gelform.calibration.presses.stills import (
     MIN_STILL,
     MIN_TOUCH,
@@ -71,25 +71,25 @@ def presses_from_frames(
         No frame, no scale, no untouched stretch, no contact, none that stands still, or an iterator of more
         than 1 GiB.
     """
-    view = _ViewOfFrames(Asked(sensor, mm_per_px, ball_diameter_mm, None, crop), Path(name))
+    view = _ViewOfFrames(ReadOptions(sensor, mm_per_px, ball_diameter_mm, None, crop), Path(name))
     if iter(frames) is frames:
         frames = _kept(frames, view)
     return _presses(lambda only: _chosen(frames, only), view, background, name, progress)
 
 
-def presses_from_video(path: Path, asked: Asked, progress: Progress = no_progress) -> Presses:
+def presses_from_video(path: Path, options: ReadOptions, progress: Progress = no_progress) -> Presses:
     """`presses_from_frames` of a video file, read twice; settings may stand in a `sensor.toml` beside it."""
-    asked.ball(str(path))
-    background = None if asked.background is None else read_background(asked.background)
+    options.ball(str(path))
+    background = None if options.background is None else read_background(options.background)
     video = Video(path)
-    return _presses(video.frames, _ViewOfFrames(asked, path), background, str(path), progress)
+    return _presses(video.frames, _ViewOfFrames(options, path), background, str(path), progress)
 
 
 class _ViewOfFrames:
     """How frames become images: known when the first frame is."""
 
-    def __init__(self, asked: Asked, place: Path) -> None:
-        self.asked, self.settings = asked, asked.settings(place)
+    def __init__(self, options: ReadOptions, place: Path) -> None:
+        self.options, self.settings = options, options.settings(place)
         self.view: View | None = None
         self.frame_shape: tuple[int, int] | None = None
         self.is_done = False  # the frames are images already
@@ -99,7 +99,7 @@ class _ViewOfFrames:
             return frame
         shape = (frame.shape[0], frame.shape[1])
         if self.view is None:
-            self.view, self.frame_shape = self.asked.view(self.settings, shape), shape
+            self.view, self.frame_shape = self.options.view(self.settings, shape), shape
         if shape != self.frame_shape:
             assert self.frame_shape is not None
             height, width = self.frame_shape
@@ -152,7 +152,7 @@ def _presses(
     for frame in read(wanted):
         if frame.index in picked:
             assert view.view is not None
-            listed = Listed(f"{Path(name).stem}, frame {frame.index}", view.asked.ball(name))
+            listed = Listed(f"{Path(name).stem}, frame {frame.index}", view.options.ball(name))
             presses.append(press_from_frame(listed, view(frame.image), View()))
         else:
             rest_images.append(np.ascontiguousarray(view(frame.image)))

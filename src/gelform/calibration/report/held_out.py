@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Press, Presses
@@ -143,7 +143,7 @@ def measure_held_out(
 
 
 def _free_circle(
-    press: PreparedPress, found: Contact, model: ColorModel, zone: float
+    press: PreparedPress, found: ContactCircle, model: ColorModel, zone: float
 ) -> tuple[float, float, float]:
     """The held-out press's circle: found in its own image, its centre free, its radius not refined."""
     rows, cols = press.pixels(found, zone, CENTER_PIXELS)

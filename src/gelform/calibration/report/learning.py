@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from gelform.calibration.circles.find import Contact, scale_of
+from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
@@ -108,7 +108,7 @@ def _one_draw(
     order: NDArray[np.intp],
     to_refine: Sequence[PreparedPress],
     to_fit: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
 ) -> list[float] | None:
     """Each candidate's mean normal error on the last presses of an order, fitted on the first ones."""
     training = [int(i) for i in order[:size]]
@@ -126,7 +126,7 @@ def _one_draw(
     return degrees
 
 
-def _normal_deg(press: PreparedPress, found: Contact, model: ColorModel) -> float:
+def _normal_deg(press: PreparedPress, found: ContactCircle, model: ColorModel) -> float:
     """Mean angle to the ball's normals, its centre free, 3 px (at 240 rows) inside the rim as everywhere."""
     zone = max(1 - RIM_PX * scale_of(press.size.shape) / found.radius_px, 0.5)
     rows, cols = press.pixels(found, zone, 800)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import (
     TOTAL_SAMPLES,
     PreparedPress,
@@ -67,7 +67,7 @@ class Candidate:
     def fit(
         self,
         presses: Sequence[PreparedPress],
-        contacts: Sequence[Contact],
+        contacts: Sequence[ContactCircle],
         *,
         total: int = TOTAL_SAMPLES,
     ) -> ColorModel:
@@ -82,7 +82,7 @@ class Candidate:
     def samples(
         self,
         presses: Sequence[PreparedPress],
-        contacts: Sequence[Contact],
+        contacts: Sequence[ContactCircle],
         *,
         total: int = TOTAL_SAMPLES,
     ) -> Samples:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.refine import agreement, fit_model, misfit_reasons, recentered, refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.color_models import HierarchicalModel
@@ -34,7 +34,7 @@ class Fold:
 
     held_out: tuple[int, ...]
     training: tuple[int, ...]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[ContactCircle, ...]
 
     def without(self, others: Sequence[int]) -> Fold:
         """The same training presses but for some, which are scored instead of those held out so far."""
@@ -48,7 +48,7 @@ class Fold:
 
 def make_folds(
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     usable: Sequence[int],
     *,
     start: HierarchicalModel | None = None,
@@ -75,7 +75,7 @@ def make_folds(
 
 def size_folds(
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     usable: Sequence[int],
     *,
     start: HierarchicalModel | None = None,
@@ -99,7 +99,7 @@ def size_folds(
 
 def _fold(
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     held_out: tuple[int, ...],
     training: Sequence[int],
     start: HierarchicalModel | None,
@@ -115,7 +115,7 @@ def _fold(
 
 def unlike_the_others(
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
     folds: Sequence[Fold],
     *,
     start: HierarchicalModel | None = None,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import Contact, scale_of
+from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.color_models import ColorModel
 from gelform.depth import depth_from_gradients
@@ -32,7 +32,7 @@ class PressScore:
     cap_px: float
 
 
-def press_score(press: PreparedPress, found: Contact, model: ColorModel) -> PressScore:
+def press_score(press: PreparedPress, found: ContactCircle, model: ColorModel) -> PressScore:
     """Errors of a model inside a contact circle, 3 px off its rim."""
     zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
     rows, cols = press.pixels(found, zone, SCORED_PIXELS)
@@ -43,7 +43,7 @@ def press_score(press: PreparedPress, found: Contact, model: ColorModel) -> Pres
 
 def _cap_error_px(
     press: PreparedPress,
-    found: Contact,
+    found: ContactCircle,
     model: ColorModel,
     center: tuple[float, float],
     rows: NDArray[np.intp],

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import Contact, scale_of
+from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
 from gelform.calibration.selection.folds import Fold
 from gelform.color_models import ColorModel
@@ -50,7 +50,7 @@ def slope_sigma_from_folds(
     models: Sequence[ColorModel],
     folds: Sequence[Fold],
     presses: Sequence[PreparedPress],
-    found: Sequence[Contact],
+    found: Sequence[ContactCircle],
 ) -> SlopeSigma:
     """Standard deviation and correlation of the slopes, from presses that each fold's model has not seen.
 
@@ -104,7 +104,7 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     return best[1], best[2]
 
 
-def press_residuals(press: PreparedPress, found: Contact, model: ColorModel) -> PressResiduals:
+def press_residuals(press: PreparedPress, found: ContactCircle, model: ColorModel) -> PressResiduals:
     """What a model reads on a press and how far off it is; the centre is free, since labels are off by a pixel."""
     rows, cols = press.pixels(found, ZONE)
     gradients = press.gradients(model, rows, cols)
@@ -116,7 +116,7 @@ def press_residuals(press: PreparedPress, found: Contact, model: ColorModel) -> 
     return PressResiduals(maps[0], maps[1], rows, cols, _untouched_slopes(press, found, model))
 
 
-def _untouched_slopes(press: PreparedPress, found: Contact, model: ColorModel) -> NDArray[np.float64]:
+def _untouched_slopes(press: PreparedPress, found: ContactCircle, model: ColorModel) -> NDArray[np.float64]:
     """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does."""
     height, width = press.size.shape
     step = max(1, int(np.sqrt(height * width / PER_PRESS)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.circles.find import Contact
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.folds import Fold
@@ -95,7 +95,7 @@ class HeldOutPresses:
     """
 
     presses: Mapping[float, Sequence[PreparedPress]]
-    found: Sequence[Contact]
+    found: Sequence[ContactCircle]
     folds: Sequence[Fold]
     sizes: Sequence[Fold]
 
