@@ -12,8 +12,24 @@ import pytest
 import gelform
 from gelform.simulate import LAYOUTS, SimulatedPresses, SimulatedSensor, simulate_ball_presses
 from kernel_agreement import usable_isas
+from made_once import MadeOnce
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file's tests go to one worker: what they share within the file is made once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
+
+
+@pytest.fixture(scope="session")
+def made_once(request, tmp_path_factory) -> MadeOnce:
+    """Makes what takes seconds once per run."""
+    base = tmp_path_factory.getbasetemp()
+    return MadeOnce(base.parent if hasattr(request.config, "workerinput") else base)
 
 
 @pytest.fixture(scope="session")
@@ -31,16 +47,23 @@ def sensor() -> SimulatedSensor:
 
 
 @pytest.fixture(scope="session")
-def simulated(sensor) -> SimulatedPresses:
+def simulated(sensor, made_once) -> SimulatedPresses:
     """Presses of two balls all over the gel, some cut by the border."""
-    return simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    return made_once(
+        "simulated",
+        lambda _: simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=rng),
+    )
 
 
 @pytest.fixture(scope="session")
-def folder(simulated, tmp_path_factory) -> Path:
+def folder(simulated, made_once) -> Path:
     """The same as a press folder on disk, without labels: nothing to peek at."""
-    path = tmp_path_factory.mktemp("presses") / "folder"
-    gelform.save_press_folder(
+    return made_once("folder", lambda path: _written(path, simulated))
+
+
+def _written(path: Path, simulated: SimulatedPresses) -> Path:
+    return gelform.save_press_folder(
         path,
         background=simulated.background,
         images=[press.image for press in simulated.presses],
@@ -48,7 +71,6 @@ def folder(simulated, tmp_path_factory) -> Path:
         mm_per_px=simulated.sensor.mm_per_px,
         name="simulated",
     )
-    return path
 
 
 @pytest.fixture(scope="session")
@@ -58,9 +80,9 @@ def presses(folder):
 
 
 @pytest.fixture(scope="session")
-def calibration(presses):
+def calibration(presses, made_once):
     """A calibration made from the folder alone."""
-    return gelform.calibrate(presses)
+    return made_once("calibration", lambda _: gelform.calibrate(presses))
 
 
 @pytest.fixture(params=usable_isas())

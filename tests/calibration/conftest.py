@@ -9,13 +9,15 @@ from gelform.calibration.report.page.page import report_page
 
 
 @pytest.fixture(scope="session")
-def learning(presses, calibration):
-    return learning_curve(presses, calibration, rng=np.random.default_rng(0))
+def learning(presses, calibration, made_once):
+    rng = np.random.default_rng(0)
+    return made_once("learning", lambda _: learning_curve(presses, calibration, rng=rng))
 
 
 @pytest.fixture(scope="session")
-def content(presses, calibration, learning):
-    return report_content(presses, calibration, rng=np.random.default_rng(0), learning=learning)
+def content(presses, calibration, learning, made_once):
+    rng = np.random.default_rng(0)
+    return made_once("content", lambda _: report_content(presses, calibration, rng=rng, learning=learning))
 
 
 @pytest.fixture(scope="session")

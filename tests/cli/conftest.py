@@ -22,17 +22,24 @@ def small():
 
 
 @pytest.fixture(scope="session")
-def press_folder(tmp_path_factory):
+def press_folder(made_once):
+    return made_once("small_presses", _pressed)
+
+
+def _pressed(path):
     presses = simulate_ball_presses(
         SMALL, ball_diameters_mm=(6, 9), count=10, rng=np.random.default_rng(0), oversample=1
     )
-    return save_simulated_presses(tmp_path_factory.mktemp("small") / "presses", presses)
+    return save_simulated_presses(path, presses)
 
 
 @pytest.fixture(scope="session")
-def calibration_file(press_folder, tmp_path_factory):
-    path = tmp_path_factory.mktemp("calibration") / "cal.npz"
-    calibrate(read_presses(press_folder), color_model="polynomial").save(path)
+def calibration_file(press_folder, made_once):
+    return made_once("small_calibration", lambda path: _calibrated(press_folder, path.with_suffix(".npz")))
+
+
+def _calibrated(folder, path):
+    calibrate(read_presses(folder), color_model="polynomial").save(path)
     return path
 
 

@@ -9,8 +9,12 @@ from gelform.simulate import LAYOUTS
 
 
 @pytest.fixture(scope="session")
-def study():
+def study(made_once):
     """Results of a sensor as given and with eight times the noise, and the progress that was reported."""
+    return made_once("study", lambda _: _study())
+
+
+def _study():
     calls = []
     results = compare_designs(
         replace(LAYOUTS["ring-120"], shape=(120, 160), mm_per_px=0.1268),
