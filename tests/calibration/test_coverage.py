@@ -1,15 +1,19 @@
-"""Where presses are missing is said: cells, slope directions, named places."""
+"""Where presses are missing is said: tiles, slope directions, named places; a gap is where to press next."""
 
 import numpy as np
 import pytest
 
 from gelform.calibration.coverage import (
-    SECTORS,
+    DIRECTIONS,
     coverage_from_circles,
     coverage_notes,
+    direction_of,
     name_of_place,
     one_part,
     press_next,
+    shown_by,
+    square_tiles,
+    tile_of,
 )
 
 SHAPE = (240, 320)
@@ -26,27 +30,26 @@ def lattice(rows, cols, radius=25, shape=SHAPE):
 
 def test_one_press_shows_every_direction_of_its_cell_and_nothing_else():
     coverage = coverage_from_circles([(40.0, 40.0, 25.0)], SHAPE)
-    assert (coverage.directions[0, 0] == 1).all()
-    assert coverage.directions.sum() == SECTORS
+    assert (coverage.counts[0, 0] == 1).all()
+    assert coverage.counts.sum() == DIRECTIONS
     assert coverage.share == pytest.approx(1 / 12)
-    assert coverage.presses[0, 0] == 1
 
 
 def test_a_press_cut_by_the_border_shows_only_what_is_seen_of_it():
     # centre on the left border: only its right half is seen, where the ball falls to the right (dz/dx < 0)
     coverage = coverage_from_circles([(0.0, 40.0, 30.0)], SHAPE)
-    assert coverage.directions[0, 0, 4] == 1  # dz/dx < 0
-    assert coverage.directions[0, 0, 0] == 0  # dz/dx > 0 lies beside the image
-    # at the top border the lower half is seen, where it falls downwards: dz/dy < 0, sector 6
+    assert coverage.counts[0, 0, 4] == 1  # dz/dx < 0
+    assert coverage.counts[0, 0, 0] == 0  # dz/dx > 0 lies beside the image
+    # at the top border the lower half is seen, where it falls downwards: dz/dy < 0, direction 6
     top = coverage_from_circles([(40.0, 0.0, 30.0)], SHAPE)
-    assert top.directions[0, 0, 6] == 1
-    assert top.directions[0, 0, 2] == 0
+    assert top.counts[0, 0, 6] == 1
+    assert top.counts[0, 0, 2] == 0
 
 
 def test_presses_add_up():
     one, other = lattice(3, 4), lattice(2, 3)
-    together = coverage_from_circles([*one, *other], SHAPE).directions
-    apart = [coverage_from_circles(c, SHAPE).directions for c in (one, other)]
+    together = coverage_from_circles([*one, *other], SHAPE).counts
+    apart = [coverage_from_circles(c, SHAPE).counts for c in (one, other)]
     np.testing.assert_array_equal(together, apart[0] + apart[1])
     assert coverage_from_circles(one, SHAPE).share == 1
 
@@ -59,7 +62,7 @@ def test_the_place_without_a_press_is_named_first():
         assert place.name == name
         added = coverage_from_circles([*circles, (place.x_px, place.y_px, 25.0)], SHAPE)
         assert added.share > coverage.share
-        assert (added.directions[row, col] > 0).sum() >= 6
+        assert (added.counts[row, col] > 0).sum() >= 6
 
 
 def test_pressing_where_it_is_said_covers_the_frame():
@@ -118,7 +121,53 @@ def test_no_press_at_all():
     assert "20 more presses" in coverage_notes([], SHAPE)[0]
 
 
-def test_as_json():
-    described = coverage_from_circles(lattice(1, 1), SHAPE).to_dict()
-    assert np.shape(described["directions"]) == (3, 4, SECTORS)
-    assert {"name", "x_px", "y_px"} == described["press_here_next"][0].keys()
+def test_tiles_are_about_square():
+    assert square_tiles((240, 320)) == (6, 8)
+    assert square_tiles((320, 240)) == (8, 6)
+    assert square_tiles((100, 1000)) == (2, 8)
+
+
+def test_tiles_are_counted_along_rows():
+    assert tile_of([0, 79, 0, 79], [0, 0, 59, 59], (60, 80), (3, 4)).tolist() == [0, 3, 8, 11]
+
+
+@pytest.mark.parametrize(
+    ("slope", "direction"), [((1, 0), 0), ((0, 1), 2), ((-1, 0), 4), ((0, -1), 6), ((1, 1), 1)]
+)
+def test_directions(slope, direction):
+    assert direction_of(np.array([slope], dtype=float))[0] == direction
+
+
+def test_left_of_a_ball_slopes_rise_to_the_right():
+    """One tile left of the centre and one right of it: depth is largest in the middle."""
+    left, right = shown_by((80.0, 60.0, 30.0), (120, 160), (1, 2), 0.9)[0]
+    assert left[0]
+    assert not left[4]
+    assert right[4]
+    assert not right[0]
+
+
+def everywhere(step):
+    return [(float(x), float(y), 20.0) for x in range(4, 160, step) for y in range(4, 120, step)]
+
+
+@pytest.mark.parametrize("gap", [(130, 30), (30, 90)])
+@pytest.mark.parametrize("errors", [None, np.ones((6, 8, DIRECTIONS))])
+def test_the_next_press_is_in_the_gap(gap, errors):
+    circles = [c for c in everywhere(10) if np.hypot(c[0] - gap[0], c[1] - gap[1]) > 35]
+    coverage = coverage_from_circles(circles, (120, 160), tiles=(6, 8))
+    first = press_next(coverage, 3, errors)[0]
+    assert np.hypot(first.x_px - gap[0], first.y_px - gap[1]) < 25
+
+
+def test_where_errors_are_large_another_press_is_worth_more():
+    coverage = coverage_from_circles(everywhere(10), (120, 160), tiles=(6, 8))
+    errors = np.ones((6, 8, DIRECTIONS))
+    errors[4, 6] = 400  # about (130, 90)
+    (first,) = press_next(coverage, 1, errors)
+    assert np.hypot(first.x_px - 130, first.y_px - 90) < 30
+
+
+def test_the_second_place_is_another_one():
+    coverage = coverage_from_circles([(20.0, 20.0, 20.0)], (120, 160), tiles=(6, 8))
+    assert len(set(press_next(coverage, 3, np.ones((6, 8, DIRECTIONS))))) == 3

@@ -1,24 +1,28 @@
-"""Where presses of a ball tell colours from slopes, in which directions, and where one is missing.
+"""Where presses of a ball have shown which slope directions, and where to press next.
 
-The lights are near, so a colour means another slope at another place: a calibration knows what was pressed there.
+The lights are near, so a colour means another slope at another place: a calibration knows what was pressed there. The
+image is divided into tiles, the slopes into eight directions; a press shows a direction in a tile where enough of
+its contact has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-CELLS = (3, 4)
-SECTORS = 8
+DIRECTIONS = 8
+LONGER_SIDE = 8  # tiles along it
+COARSE = (3, 4)  # tiles (rows, columns) that notes speak of
 ZONE = 0.8
-FLAT = 0.3
-MIN_SHARE = 0.004
+FLAT = 0.25  # of the contact radius: nearer to its centre a ball is level
+STEP = 2
+ENOUGH = 0.0007  # of the image's pixels
 ADVISED_PRESSES = 20
 NAMED_PLACES = 5
-CANDIDATES = (12, 16)
 CORNER_SHARE = 0.55
 
 Circle = tuple[float, float, float]
@@ -38,85 +42,139 @@ class Place:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How presses cover the frame.
+    """How presses cover the image.
 
     Attributes
     ----------
     shape : (H, W) of the images
     circles : (x, y, contact radius) in px of the presses that count
-    directions : (rows, cols, 8) int, in how many presses a cell of the frame shows slopes of a direction; sector 0
-        rises to the right (dz/dx > 0), the next ones turn clockwise by 45 degrees
+    zone : share of the contact radius that counts
+    counts : (rows, columns, 8) int, how many presses show a direction in a tile; direction 0 rises to the right
+        (dz/dx > 0), the next ones turn clockwise by 45 degrees
     """
 
     shape: tuple[int, int]
     circles: tuple[Circle, ...]
-    directions: NDArray[np.int_]
-
-    @property
-    def presses(self) -> NDArray[np.int_]:
-        """(rows, cols) in how many presses each cell shows the direction that it shows most often."""
-        counts: NDArray[np.int_] = self.directions.max(axis=2)
-        return counts
+    zone: float
+    counts: NDArray[np.int_]
 
     @property
     def share(self) -> float:
-        """Share of cells times directions that at least one press shows, 0-1."""
-        return float(np.mean(self.directions > 0))
+        """Share of tiles times directions that at least one press shows, 0-1."""
+        return float(np.mean(self.counts > 0))
 
-    def to_dict(self) -> dict[str, object]:
-        """The coverage as JSON can hold it."""
-        return {
-            "share": self.share,
-            "directions": self.directions.tolist(),
-            "press_here_next": [
-                {"name": place.name, "x_px": place.x_px, "y_px": place.y_px} for place in press_next(self)
-            ],
-        }
+    @property
+    def contact_radius_px(self) -> float:
+        """Radius of a usual contact: the median, or an eighth of the shorter side where there is none."""
+        return float(np.median([r for _, _, r in self.circles])) if self.circles else min(self.shape) / 8
 
 
 def coverage_from_circles(
-    circles: Sequence[Circle], shape: tuple[int, int], *, cells: tuple[int, int] = CELLS
+    circles: Sequence[Circle],
+    shape: tuple[int, int],
+    *,
+    tiles: tuple[int, int] = COARSE,
+    zone: float = ZONE,
 ) -> Coverage:
-    """Coverage of a frame by the contact circles of ball presses.
+    """Coverage of the image by the contact circles of ball presses.
 
     Parameters
     ----------
     circles : (x, y, contact radius) in px, of the presses that fit
     shape : (H, W) of the images
-    cells : rows and columns of the grid
+    tiles : (rows, columns)
+    zone : share of the contact radius that counts
     """
-    directions = np.zeros((*cells, SECTORS), dtype=np.int_)
+    counts = np.zeros((*tiles, DIRECTIONS), dtype=np.int_)
     for circle in circles:
-        directions += _shown(circle, shape, cells)
-    return Coverage(shape, tuple(circles), directions)
+        counts += shown_by(circle, shape, tiles, zone)
+    return Coverage(shape, tuple(circles), zone, counts)
 
 
-def press_next(coverage: Coverage, count: int = NAMED_PLACES) -> tuple[Place, ...]:
-    """Up to so many places to press at next, the one that adds most first; none where nothing is missing.
+def square_tiles(shape: tuple[int, int], longer: int = LONGER_SIDE) -> tuple[int, int]:
+    """Rows and columns of tiles that are about square; the image's longer side has so many of them."""
+    height, width = shape
+    if width >= height:
+        return max(2, round(longer * height / width)), longer
+    return longer, max(2, round(longer * width / height))
 
-    Each adds, by a contact of the usual size, the cells and directions that no press shows yet; of those that add
-    alike the one farthest from all presses.
+
+def tile_of(
+    x_px: ArrayLike, y_px: ArrayLike, shape: tuple[int, int], tiles: tuple[int, int]
+) -> NDArray[np.intp]:
+    """Flat index of the tile that each pixel of an image (H, W) lies in."""
+    row = np.clip((np.asarray(y_px) + 0.5) * tiles[0] / shape[0], 0, tiles[0] - 1).astype(np.intp)
+    column = np.clip((np.asarray(x_px) + 0.5) * tiles[1] / shape[1], 0, tiles[1] - 1).astype(np.intp)
+    return row * tiles[1] + column
+
+
+def direction_of(gradients: NDArray[Any]) -> NDArray[np.intp]:
+    """Direction 0-7 of slopes (N, 2): 0 rises to the right, 2 downwards (image rows run down)."""
+    turn = np.arctan2(gradients[:, 1], gradients[:, 0]) / (2 * np.pi / DIRECTIONS)
+    direction: NDArray[np.intp] = np.round(turn).astype(np.intp) % DIRECTIONS
+    return direction
+
+
+def shown_by(
+    circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float
+) -> NDArray[np.bool_]:
+    """(rows, columns, 8) the directions that a press shows in each tile."""
+    y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : STEP, : shape[1] : STEP])
+    rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
+    inside = (rho > FLAT) & (rho < zone)
+    x, y = x[inside], y[inside]
+    upwards = np.stack([circle[0] - x, circle[1] - y], axis=1)  # a ball is highest in the middle
+    index = tile_of(x, y, shape, tiles) * DIRECTIONS + direction_of(upwards)
+    pixels = STEP**2 * np.bincount(index, minlength=tiles[0] * tiles[1] * DIRECTIONS)
+    shown: NDArray[np.bool_] = pixels >= max(STEP**2, ENOUGH * shape[0] * shape[1])
+    return shown.reshape(*tiles, DIRECTIONS)
+
+
+def press_next(
+    coverage: Coverage, count: int = NAMED_PLACES, square_error: NDArray[np.float64] | None = None
+) -> tuple[Place, ...]:
+    """Up to so many places to press at next, each the one that helps most after those before it.
+
+    Tried is a contact of the usual size. Where errors are known it takes `error^2 / (1 + n) - error^2 / (2 + n)` from
+    each direction that it shows in a tile and n presses have shown; where not, what no press has shown counts.
+    Of places that help alike the one farthest from all presses comes first.
+
+    Parameters
+    ----------
+    coverage : from `coverage_from_circles`
+    count : of places
+    square_error : (rows, columns, 8), mean over held-out slopes
     """
-    height, width = coverage.shape
-    radius = (
-        float(np.median([r for _, _, r in coverage.circles])) if coverage.circles else min(height, width) / 8
-    )
-    known = coverage.directions > 0
-    there = [(x, y) for x, y, _ in coverage.circles]
-    rows, cols = CANDIDATES
-    points = [((j + 0.5) * width / cols, (i + 0.5) * height / rows) for i in range(rows) for j in range(cols)]
-    shown = [_shown((x, y, radius), coverage.shape, known.shape[:2]) > 0 for x, y in points]
+    tiles = (coverage.counts.shape[0], coverage.counts.shape[1])
+    radius, counts = coverage.contact_radius_px, coverage.counts.astype(np.float64)
+    points = _lattice(coverage.shape, radius)
+    shown = np.array([shown_by((*point, radius), coverage.shape, tiles, coverage.zone) for point in points])
+    pressed = [(x, y) for x, y, _ in coverage.circles]
     places: list[Place] = []
-    while len(places) < count and not known.all():
-        gains = [np.count_nonzero(new & ~known) for new in shown]
-        if max(gains) == 0:
+    for _ in range(count):
+        gain = counts == 0 if square_error is None else square_error / ((1 + counts) * (2 + counts))
+        worth = (shown * gain).sum(axis=(1, 2, 3))
+        if worth.max() == 0:
             break
-        best = [k for k, gain in enumerate(gains) if gain == max(gains)]
-        k = max(best, key=lambda k: min((np.hypot(*np.subtract(points[k], at)) for at in there), default=0.0))
+        best = np.flatnonzero(worth >= (1 - 1e-9) * worth.max())
+        k = int(max(best, key=lambda k: _nearest(points[k], pressed)))
         places.append(Place(name_of_place(*points[k], coverage.shape), *points[k]))
-        there.append(points[k])
-        known = known | shown[k]
+        pressed.append(points[k])
+        counts += shown[k]
     return tuple(places)
+
+
+def _lattice(shape: tuple[int, int], radius_px: float) -> list[tuple[float, float]]:
+    """Points half a contact radius inside the image, two for each tile along either side."""
+    rows, columns = square_tiles(shape)
+    inset = 0.5 * radius_px
+    xs = np.linspace(inset, shape[1] - 1 - inset, 2 * columns)
+    ys = np.linspace(inset, shape[0] - 1 - inset, 2 * rows)
+    return [(float(x), float(y)) for y in ys for x in xs]
+
+
+def _nearest(point: tuple[float, float], others: Sequence[tuple[float, float]]) -> float:
+    return min((float(np.hypot(*np.subtract(point, other))) for other in others), default=0.0)
 
 
 def name_of_place(x_px: float, y_px: float, shape: tuple[int, int]) -> str:
@@ -136,27 +194,26 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
     circles, shape : as in `coverage_from_circles`
     """
     coverage = coverage_from_circles(circles, shape)
-    notes = []
     part = one_part(circles, shape)
     if part is not None:
-        notes.append(
+        return (
             f"All {len(circles)} presses lie in the {part} of the image. Elsewhere colours mean other slopes, and depth "
-            f"there is a guess. Press all over the gel, next at {_listed(press_next(coverage))}."
+            f"there is a guess. Press all over the gel, next at {_listed(press_next(coverage))}.",
         )
     missing = ADVISED_PRESSES - len(circles)
-    if missing > 0 and part is None:
+    if missing > 0:
         places = press_next(coverage, min(missing, NAMED_PLACES))
         where = f", first at {_listed(places)}" if places else ", all over the gel"
-        notes.append(
+        return (
             f"{missing} more presses are advised ({len(circles)} of {ADVISED_PRESSES} fit){where} "
-            "(x, y in px of the image)."
+            "(x, y in px of the image).",
         )
-    elif missing <= 0 and part is None and coverage.share < 0.5:
-        notes.append(
+    if coverage.share < 0.5:
+        return (
             f"The presses show {100 * coverage.share:.0f} % of the places and slope directions. "
-            f"Press next at {_listed(press_next(coverage))} (x, y in px of the image)."
+            f"Press next at {_listed(press_next(coverage))} (x, y in px of the image).",
         )
-    return tuple(notes)
+    return ()
 
 
 def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
@@ -178,20 +235,3 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
 
 def _listed(places: Sequence[Place]) -> str:
     return ", ".join(str(place) for place in places)
-
-
-def _shown(circle: Circle, shape: tuple[int, int], cells: tuple[int, ...]) -> NDArray[np.int_]:
-    """(rows, cols, 8) 1 where a press shows slopes of a direction in enough pixels of a cell, else 0."""
-    x, y, radius = circle
-    height, width = shape
-    rows, cols = (axis.ravel() for axis in np.mgrid[:height:2, :width:2])
-    dx, dy = cols - x, rows - y
-    rho = np.hypot(dx, dy) / radius
-    inside = (rho > FLAT) & (rho < ZONE)
-    rows, cols, dx, dy = (axis[inside] for axis in (rows, cols, dx, dy))
-    # a ball is highest in the middle: the gradient points there
-    sector = np.floor(np.arctan2(-dy, -dx) / (2 * np.pi / SECTORS) + 0.5).astype(int) % SECTORS
-    cell = (rows * cells[0] // height) * cells[1] + cols * cells[1] // width
-    counts = np.bincount(cell * SECTORS + sector, minlength=cells[0] * cells[1] * SECTORS)
-    enough = MIN_SHARE * height * width / (cells[0] * cells[1]) / 4  # every fourth pixel was looked at
-    return (counts.reshape(cells[0], cells[1], SECTORS) >= max(1, enough)).astype(np.int_)

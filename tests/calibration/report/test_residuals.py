@@ -5,10 +5,10 @@ import pytest
 
 from gelform.calibration.report.residuals import (
     SLOPE_EDGES,
-    cells_of,
     error_map,
     gain_curve,
     share_within_sigma,
+    square_error_by_direction,
     stated_sigma,
 )
 from gelform.reconstruct import Reconstructor
@@ -41,15 +41,6 @@ def test_bins_of_few_presses_are_left_out(sample):
     assert gain_curve([sample(0), sample(1)], np.random.default_rng(0)) == []
 
 
-def test_cells_are_counted_along_rows():
-    assert cells_of(np.array([0, 79, 0, 79]), np.array([0, 0, 59, 59]), SHAPE, (3, 4)).tolist() == [
-        0,
-        3,
-        8,
-        11,
-    ]
-
-
 def test_the_error_map_has_the_bias_where_it_is(sample):
     left = sample(0, bias=(0.1, 0.0), circle=(20.0, 30.0, 18.0))
     right = sample(1, bias=(0.0, -0.2), circle=(60.0, 30.0, 18.0))
@@ -58,6 +49,18 @@ def test_the_error_map_has_the_bias_where_it_is(sample):
     np.testing.assert_allclose(errors["rms"], [0.1, 0.2], atol=1e-6)
     assert errors["pixels"] == [len(left.x_px), len(right.x_px)]
     assert error_map([left], SHAPE, (1, 2))["rms"][1] is None
+
+
+def test_square_errors_stand_where_and_whither_they_are(sample):
+    """A bias on the left alone: large there in every direction, the overall mean where nothing was measured."""
+    samples = [sample(0, bias=(0.3, 0.0), circle=(20.0, 30.0, 18.0)), sample(1, circle=(60.0, 30.0, 18.0))]
+    errors = square_error_by_direction(samples, SHAPE, (3, 2))
+    pixels = sum(len(one.x_px) for one in samples)
+    overall = 0.09 * len(samples[0].x_px) / pixels
+    assert errors.shape == (3, 2, 8)
+    assert (errors[1, 0] > overall).all()
+    assert (errors[1, 1] < overall).all()
+    assert square_error_by_direction(samples[:1], SHAPE, (3, 2))[0, 1] == pytest.approx([0.09] * 8, rel=1e-5)
 
 
 def test_a_right_sigma_holds_68_percent_everywhere(sample):

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.presses.folder import Presses
-from gelform.calibration.report.coverage import coverage, grid_of
+from gelform.calibration.coverage import DIRECTIONS, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.held_out import HeldOutSample
-from gelform.calibration.report.record import PressReport
+from gelform.calibration.report.record import CalibrationReport, PressReport
 from gelform.calibration.report.residuals import (
     DRAWS,
     error_map,
     gain_curve,
     share_within_sigma,
+    square_error_by_direction,
     stated_sigma,
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
@@ -26,6 +28,7 @@ from gelform.reconstruct import Reconstructor
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 1
 ERROR_COLUMNS, PLACE_COLUMNS = 16, 4
+SUGGESTIONS = 3
 GAIN_TO_SLOPE, GAIN_PRESSES, GAIN_PIXELS = 0.8, 10, 500
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
@@ -87,14 +90,14 @@ def report_content(
         "figures": _figures(report.presses, rng),
         "calibration": _facts(presses, calibration),
         "background": _background(calibration),
-        "coverage": _coverage(report.presses, calibration, zone),
+        "coverage": _coverage(report, shape, zone),
         "gain": {
             "zone": zone,
             "contact": gain_curve(samples, rng),
             "training_zone": gain_curve([one.within(zone) for one in samples], rng),
         },
-        "error_map": error_map(samples, shape, grid_of(shape, ERROR_COLUMNS)),
-        "sigma": share_within_sigma(inner, sigmas, shape, grid_of(shape, PLACE_COLUMNS)),
+        "error_map": error_map(samples, shape, square_tiles(shape, ERROR_COLUMNS)),
+        "sigma": share_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
         "learning": learning,
     }
     checks = checks_of(_checked_figures(content))
@@ -154,15 +157,23 @@ def _background(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _coverage(rows: Sequence[PressReport], calibration: Calibration, zone: float) -> dict[str, Any]:
-    used = [row for row in rows if row.accepted]
-    return coverage(
-        [(row.center_x_px, row.center_y_px, row.contact_radius_px) for row in used],
-        [row.ball_diameter_mm / 2 / calibration.known_mm_per_px for row in used],
-        zone,
-        calibration.report.samples,
-        calibration.image_shape,
-    )
+def _coverage(report: CalibrationReport, shape: tuple[int, int], zone: float) -> dict[str, Any]:
+    """How many presses show each slope direction in each tile, and where to press next."""
+    circles = [(r.center_x_px, r.center_y_px, r.contact_radius_px) for r in report.presses if r.accepted]
+    rows, columns = square_tiles(shape)
+    coverage = coverage_from_circles(circles, shape, tiles=(rows, columns), zone=zone)
+    errors = square_error_by_direction(report.samples, shape, (rows, columns))
+    return {
+        "rows": rows,
+        "columns": columns,
+        "directions": DIRECTIONS,
+        "presses": coverage.counts.reshape(-1, DIRECTIONS).tolist(),
+        "covered": coverage.share,
+        "next": [
+            {**asdict(place), "contact_radius_px": coverage.contact_radius_px}
+            for place in press_next(coverage, SUGGESTIONS, errors)
+        ],
+    }
 
 
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:

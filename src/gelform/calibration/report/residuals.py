@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.calibration.coverage import DIRECTIONS, direction_of, tile_of
 from gelform.calibration.report.held_out import HeldOutSample
 from gelform.reconstruct import Reconstructor
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 MIN_PRESSES, MIN_PIXELS = 3, 60
 DRAWS = 1000
+PRIOR_PIXELS = 200
 
 
 def resampled(count: int, rng: np.random.Generator, draws: int = DRAWS) -> NDArray[np.float64]:
@@ -54,23 +56,14 @@ def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> li
     return curve
 
 
-def cells_of(
-    x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int], grid: tuple[int, int]
-) -> NDArray[np.intp]:
-    """Flat index of the grid cell (rows, columns) that each pixel of an image (H, W) lies in."""
-    row = np.clip((np.asarray(y_px) + 0.5) * grid[0] / shape[0], 0, grid[0] - 1).astype(np.intp)
-    column = np.clip((np.asarray(x_px) + 0.5) * grid[1] / shape[1], 0, grid[1] - 1).astype(np.intp)
-    return row * grid[1] + column
-
-
 def error_map(
     samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
 ) -> dict[str, Any]:
-    """Held-out slope errors by place: mean (dx, dy), RMS length and number of pixels of each cell, None if empty."""
-    cell = np.concatenate([cells_of(one.x_px, one.y_px, shape, grid) for one in samples])
+    """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
+    tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
     errors = np.concatenate([one.errors for one in samples]).astype(np.float64)
-    count = np.bincount(cell, minlength=grid[0] * grid[1])
-    sums = [np.bincount(cell, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
+    count = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = [np.bincount(tile, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
     full = count >= 10
     mean = [
         [float(sums[0][i] / count[i]), float(sums[1][i] / count[i])] if full[i] else None
@@ -78,6 +71,21 @@ def error_map(
     ]
     rms = [float(np.sqrt(sums[2][i] / count[i])) if full[i] else None for i in range(count.size)]
     return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count.tolist()}
+
+
+def square_error_by_direction(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], tiles: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(rows, columns, 8) mean square slope error, drawn to the overall mean where few pixels tell."""
+    size = tiles[0] * tiles[1] * DIRECTIONS
+    total, count = np.zeros(size), np.zeros(size)
+    for one in samples:
+        index = tile_of(one.x_px, one.y_px, shape, tiles) * DIRECTIONS + direction_of(one.true_gradients)
+        total += np.bincount(index, (one.errors.astype(np.float64) ** 2).sum(axis=1), size)
+        count += np.bincount(index, minlength=size)
+    overall = total.sum() / count.sum() if count.any() else 1.0
+    mean: NDArray[np.float64] = (total + PRIOR_PIXELS * overall) / (count + PRIOR_PIXELS)
+    return mean.reshape(*tiles, DIRECTIONS)
 
 
 def stated_sigma(
@@ -106,9 +114,9 @@ def share_within_sigma(
         member = (slope >= low) & (slope < high)
         if np.count_nonzero(member) >= MIN_PIXELS:
             by_slope.append({"slope_from": low, "slope_to": high, "share": float(inside[member].mean())})
-    cell = np.concatenate([cells_of(one.x_px, one.y_px, shape, grid) for one in samples])
+    tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
     by_place = [
-        float(inside[cell == i].mean()) if np.count_nonzero(cell == i) >= MIN_PIXELS else None
+        float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_PIXELS else None
         for i in range(grid[0] * grid[1])
     ]
     return {

@@ -87,7 +87,9 @@ def _check_row(check: dict[str, Any]) -> str:
 def coverage_section(content: dict[str, Any]) -> str:
     """Which slope directions each place has seen, and where to press next."""
     coverage, facts = content["coverage"], content["calibration"]
-    places = "".join(f"<li>{escape(place_in_words(place, facts))}</li>" for place in coverage["next"])
+    places = "".join(
+        f"<li>{escape(place_in_words(place, facts['mm_per_px']))}</li>" for place in coverage["next"]
+    )
     return (
         '<section id="coverage"><h2>Where presses are missing</h2>'
         f"<p class='lead'>The lights are near, so a colour means another slope at another place: every place should be "
@@ -105,19 +107,11 @@ def coverage_section(content: dict[str, Any]) -> str:
     )
 
 
-def place_in_words(place: dict[str, float], facts: dict[str, Any]) -> str:
-    """A place as a user finds it: side of the image, px, and mm from the upper left corner."""
-    height, width = facts["image_shape"]
+def place_in_words(place: dict[str, Any], mm_per_px: float) -> str:
+    """A place as a user finds it: part of the image, px, and mm from its left and its top."""
     x, y = place["x_px"], place["y_px"]
-    across = ("left", "middle", "right")[min(int(3 * x / width), 2)]
-    down = ("upper", "middle", "lower")[min(int(3 * y / height), 2)]
-    side = (
-        "middle"
-        if across == down == "middle"
-        else f"{down} {across}".replace("middle ", "").replace(" middle", "")
-    )
-    pitch = facts["mm_per_px"]
-    return f"{side}: ({x:.0f}, {y:.0f}) px, {x * pitch:.1f} mm from the left, {y * pitch:.1f} mm from the top"
+    from_left, from_top = x * mm_per_px, y * mm_per_px
+    return f"{place['name']}: ({x:.0f}, {y:.0f}) px, {from_left:.1f} mm from the left, {from_top:.1f} mm from the top"
 
 
 def models_section(content: dict[str, Any]) -> str:
