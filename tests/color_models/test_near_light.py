@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.color_models import NearLightModel, Samples
+from gelform.color_models import NearLightModel, Samples, near_light
+from gelform.color_models.lambertian import gradients_from_scaled
 from gelform.simulate import Ball, SimulatedSensor, simulate_background, simulate_press
 from gelform.simulate.sensor.led import Led
+from kernel_agreement import assert_kernel_agrees
 
 MM_PER_PX = 0.1
 LEDS = np.array([[9.0, 1.0, 4.0], [-6.0, 7.5, 5.0], [-4.0, -8.0, 4.5]])
@@ -86,3 +88,17 @@ def test_too_few_samples_and_other_sizes_are_refused():
         NearLightModel.fit(samples_of(count=10))
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         NearLightModel.fit(samples_of()).prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def test_the_kernel_is_the_law_of_a_matrix_per_pixel():
+    rng = np.random.default_rng(4)
+    change = rng.uniform(-1, 0.5, (7, 29, 3)).astype(np.float32)
+    inverse = (np.eye(3)[:, :, None, None] + 0.4 * rng.normal(size=(3, 3, 7, 29))).astype(np.float32)
+
+    def reference(change, inverse, gradients, least_share):
+        return gradients_from_scaled(change, np.moveaxis(inverse, (0, 1), (2, 3)).astype(np.float64))
+
+    gradients = np.empty((7, 29, 2), np.float32)
+    assert_kernel_agrees(
+        near_light._near_light_gradients, reference, change, inverse, gradients, 1 / near_light.MAX_SLOPE
+    )

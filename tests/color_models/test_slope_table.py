@@ -1,38 +1,15 @@
-"""Taxim's forward table: rendered as it says, inverted to the slopes that were rendered."""
-
-import io
-import zipfile
+"""The slope table: rendered as it says, inverted to the slopes that were rendered."""
 
 import numpy as np
 import pytest
 
 import gelform
-from gelform.color_models import SlopeTableModel
+from gelform.color_models import SlopeTableModel, slope_table
 from gelform.importers.taxim import read_taxim
+from kernel_agreement import assert_kernel_agrees
+from made.taxim_tables import law, taxim_arrays
 
 SHAPE = (24, 32)
-LIGHTS = np.array([[0.5, 0.1], [-0.3, 0.4], [-0.2, -0.5]])  # of the channels R, G, B
-
-
-def law(p, q, u, v):
-    """A smooth forward law (N, 3): each channel lit from its side, more so to the right and below."""
-    slope = np.stack([p, q], axis=-1)
-    return slope @ LIGHTS.T / np.sqrt(1 + p**2 + q**2)[:, None] * (0.6 + 0.3 * u + 0.2 * v * v)[:, None]
-
-
-def taxim_arrays(bins=90, shape=(480, 640)):
-    """The law as Taxim writes it: in grey levels, over pixel positions, blue first."""
-    angle = (np.arange(bins) + 0.5) * np.pi / 2 / (bins - 1)
-    turn = (np.arange(bins) + 0.5) * 2 * np.pi / (bins - 1) - np.pi
-    steep = np.tan(np.minimum(angle, 1.5))[:, None]
-    p, q = steep * np.cos(turn), steep * np.sin(turn)
-    tables = []
-    for light in LIGHTS:
-        value = 255 * (light[0] * p + light[1] * q) / np.sqrt(1 + p**2 + q**2)
-        powers = np.zeros(6)
-        powers[1], powers[3], powers[5] = 0.2 / shape[0] ** 2, 0.3 / shape[1], 0.6
-        tables.append(value[..., None] * powers)
-    return {"bins": np.array(bins), "grad_r": tables[2], "grad_g": tables[1], "grad_b": tables[0]}
 
 
 @pytest.fixture
@@ -85,37 +62,6 @@ def test_no_change_no_slope_and_frames_equal_pixels(model):
         model.prepare(np.zeros((10, 10, 3)), (10, 10))
 
 
-def test_other_files_are_refused(tmp_path):
-    background, path = np.zeros((*SHAPE, 3), dtype=np.float32), tmp_path / "polycalib.npz"
-    with pytest.raises(gelform.DataError, match="No file"):
-        read_taxim(path, background)
-    good = taxim_arrays(bins=20)
-    for spoilt, why in (
-        ({k: v for k, v in good.items() if k != "bins"}, "Expected bins, grad_r"),
-        ({**good, "grad_r": good["grad_r"][:-1]}, "three tables"),
-        ({**good, "bins": np.array(21)}, "three tables"),
-        ({**good, "grad_g": good["grad_g"] * np.nan}, "finite"),
-        ({**good, "bins": np.array([object()])}, "damaged"),
-    ):
-        np.savez(path, **spoilt)
-        with pytest.raises(gelform.DataError, match=why):
-            read_taxim(path, background)
-    np.savez(path, **good)
-    with pytest.raises(gelform.DataError, match="proportions"):
-        read_taxim(path, np.zeros((32, 24, 3), dtype=np.float32))
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(gelform.DataError, match="damaged"):
-        read_taxim(path, background)
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (2**27,)})
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("bins.npy", "w") as member:
-        member.write(header.getvalue())
-        for _ in range(257):
-            member.write(bytes(2**20))
-    with pytest.raises(gelform.DataError, match="declares 269 MB"):
-        read_taxim(path, background)
-
-
 @pytest.mark.parametrize(("name", "median_deg", "tenth"), [("digit", 0.3, 10.0), ("gelsight-r15", 0.3, 12.0)])
 def test_real_tables_come_back_from_their_own_colours(data, name, median_deg, tenth):
     path = data / "peer-calibrations" / f"taxim-{name}-polycalib.npz"
@@ -126,3 +72,57 @@ def test_real_tables_come_back_from_their_own_colours(data, name, median_deg, te
     angle = np.rad2deg(np.arccos(np.clip(np.sum(a * b, axis=-1), -1, 1)))
     assert np.median(angle) < median_deg
     assert np.quantile(angle, 0.9) < tenth
+
+
+def bilinear_terms(table, slopes):
+    """Coefficients (N, 3, 6) of the place at slopes, in double precision."""
+    angles, directions = table.shape[0], table.shape[1] - 1
+    steep = np.clip(np.arctan(np.hypot(*slopes.T)) * (angles - 1) / (np.pi / 2), 0, angles - 1.001)
+    turn = (np.arctan2(slopes[:, 1], slopes[:, 0]) + np.pi) * directions / (2 * np.pi) - 0.5
+    i, j = steep.astype(int), np.floor(turn).astype(int)
+    s, t = ((value - whole)[:, None, None] for value, whole in ((steep, i), (turn, j)))
+    near, far = ((1 - t) * table[k, j % directions] + t * table[k, (j + 1) % directions] for k in (i, i + 1))
+    return (1 - s) * near + s * far
+
+
+def rendered(table, u, v, gradients):
+    place = np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)]).astype(np.float64)
+    return np.einsum(
+        "ncp,pn->nc", bilinear_terms(table.astype(np.float64), gradients.astype(np.float64)), place
+    )
+
+
+def test_the_forward_kernel_is_bilinear_between_the_bins(model):
+    gradients, x, y = scattered(1000, steepest=3.0, seed=5)
+    gradients[0], gradients[1], gradients[2] = 0, (-0.5, 0), (0, -1e-9)
+    u, v = model._place(x, y)
+    change = np.empty((1000, 3), np.float32)
+    assert_kernel_agrees(
+        slope_table._slope_table_color,
+        lambda table, u, v, gradients, change: rendered(table, u, v, gradients),
+        model._faded(),
+        u,
+        v,
+        gradients.astype(np.float32),
+        change,
+    )
+
+
+def test_the_inverse_kernel_finds_what_was_rendered(model):
+    """Where colors have one cause the nearest slope is exact: what was rendered, wherever the search began."""
+    gradients, x, y = (part.astype(np.float32) for part in scattered(500, steepest=0.8, seed=6))
+    prepared = model.prepare(None, SHAPE)
+    u, v = model._place(x, y)
+    change = rendered(model._faded(), u, v, gradients).astype(np.float32)
+    assert_kernel_agrees(
+        slope_table._slope_table_gradients,
+        lambda *given: gradients,
+        model._faded(),
+        u,
+        v,
+        change,
+        prepared._starts,
+        prepared._terms,
+        np.empty((500, 2), np.float32),
+        tolerance=1e-4,
+    )

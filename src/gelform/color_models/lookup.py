@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse import csr_matrix
 
+from gelform.color_models._shared.blocks import blocks_of
 from gelform.color_models._shared.lattice import Lattice, corner_weights, held_out_residuals
 from gelform.color_models.seam import Samples, Variant, check_image_shape
 
@@ -141,12 +142,19 @@ class PreparedLookup:
     """A table over frames of one shape; immutable, shared by threads."""
 
     def __init__(self, model: LookupModel, gain: NDArray[np.float32] | None) -> None:
-        rows, columns = model.table.shape[:2]
-        self._table, self._gain = model.table, gain
+        rows, columns, *colors, _ = model.table.shape
+        self._gain = gain
         self._measured = bool(model.table[..., 2].any())
         self._low, self._step = model.low.astype(np.float32), model.step.astype(np.float32)
-        self._y = np.linspace(0, rows - 1, model.shape[0]).astype(np.float32)
-        self._x = np.linspace(0, columns - 1, model.shape[1]).astype(np.float32)
+        self._colors, self._columns = np.array(colors), columns
+        top, down = _node_and_share(np.linspace(0, rows - 1, model.shape[0], dtype=np.float32), rows)
+        left, self._right = _node_and_share(
+            np.linspace(0, columns - 1, model.shape[1], dtype=np.float32), columns
+        )
+        below = model.table[np.minimum(top + 1, rows - 1)]
+        by_row = model.table[top] + down[:, None, None, None, None, None] * (below - model.table[top])
+        self._values = np.ascontiguousarray(by_row.reshape(-1, 3))  # (image row, column, R, G, B) -> 3 values
+        self._first = (np.arange(model.shape[0])[:, None] * columns + left) * int(np.prod(colors))
         rest = np.zeros((*model.shape, 3), dtype=np.float32)
         self._rest = np.zeros((*model.shape, 2), dtype=np.float32)
         self._rest = self.gradients_from_color(rest)[0]
@@ -157,9 +165,35 @@ class PreparedLookup:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation where the table holds one."""
         change = color_change if self._gain is None else color_change * self._gain
         out = np.empty((*change.shape[:2], 3), dtype=np.float32)
-        _read(self._table, self._low, self._step, self._y, self._x, change, out)
+        for rows in blocks_of(*change.shape[:2]):
+            out[rows] = self._read(change[rows], self._first[rows])
         sigma = np.repeat(out[..., 2:], 2, axis=-1) if self._measured else None
         return out[..., :2] - self._rest, sigma
+
+    def _read(self, change: NDArray[np.float32], first: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Multilinear values (h, w, 3): of each pixel 8 corners of colour in the one or two columns of nodes beside it."""
+        node, share = _node_and_share((change - self._low) / self._step, self._colors)
+        _, greens, blues = self._colors
+        strides = np.array([greens * blues, blues, 1])
+        lowest = first + node @ strides
+        shares = [(1 - up, up) for up in np.moveaxis(share, -1, 0)]
+        total = np.zeros((*change.shape[:2], 3), dtype=np.float32)
+        for right in (0, 1) if self._columns > 1 else (0,):
+            beside = self._right if right else 1 - self._right
+            for r, g, b in product((0, 1), repeat=3):
+                weight = beside * shares[0][r] * shares[1][g] * shares[2][b]
+                at = lowest + right * int(np.prod(self._colors)) + int(strides @ (r, g, b))
+                total += weight[..., None] * self._values.take(at, axis=0)
+        return total
+
+
+def _node_and_share(
+    at: NDArray[np.float32], sizes: int | NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """The node below a position in nodes, and the share of the one above, 0-1; inside the grid."""
+    clipped = np.clip(at, 0, np.asarray(sizes - 1, dtype=np.float32))
+    node = np.minimum(clipped.astype(np.intp), np.maximum(sizes - 2, 0))
+    return node, (clipped - node).astype(np.float32)
 
 
 def _gain(background: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -189,47 +223,3 @@ def _deviation(
     typical = float(np.average(size, weights=used))
     variance = (sums + PRIOR_SAMPLES * typical) / (count + PRIOR_SAMPLES)
     return np.where(count >= MIN_SAMPLES, np.sqrt(variance), OFF_GAMUT_SIGMA).ravel()
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _read(table, low, step, ys, xs, change, out):  # type: ignore[no-untyped-def]
-    """Each row: the table between its two rows of places; each pixel: 2 x 8 corners of three values."""
-    height, width, _ = change.shape
-    rows, columns, reds, greens, blues, _ = table.shape
-    row = np.empty(table.shape[1:], np.float32)
-    for y in range(height):
-        top = min(int(ys[y]), max(rows - 2, 0))
-        part = ys[y] - np.float32(top)
-        row[:] = table[top]
-        if rows > 1:
-            row += part * (table[top + 1] - table[top])
-        for x in range(width):
-            left = min(int(xs[x]), max(columns - 2, 0))
-            share = xs[x] - np.float32(left)
-            r, a = _cell((change[y, x, 0] - low[0]) / step[0], reds)
-            g, b = _cell((change[y, x, 1] - low[1]) / step[1], greens)
-            k, c = _cell((change[y, x, 2] - low[2]) / step[2], blues)
-            for n in range(3):
-                value = _corner_mean(row[left], r, g, k, a, b, c, n)
-                if columns > 1:
-                    value += share * (_corner_mean(row[left + 1], r, g, k, a, b, c, n) - value)
-                out[y, x, n] = value
-
-
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _cell(at, size):  # type: ignore[no-untyped-def]
-    """The node below and the share of the one above, inside the grid."""
-    clipped = min(max(at, np.float32(0)), np.float32(size - 1))
-    index = min(int(clipped), size - 2)
-    return index, clipped - np.float32(index)
-
-
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _corner_mean(cube, r, g, k, a, b, c, n):  # type: ignore[no-untyped-def]
-    """Trilinear value n of a (reds, greens, blues, 3) cube."""
-    one = np.float32(1)
-    near = (one - b) * ((one - c) * cube[r, g, k, n] + c * cube[r, g, k + 1, n])
-    near += b * ((one - c) * cube[r, g + 1, k, n] + c * cube[r, g + 1, k + 1, n])
-    far = (one - b) * ((one - c) * cube[r + 1, g, k, n] + c * cube[r + 1, g, k + 1, n])
-    far += b * ((one - c) * cube[r + 1, g + 1, k, n] + c * cube[r + 1, g + 1, k + 1, n])
-    return (one - a) * near + a * far

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.lambertian import (
     DARKEST_RATIO,
@@ -31,6 +31,12 @@ HEIGHTS = (0.05, 20.0)
 FARTHEST = 20.0
 MAX_CONDITION = 1e4
 MIN_PRESSES_IN_AUTO = 30
+
+
+_near_light_gradients = Kernel(
+    "near_light_gradients",
+    "f32[h,w,3] change, f32[3,3,h,w] inverse, out f32[h,w,2] gradients, f32 least_share",
+)
 
 
 @dataclass(frozen=True)
@@ -118,7 +124,7 @@ class NearLightModel:
         """The inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
         y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
-        inverse = _inverted(self.lights_at(x, y)).reshape(*shape, 9)
+        inverse = _inverted(self.lights_at(x, y)).reshape(-1, 9).T.reshape(3, 3, *shape)
         return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -136,7 +142,7 @@ class NearLightModel:
 
 @dataclass(frozen=True)
 class PreparedNearLight:
-    """The inverse light matrix of every pixel, (H, W, 9) float32, and the camera's response."""
+    """The inverse light matrix of every pixel, (3, 3, H, W) float32, and the camera's response."""
 
     inverse: NDArray[np.float32]
     response: float
@@ -144,7 +150,8 @@ class PreparedNearLight:
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
-        _evaluate(linear_change(color_change, self.response), self.inverse, gradients)
+        light = np.ascontiguousarray(linear_change(color_change, self.response))
+        _near_light_gradients(light, self.inverse, gradients, 1 / MAX_SLOPE)
         return gradients, None
 
 
@@ -237,20 +244,3 @@ def _inverted(lights: NDArray[np.float64]) -> NDArray[np.float64]:
             f"{worst:.3g} (limit {MAX_CONDITION:g}). Press at more places, or use the color model lambertian."
         )
     return np.asarray(np.linalg.inv(lights), dtype=np.float64)
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _evaluate(change, inverse, out):  # type: ignore[no-untyped-def]
-    """`gradients_from_scaled` with a matrix per pixel."""
-    height, width, _ = change.shape
-    one, most, least = np.float32(1), np.float32(1 / MAX_SLOPE), np.float32(1e-6)
-    for y in range(height):
-        for x in range(width):
-            r, g, b = one + change[y, x, 0], one + change[y, x, 1], one + change[y, x, 2]
-            m = inverse[y, x]
-            nx = m[0] * r + m[1] * g + m[2] * b
-            ny = m[3] * r + m[4] * g + m[5] * b
-            nz = m[6] * r + m[7] * g + m[8] * b
-            nz = max(max(nz, np.sqrt(nx * nx + ny * ny) * most), least)
-            out[y, x, 0] = -nx / nz
-            out[y, x, 1] = -ny / nz

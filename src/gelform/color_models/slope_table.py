@@ -11,18 +11,26 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from gelform._native import Kernel
 from gelform.color_models.seam import check_image_shape
 
 FADED_DEG = 10.0  # the table's own answer at slope 0 is subtracted there, and less and less up to this angle
 SMOOTHED_BINS = 1.0
 STEEPEST_DEG = 60.0
 SEARCHED = (12, 24)  # slope angles, directions
-STEPS = 8
-NUDGE = 0.01
+
+_slope_table_color = Kernel(
+    "slope_table_color",
+    "f32[angles,directions,3,6] values, f32[n] u, f32[n] v, finite f32[n,2] gradients, out f32[n,3] change",
+)
+_slope_table_gradients = Kernel(
+    "slope_table_gradients",
+    "f32[angles,directions,3,6] values, f32[n] u, f32[n] v, finite f32[n,3] change, f32[count,2] starts, "
+    "f32[3,6,count] terms, out f32[n,2] gradients",
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,8 @@ class SlopeTableModel:
         Bilinear between the table's bins, which are smoothed by one bin; 0 at slope 0.
         """
         change = np.empty((len(x_px), 3), dtype=np.float32)
-        _render(self._faded(), *self._place(x_px, y_px), np.asarray(gradients, dtype=np.float32), change)
+        slopes = np.ascontiguousarray(gradients, dtype=np.float32)
+        _slope_table_color(self._faded(), *self._place(x_px, y_px), slopes, change)
         return change.astype(np.float64)
 
     def gradients_at(
@@ -113,135 +122,23 @@ class PreparedSlopeTable:
         turn = 2 * np.pi * np.arange(directions) / directions
         slopes = np.tan(steep)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
         self._starts = np.concatenate([np.zeros((1, 2)), slopes.reshape(-1, 2)]).astype(np.float32)
-        self._terms = np.stack([_blended(table, p, q) for p, q in self._starts])
+        self._terms = _searched_terms(table, self._starts)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (..., 2) of a color change (..., 3), (I - I0)/255; their deviation is not known."""
         change = np.ascontiguousarray(color_change.reshape(-1, 3), dtype=np.float32)
         gradients = np.empty((len(change), 2), dtype=np.float32)
-        _invert(self._table, self._u, self._v, change, self._starts, self._terms, gradients)
+        _slope_table_gradients(self._table, self._u, self._v, change, self._starts, self._terms, gradients)
         return gradients.reshape(*color_change.shape[:-1], 2), None
 
 
-def _blended(table: NDArray[np.float32], p: float, q: float) -> NDArray[np.float32]:
-    """The coefficients (3, 6) at a slope."""
-    i, j0, j1, s, t = _corners(table, np.float32(p), np.float32(q))
-    near = (1 - t) * table[i, j0] + t * table[i, j1]
-    return np.asarray(
-        (1 - s) * near + s * ((1 - t) * table[i + 1, j0] + t * table[i + 1, j1]), dtype=np.float32
-    )
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _corners(table, p, q):  # type: ignore[no-untyped-def]
-    """Bins around a slope, angle then direction (these go round), and how far between them it lies."""
-    angles, directions = table.shape[0], table.shape[1] - 1
-    i = np.arctan(np.sqrt(p * p + q * q)) * np.float32((angles - 1) / (np.pi / 2))
-    i = min(max(i, np.float32(0)), np.float32(angles - 1.001))
-    j = (np.arctan2(q, p) + np.float32(np.pi)) * np.float32(directions / (2 * np.pi)) - np.float32(0.5)
-    i0, j0 = int(i), int(np.floor(j))
-    return i0, j0 % directions, (j0 + 1) % directions, i - np.float32(i0), j - np.float32(j0)
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _at(row, u, v):  # type: ignore[no-untyped-def]
-    """The quadratic in the place."""
-    return (row[0] * u + row[2] * v + row[3]) * u + (row[1] * v + row[4]) * v + row[5]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _color(table, p, q, u, v, out):  # type: ignore[no-untyped-def]
-    """Change of the three channels at a slope and a place, bilinear between the bins."""
-    i, j0, j1, s, t = _corners(table, p, q)
-    for c in range(3):
-        near = _at(table[i, j0, c], u, v)
-        near += t * (_at(table[i, j1, c], u, v) - near)
-        far = _at(table[i + 1, j0, c], u, v)
-        far += t * (_at(table[i + 1, j1, c], u, v) - far)
-        out[c] = near + s * (far - near)
-
-
-@njit(cache=True, nogil=True)
-def _render(table, u, v, gradients, out):  # type: ignore[no-untyped-def]
-    for k in range(u.shape[0]):
-        _color(table, gradients[k, 0], gradients[k, 1], u[k], v[k], out[k])
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _distance(color, change):  # type: ignore[no-untyped-def]
-    red, green, blue = color[0] - change[0], color[1] - change[1], color[2] - change[2]
-    return red * red + green * green + blue * blue
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _searched(terms, u, v, change, color):  # type: ignore[no-untyped-def]
-    """Index of the nearest start, and of the nearest that is no neighbour of it in the list."""
-    best, second = 0, 0
-    least, next_least = np.float32(np.inf), np.float32(np.inf)
-    for n in range(terms.shape[0]):
-        for c in range(3):
-            color[c] = _at(terms[n, c], u, v)
-        distance = _distance(color, change)
-        if distance < least:
-            if n > best + 1:
-                second, next_least = best, least
-            best, least = n, distance
-        elif distance < next_least and n > best + 1:
-            second, next_least = n, distance
-    return best, second
-
-
-@njit(cache=True, nogil=True)
-def _invert(table, u, v, change, starts, start_terms, out):  # type: ignore[no-untyped-def]
-    """For each pixel the two nearest of the searched slopes, each improved; the better one."""
-    color = np.empty((3, 3), np.float32)
-    for k in range(u.shape[0]):
-        one, other = _searched(start_terms, u[k], v[k], change[k], color[0])
-        p, q, least = _improved(table, u[k], v[k], change[k], starts[one], color)
-        if other != one and least > 0:
-            p2, q2, now = _improved(table, u[k], v[k], change[k], starts[other], color)
-            if now < least:
-                p, q = p2, q2
-        out[k, 0], out[k, 1] = p, q
-
-
-@njit(cache=True, nogil=True)
-def _improved(table, u, v, change, start, color):  # type: ignore[no-untyped-def]
-    """Gauss-Newton steps, each halved until it improves; the slope and its squared distance."""
-    p, q = start[0], start[1]
-    here, right, down = color[0], color[1], color[2]
-    _color(table, p, q, u, v, here)
-    least = _distance(here, change)
-    for _ in range(STEPS):
-        if least == 0:
-            break
-        _color(table, p + np.float32(NUDGE), q, u, v, right)
-        _color(table, p, q + np.float32(NUDGE), u, v, down)
-        step_p, step_q = _step(here, right, down, change)
-        better = False
-        for _ in range(4):
-            _color(table, p + np.float32(step_p), q + np.float32(step_q), u, v, right)
-            better = _distance(right, change) < least
-            if better:
-                break
-            step_p, step_q = step_p / 2, step_q / 2
-        if not better:
-            break
-        p, q = p + np.float32(step_p), q + np.float32(step_q)
-        _color(table, p, q, u, v, here)
-        least = _distance(here, change)
-    return p, q, least
-
-
-@njit(cache=True, nogil=True)
-def _step(here, right, down, change):  # type: ignore[no-untyped-def]
-    """The Gauss-Newton step, slightly damped where the colours do not tell a direction."""
-    a, b, c, d, e = 0.0, 0.0, 0.0, 0.0, 0.0
-    for n in range(3):
-        jp, jq = (right[n] - here[n]) / NUDGE, (down[n] - here[n]) / NUDGE
-        r = change[n] - here[n]
-        a, b, c, d, e = a + jp * jp, b + jp * jq, c + jq * jq, d + jp * r, e + jq * r
-    damping = 1e-3 * (a + c) + 1e-9
-    a, c = a + damping, c + damping
-    determinant = a * c - b * b
-    return (c * d - b * e) / determinant, (a * e - b * d) / determinant
+def _searched_terms(table: NDArray[np.float32], slopes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Coefficients (3, 6, N) of the quadratic in the place at slopes (N, 2), bilinear between the table's bins."""
+    angles, directions = table.shape[0], table.shape[1] - 1  # the last direction is the first again
+    steep = np.arctan(np.hypot(slopes[:, 0], slopes[:, 1])) * np.float32((angles - 1) / (np.pi / 2))
+    turn = np.arctan2(slopes[:, 1], slopes[:, 0]) + np.float32(np.pi)
+    turn = turn * np.float32(directions / (2 * np.pi)) - np.float32(0.5)
+    i, j = np.clip(steep, 0, angles - 2).astype(int), np.floor(turn).astype(int)
+    s, t = (part.astype(np.float32)[:, None, None] for part in (steep - i, turn - j))
+    near, far = ((1 - t) * table[k, j % directions] + t * table[k, (j + 1) % directions] for k in (i, i + 1))
+    return np.ascontiguousarray(np.moveaxis((1 - s) * near + s * far, 0, -1))

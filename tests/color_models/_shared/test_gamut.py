@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from gelform.color_models._shared import gamut as module
 from gelform.color_models._shared.gamut import Gamut
+from kernel_agreement import assert_kernel_agrees
 
 
 def test_distance_is_the_difference_of_colour_in_slopes():
@@ -27,3 +29,19 @@ def test_a_color_that_stands_alone_was_not_seen():
     gamut = Gamut.fit(seen, seen[:, :2])
     lone = np.full((1, 1, 3), 0.9, dtype=np.float32)
     assert gamut.distance_of(lone)[0, 0] > 0.5 * gamut.slope_per_change
+
+
+def test_the_kernel_is_the_table_and_the_way_to_it():
+    rng = np.random.default_rng(5)
+    change = rng.uniform(-0.6, 0.6, (9, 31, 3)).astype(np.float32)
+    table = rng.uniform(size=(5, 5, 5)).astype(np.float32)
+    low = np.array([-0.4, -0.3, -0.2], np.float32)
+
+    def reference(change, table, low, distance, per_bin, worth):
+        at = (change.astype(np.float64) - low) * per_bin
+        inside = np.clip(at, 0, 4)
+        nearest = tuple(np.floor(np.moveaxis(inside, -1, 0) + 0.5).astype(int))
+        return table[nearest] + worth * np.linalg.norm(at - inside, axis=-1)
+
+    distance = np.empty((9, 31), np.float32)
+    assert_kernel_agrees(module._gamut_distance, reference, change, table, low, distance, 6.5, 0.7)

@@ -6,13 +6,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
+
+from gelform._native import Kernel
 
 BINS = 24
 MARGIN = 0.25
 OUTLIERS = 0.001
+
+_gamut_distance = Kernel(
+    "gamut_distance",
+    "f32[h,w,3] change, f32[bins,bins,bins] table, f32[3] low, out f32[h,w] distance, f32 per_bin, f32 worth",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,23 +57,6 @@ class Gamut:
     def distance_of(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
         """Distance (H, W), as a slope, of the colours of a frame (H, W, 3) to those of the training presses."""
         out = np.empty(color_change.shape[:2], dtype=np.float32)
-        worth = np.float32(self.bin_width * self.slope_per_change)
-        _distance(color_change, self.distance.ravel(), self.low, np.float32(1 / self.bin_width), worth, out)
+        worth = self.bin_width * self.slope_per_change
+        _gamut_distance(color_change, self.distance, self.low, out, 1 / self.bin_width, worth)
         return out
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _distance(change, table, low, per_cell, worth, out):  # type: ignore[no-untyped-def]
-    """The nearest bin's distance; beyond the grid, that of its border plus the way there."""
-    height, width, _ = change.shape
-    last, half, zero = np.float32(BINS - 1), np.float32(0.5), np.float32(0)
-    r0, g0, b0 = low[0] * per_cell, low[1] * per_cell, low[2] * per_cell
-    for y in range(height):
-        for x in range(width):
-            r = change[y, x, 0] * per_cell - r0
-            g = change[y, x, 1] * per_cell - g0
-            b = change[y, x, 2] * per_cell - b0
-            i, j, k = min(max(r, zero), last), min(max(g, zero), last), min(max(b, zero), last)
-            beyond = (r - i) * (r - i) + (g - j) * (g - j) + (b - k) * (b - k)
-            nearest = (np.int32(i + half) * BINS + np.int32(j + half)) * BINS + np.int32(k + half)
-            out[y, x] = table[nearest] + worth * np.sqrt(beyond)
