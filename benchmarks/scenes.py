@@ -140,7 +140,7 @@ class Corrupted(NamedTuple):
     valid: NDArray[np.bool_]
 
 
-def with_liars(gradients: Array, share: float, rng: np.random.Generator) -> Corrupted:
+def with_outliers(gradients: Array, share: float, rng: np.random.Generator) -> Corrupted:
     """Slopes with specks (0 to 2 px in radius) that lie until `share` of the pixels do: dust, highlights.
 
     The wrong slopes scatter by 0.7 about the true ones plus (0.15, 0.1): lies that lean one way are what
@@ -163,17 +163,17 @@ def with_patches(gradients: Array, share: float, rng: np.random.Generator) -> Co
     """
     height, width = gradients.shape[:2]
     valid = np.ones((height, width), dtype=bool)
-    lying = gradients.copy()
+    corrupt = gradients.copy()
     while np.count_nonzero(~valid) < share * valid.size:
         disc = np.ones((height, width), dtype=bool)
         _clear_disc(disc, rng.integers(0, height), rng.integers(0, width), rng.integers(2, 10))
         kind = rng.integers(0, 4)
         if kind < 2:
-            lying[~disc] = gradients[~disc] + 0.85 * rng.standard_normal(2)
+            corrupt[~disc] = gradients[~disc] + 0.85 * rng.standard_normal(2)
         else:
-            lying[~disc] = 0 if kind == 2 else 0.85 * rng.standard_normal((np.count_nonzero(~disc), 2))
+            corrupt[~disc] = 0 if kind == 2 else 0.85 * rng.standard_normal((np.count_nonzero(~disc), 2))
         valid &= disc
-    return Corrupted(lying, valid)
+    return Corrupted(corrupt, valid)
 
 
 def _clear_disc(flags: NDArray[np.bool_], row: int, col: int, radius: int) -> None:

@@ -16,7 +16,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gelform
-from scenes import BALL, BALLS, MM_PER_PX, SHAPE, rmse_um, scene, with_liars, with_noise
+from naive_integrators import NAIVE, depth_along_lines
+from scenes import BALL, BALLS, MM_PER_PX, SHAPE, rmse_um, scene, with_noise, with_outliers
 
 Panels = dict[str, Any]
 
@@ -28,21 +29,23 @@ def depth_of(gradients: Any, solver: str = "dct", **arguments: Any) -> Any:
 def noise() -> tuple[Any, Panels]:
     truth, gradients, _ = scene(BALL)
     noisy = with_noise(gradients, 0.05, np.random.default_rng(0))
-    return truth, {name: depth_of(noisy, name) for name in ("path", "dct")}
+    pitch = MM_PER_PX, MM_PER_PX
+    return truth, {"line by line": depth_along_lines(noisy, pitch), "dct": depth_of(noisy)}
 
 
 def outliers() -> tuple[Any, Panels]:
     truth, gradients, _ = scene(BALL)
     rng = np.random.default_rng(0)
-    lying = with_liars(with_noise(gradients, 0.05, rng), 0.15, rng)
-    panels = {name: depth_of(lying.gradients, name) for name in ("dct", "robust", "gated")}
-    panels["multigrid, known"] = depth_of(lying.gradients, "multigrid", weights=lying.valid * 1.0)
+    corrupt = with_outliers(with_noise(gradients, 0.05, rng), 0.15, rng)
+    panels = {name: depth_of(corrupt.gradients, name) for name in ("dct", "robust", "curl_gated")}
+    panels["multigrid, known"] = depth_of(corrupt.gradients, "multigrid", weights=corrupt.valid * 1.0)
     return truth, panels
 
 
 def border() -> tuple[Any, Panels]:
     truth, gradients, _ = scene(BALLS)
-    return truth, {name: depth_of(gradients, name) for name in ("dst", "fourier", "dct")}
+    naive = {name: NAIVE[name](gradients, (MM_PER_PX, MM_PER_PX)) for name in ("zero border", "periodic")}
+    return truth, naive | {"dct": depth_of(gradients)}
 
 
 def hole() -> tuple[Any, Panels]:
@@ -63,7 +66,7 @@ def wall() -> tuple[Any, Panels]:
     truth = np.zeros(SHAPE)
     truth[70:170, 100:220] = 0.5
     gradients = np.clip(gelform.gradients_from_depth(truth, mm_per_px=MM_PER_PX), -1, 1)
-    panels = {name: depth_of(gradients, name) for name in ("dct", "robust_l1", "gated")}
+    panels = {name: depth_of(gradients, name) for name in ("dct", "robust_l1", "curl_gated")}
     return truth, panels
 
 

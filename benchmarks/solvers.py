@@ -23,7 +23,7 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.solvers import SOLVERS, UNIFORM, MultigridSolver, RobustSolver, SparseSolver
+from gelform.solvers import SOLVERS, MultigridSolver, RobustSolver, SparseSolver
 from gelform.solvers.multigrid.solver import Hierarchy
 from gelform.solvers.system import problem_from_gradients
 from scenes import (
@@ -36,8 +36,8 @@ from scenes import (
     confidence_from_valid,
     rmse_um,
     scene,
-    with_liars,
     with_noise,
+    with_outliers,
     with_patches,
 )
 from solver_start import start_and_memory
@@ -87,21 +87,21 @@ def noise(repeats: int) -> Table:
 
 
 def lies(repeats: int) -> Table:
-    """RMSE in um with 15 % lying pixels and slope noise 0.05: specks, and coherent patches."""
+    """RMSE in um with 15 % corrupt pixels and slope noise 0.05: specks, and coherent patches."""
     table: Table = {}
-    for corrupt, kind in ((with_liars, "specks"), (with_patches, "patches")):
+    for corrupt, kind in ((with_outliers, "specks"), (with_patches, "patches")):
         for title, surface in (("ball", BALL), ("balls", BALLS)):
             sums: dict[str, list[float]] = {}
             for k in range(repeats):
                 rng = np.random.default_rng(k)
                 sample = scene(surface)
-                lying = corrupt(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
-                for name in ("dct", "robust_huber", "robust", "robust_l1", "gated"):
-                    error = rmse_um(depth_of(name, lying.gradients), sample.depth_mm)
+                corrupt = corrupt(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
+                for name in ("dct", "robust_huber", "robust", "robust_l1", "curl_gated"):
+                    error = rmse_um(depth_of(name, corrupt.gradients), sample.depth_mm)
                     sums.setdefault(name, []).append(error)
-                known = depth_of("multigrid", lying.gradients, weights=lying.valid.astype(np.float32))
+                known = depth_of("multigrid", corrupt.gradients, weights=corrupt.valid.astype(np.float32))
                 sums.setdefault("known, valid pixels", []).append(
-                    rmse_um(known, sample.depth_mm, lying.valid)
+                    rmse_um(known, sample.depth_mm, corrupt.valid)
                 )
                 sums.setdefault("known, all pixels", []).append(rmse_um(known, sample.depth_mm))
             for name, errors in sums.items():
@@ -123,14 +123,14 @@ def ratio(work: Callable[[], Any], bare: Callable[[], Any], repeats: int) -> tup
     return float(low[1] / low[0]), float(1e3 * low[1])
 
 
-def lying_frame(shape: tuple[int, int], kind: str) -> tuple[Any, Any, tuple[float, float], Any]:
+def frame_with_outliers(shape: tuple[int, int], kind: str) -> tuple[Any, Any, tuple[float, float], Any]:
     """Slopes with 10 % lies and confidence from 1 to 1e-3."""
     sample = scene(PEAKS, shape, MM_PER_PX * SHAPE[0] / shape[0])
     rng = np.random.default_rng(0)
-    corrupt = with_liars if kind == "specks" else with_patches
-    lying = corrupt(with_noise(sample.gradients, NOISE, rng), 0.1, rng)
-    weights = confidence_from_valid(lying.valid, low=1.001e-3).astype(np.float32)
-    return lying.gradients.astype(np.float32), weights, sample.mm_per_px, sample.depth_mm
+    corrupt = with_outliers if kind == "specks" else with_patches
+    corrupt = corrupt(with_noise(sample.gradients, NOISE, rng), 0.1, rng)
+    weights = confidence_from_valid(corrupt.valid, low=1.001e-3).astype(np.float32)
+    return corrupt.gradients.astype(np.float32), weights, sample.mm_per_px, sample.depth_mm
 
 
 def speed(sizes: list[tuple[int, int]]) -> Table:
@@ -144,8 +144,8 @@ def speed(sizes: list[tuple[int, int]]) -> Table:
             return idctn(dctn(picture))
 
         size = f"{shape[0]}x{shape[1]}"
-        for name in UNIFORM:
-            gradients, _, pitch, _ = lying_frame(shape, "specks")
+        for name in [name for name, solver in SOLVERS.items() if not solver.takes_weights]:
+            gradients, _, pitch, _ = frame_with_outliers(shape, "specks")
             solver = SOLVERS[name](shape, pitch)
             table.setdefault(name, {})[size], ms = ratio(partial(solver, gradients), bare, repeats)
             if name == "dct":
@@ -154,9 +154,9 @@ def speed(sizes: list[tuple[int, int]]) -> Table:
                 table.setdefault("dct, through the door", {})[size] = ratio(door, bare, repeats)[0]
         for kind in ("specks", "patches"):
             timed_weighted(table, shape, kind, bare, repeats)
-        gradients, _, pitch, _ = lying_frame(shape, "specks")
+        gradients, _, pitch, _ = frame_with_outliers(shape, "specks")
         if shape[0] <= 960:
-            for name in ("robust", "gated"):
+            for name in ("robust", "curl_gated"):
                 solver = SOLVERS[name](shape, pitch)
                 table.setdefault(name, {})[size] = ratio(
                     partial(solver, gradients), bare, max(5, repeats // 3)
@@ -168,7 +168,7 @@ def timed_weighted(
     table: Table, shape: tuple[int, int], kind: str, bare: Callable[[], Any], repeats: int
 ) -> None:
     """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where feasible."""
-    gradients, weights, pitch, depth = lying_frame(shape, kind)
+    gradients, weights, pitch, depth = frame_with_outliers(shape, kind)
     size = f"{shape[0]}x{shape[1]}"
     hierarchy = Hierarchy(shape)
     anchors = {"": None, ", anchored": np.where(depth < 0.05, 1e-2, 0).astype(np.float32)}
@@ -305,7 +305,7 @@ def groove() -> Table:
     )
     gradients = gelform.gradients_from_depth(depth, mm_per_px=0.02746)
     table: Table = {}
-    for name in ("dct", "dct4", "multigrid", "path"):
+    for name in ("dct", "dct4", "multigrid"):
         found = gelform.depth_from_gradients(gradients, mm_per_px=0.02746, solver=name)
         difference = found - depth
         table[name] = {
@@ -328,15 +328,15 @@ def draw(results: dict[str, Table], path: Path) -> None:
 
     rng = np.random.default_rng(0)
     sample = scene(BALL)
-    lying = with_liars(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
-    gradients = lying.gradients.astype(np.float32)
+    corrupt = with_outliers(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
+    gradients = corrupt.gradients.astype(np.float32)
     figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
     runs: dict[str, Callable[[], Any]] = {
         name: lambda name=name: depth_of(name, gradients)
         for name in SOLVERS
         if name not in ("multigrid", "sparse")
     }
-    weights = lying.valid.astype(np.float32)
+    weights = corrupt.valid.astype(np.float32)
     runs["multigrid, known confidence"] = lambda: depth_of("multigrid", gradients, weights=weights)
     runs["sparse, known confidence"] = lambda: depth_of("sparse", gradients, weights=weights)
     for rounds in (1, 5):

@@ -16,7 +16,7 @@ ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
     {"errors", "checks", "_native", "progress", "pool", "resample"},
     {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files"},
-    {"color_models", "solvers", "markers", "background"},
+    {"color_models", "solvers", "markers", "background", "zero"},
     {
         "normals",
         "depth",

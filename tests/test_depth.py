@@ -169,7 +169,7 @@ def test_bad_input_is_refused(change, text):
         ({"level": "tilt"}, "Expected level as None, 'slope', 'plane' or 'quadratic'"),
         (
             {"solver": "dct", "weights": np.ones((4, 5))},
-            "no weights, mask or anchor for solver 'dct'.*multigrid",
+            "no weights, mask or anchor for a dct solver.*multigrid",
         ),
     ],
 )

@@ -47,7 +47,7 @@ class RestAnchor:
         rows, columns = self._coarse
         slopes = cv2.resize(gradients, (columns, rows), interpolation=cv2.INTER_AREA)
         share = cv2.resize(untouched.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-        depth = self._solver(slopes.reshape(rows, columns, 2))
+        depth = self._solver(slopes.reshape(rows, columns, 2)).depth_mm
         rest = share >= min(UNTOUCHED_SHARE, float(share.max()))
         depth -= np.float32(np.median(depth[rest]))
         weight = np.float32(self.hold) / (1 + (depth / np.float32(PRESSED_MM)) ** 2) ** 2

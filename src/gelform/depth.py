@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,14 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
 from gelform.gradients import curl_rms, fill_unknown
-from gelform.solvers import SOLVERS, UNIFORM
+from gelform.solvers import SOLVERS, Solution, Solver, Weights
 from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
-from gelform.solvers.system import Solution, Weights
-
-MEDIAN_SAMPLES = 5_000
-
-Zero = Literal["mean", "border"]
-Level = Literal["slope", "plane", "quadratic"]
+from gelform.zero import Level, Zero, fitted_surface, median_over, zero_depth, zero_region
 
 
 @dataclass(frozen=True)
@@ -143,9 +138,7 @@ def integrate(
         iterations=solution.iterations,
         residual=_residual(solution, request),
         curl_rms=_curl_rms(request.gradients, solution.known),
-        islands=1
-        if request.solver in UNIFORM
-        else max(_islands(known)[0] for known in solution.known.reshape(-1, *request.shape)),
+        islands=max(int(_islands(known).max()) for known in solution.known.reshape(-1, *request.shape)),
         known=solution.known,
         tolerance=solution.tolerance,
     )
@@ -182,7 +175,7 @@ def _checked(
         raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
     region = zero_region(zero, shape)
     if level == "slope":
-        g = g - np.stack([_median(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]
+        g = g - np.stack([median_over(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]
     return _Request(
         gradients=g,
         pitch=pitch,
@@ -192,7 +185,7 @@ def _checked(
         zero=zero,
         region=region,
         level=level,
-        solver=_chosen(solver, weights is None and mask is None and anchor is None),
+        solver=_chosen(solver, uniform=weights is None and mask is None and anchor is None),
     )
 
 
@@ -203,15 +196,14 @@ def checked_solver(solver: str) -> str:
     return solver
 
 
-def _chosen(solver: str, uniform: bool) -> str:
+def takes_weights(solver: str) -> bool:
+    """Whether a solver takes weights, mask and anchor; "auto" does."""
+    return checked_solver(solver) == "auto" or SOLVERS[solver].takes_weights
+
+
+def _chosen(solver: str, *, uniform: bool) -> str:
     if checked_solver(solver) == "auto":
         return "dct" if uniform else "multigrid"
-    if solver in UNIFORM and not uniform:
-        takers = ", ".join(name for name in SOLVERS if name not in UNIFORM)
-        raise ValueError(
-            f"Expected no weights, mask or anchor for solver {solver!r}, which treats all slopes alike, got "
-            f"some. Leave them out, or use one of auto, {takers}."
-        )
     return solver
 
 
@@ -246,26 +238,22 @@ def checked_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.floa
 
 
 @lru_cache(maxsize=8)
-def _prepared(name: str, shape: tuple[int, int], pitch: tuple[float, float]) -> Any:
+def _prepared(name: str, shape: tuple[int, int], pitch: tuple[float, float]) -> Solver:
     return SOLVERS[name](shape, pitch)
 
 
 def _solved(request: _Request) -> Solution:
+    """Each frame of the stack solved, at its zero."""
     solver = _prepared(request.solver, request.shape, request.pitch)
     g = request.gradients
-    if request.solver in UNIFORM:
-        depth = _levelled(solver(g), request, request.region)
-        if request.level in (None, "slope") and not (
-            isinstance(request.zero, str) and request.zero == "mean"
-        ):
-            depth -= _median(depth, request.region)[..., None, None]
-        return Solution(depth, np.ones(depth.shape, dtype=bool), 0, 0.0)
     stacked = isinstance(request.weights, np.ndarray) and request.weights.ndim > 2
     frames = []
     for index in np.ndindex(g.shape[:-3]):
         weights = request.weights[index] if stacked else request.weights  # type: ignore[index,call-overload]
         frame = solver(g[index], weights, request.mask, request.anchor)
         frames.append(frame._replace(depth_mm=_placed(frame.depth_mm, request)))
+    if g.ndim == 3:
+        return frames[0]
     return Solution(
         np.stack([f.depth_mm for f in frames]).reshape(g.shape[:-1]),
         np.stack([f.known for f in frames]).reshape(g.shape[:-1]),
@@ -276,24 +264,14 @@ def _solved(request: _Request) -> Solution:
 
 def _placed(depth: NDArray[np.float32], request: _Request) -> NDArray[np.float32]:
     """Each island at its own zero, then levelled, then filled beyond the mask."""
-    mask = request.mask
-    labels = None if mask is None else _islands(mask)[1]
-    for island in range(1, 2 if labels is None else int(labels.max()) + 1):
-        inside = np.ones(request.shape, dtype=bool) if labels is None else labels == island
+    mask = np.ones(request.shape, dtype=bool) if request.mask is None else request.mask
+    labels = _islands(mask) if request.mask is not None else mask.view(np.uint8)
+    for island in range(1, int(labels.max()) + 1):
+        inside = labels == island
         if request.anchor is None or not request.anchor[inside].any():
-            depth[inside] -= np.float32(_offset(depth, inside, request))
-    depth = _levelled(depth, request, request.region if mask is None else request.region & mask)
-    if mask is None or mask.all():
-        return depth
-    return fill_unknown(depth[..., None], mask)[..., 0]
-
-
-def _offset(depth: NDArray[np.float32], inside: NDArray[np.bool_], request: _Request) -> float:
-    """Depth of an island's zero; its mean where it holds none of the zero pixels."""
-    zero = inside & request.region
-    if (isinstance(request.zero, str) and request.zero == "mean") or not zero.any():
-        return float(depth[inside].mean(dtype=np.float64))
-    return float(np.median(depth[zero]))
+            depth[inside] -= zero_depth(depth, request.zero, request.region, inside)
+    depth = _levelled(depth, request, request.region & mask)
+    return depth if mask.all() else fill_unknown(depth[..., None], mask)[..., 0]
 
 
 def _levelled(
@@ -304,47 +282,9 @@ def _levelled(
     return depth - fitted_surface(depth, region, 1 if request.level == "plane" else 2)
 
 
-def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """The pixels that say where depth is 0, (H, W) bool."""
-    if isinstance(zero, str):
-        if zero not in ("mean", "border"):
-            raise ValueError(f"Expected zero as 'mean', 'border' or a boolean (H, W), got {zero!r}.")
-        region = np.ones(shape, dtype=bool)
-        if zero == "border" and min(shape) > 2:
-            region[1:-1, 1:-1] = False
-        return region
-    return check_mask(zero, shape=shape, name="zero")
-
-
-def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
-    """Least-squares polynomial surface of the depth at the region, evaluated over the frame."""
-    height, width = region.shape
-    x = np.linspace(-1, 1, width)[None, :].repeat(height, 0)
-    y = np.linspace(-1, 1, height)[:, None].repeat(width, 1)
-    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
-    if np.count_nonzero(region) < terms.shape[-1]:
-        raise ValueError(
-            f"Expected at least {terms.shape[-1]} zero pixels to fit a surface, got {region.sum()}."
-        )
-    rows = depth[..., region].reshape(-1, int(region.sum())).T.astype(np.float64)
-    coefficients = np.linalg.lstsq(terms[region], rows, rcond=None)[0]
-    return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)
-
-
-def _median(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
-    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
-    lattice = region[::step, ::step]
-    if np.count_nonzero(lattice) < MEDIAN_SAMPLES / 20:
-        step, lattice = 1, region
-    median: NDArray[np.float32] = np.median(maps[..., ::step, ::step][..., lattice], axis=-1)
-    return median
-
-
-def _islands(known: NDArray[np.bool_]) -> tuple[int, NDArray[Any]]:
-    """Number of 4-connected regions, and their labels from 1."""
-    count, labels = cv2.connectedComponents(known.astype(np.uint8), connectivity=4)
-    return count - 1, labels
+def _islands(known: NDArray[np.bool_]) -> NDArray[Any]:
+    """Labels of the 4-connected regions, from 1."""
+    return cv2.connectedComponents(known.astype(np.uint8), connectivity=4)[1]
 
 
 def _residual(solution: Solution, request: _Request) -> float:

@@ -20,13 +20,12 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_image
 from gelform.confidence import PreparedSigma, UnknownSigma, with_model_sigma
 from gelform.contact import contact_from_depth
-from gelform.depth import Integration, checked_solver, integrate
+from gelform.depth import Integration, checked_solver, integrate, takes_weights
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
 from gelform.markers import MarkerFinder
 from gelform.pool import Pool
 from gelform.reconstruction import Reconstruction
-from gelform.solvers import UNIFORM
 from gelform.view import image_from_frame
 
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
@@ -50,8 +49,7 @@ class Reconstructor:
         The untouched image of today; the calibration's own by default. An image, of the calibrated size: a frame
         of the untouched gel becomes one by `image_from_frame(frame, calibration.view)`.
     solver : "auto" or a name in `gelform.solvers.SOLVERS`
-        "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dst`, `fourier`, `path`) get neither
-        weights nor anchor.
+        "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dct4`) get neither weights nor anchor.
     depth_sigma : whether results have `depth_sigma_mm`; without it a frame takes a quarter less time
 
     Attributes
@@ -188,7 +186,7 @@ class Reconstructor:
         in proportion.
         """
         how: dict[str, Any] = {"zero": untouched}
-        if self.solver not in UNIFORM:
+        if takes_weights(self.solver):
             how = {"weights": confidence, "anchor": self._anchor(gradients, untouched)}
         solution = integrate(gradients, mm_per_px=self._pitch, solver=self.solver, **how)
         if self._depth_sigma is None or gradients_sigma is None:

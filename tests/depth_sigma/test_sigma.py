@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from gelform.depth import depth_from_gradients
 from gelform.depth_sigma.sigma import DepthSigma, depth_sigma
-from scenes import gaussian, scene, with_liars
+from scenes import gaussian, scene, with_outliers
 
 SHAPE = (72, 96)
 PITCH = 0.2
@@ -42,7 +42,7 @@ def uneven():
     truth, gradients, _ = scene(gaussian(1.0, 2.5), SHAPE, PITCH)
     sigma = np.full(SHAPE, 0.05)
     sigma[:, :30] = 0.08
-    lying = ~with_liars(gradients, 0.1, rng).valid
+    lying = ~with_outliers(gradients, 0.1, rng).valid
     sigma[lying] = np.where(rng.uniform(size=np.count_nonzero(lying)) < 0.5, 0.25, 3.0)
     weights = np.minimum(1, (0.05 / sigma) ** 2)
     return np.repeat(sigma[..., None], 2, axis=-1), weights, np.where(truth < 0.01, 1e-2, 0)

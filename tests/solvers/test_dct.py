@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from scipy.fft import dctn, idctn
 
-from gelform.solvers.dct import DctSolver
+from gelform.depth import depth_from_gradients
+from gelform.solvers.dct import Dct4Solver, DctSolver
 from gelform.solvers.edges import differences, divergence, edges_from_gradients
 from scenes import PEAKS, gaussian, polynomial, rmse_um, scene
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (1, 37), (37, 1), (2, 2), (3, 2), (5, 7), (31, 53), (64, 256), (97, 40)]
 PITCHES = [(0.0634, 0.0634), (0.05, 0.08), (0.2, 0.03)]
+SOLVER = {2: DctSolver, 4: Dct4Solver}
 QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
 
 
@@ -31,7 +33,7 @@ def spectral_answer(gradients, pitch):
 def test_is_the_minimiser_on_any_slopes(shape, pitch):
     gradients = np.random.default_rng(1).standard_normal((*shape, 2))
     expected = spectral_answer(gradients, pitch)
-    depth = DctSolver(shape, pitch)(gradients.astype(np.float32))
+    depth = DctSolver(shape, pitch)(gradients.astype(np.float32)).depth_mm
     assert depth.dtype == np.float32
     assert np.max(np.abs(depth - expected)) <= 1e-5 * max(np.ptp(expected), 1e-3)
 
@@ -41,14 +43,14 @@ def test_is_the_minimiser_on_any_slopes(shape, pitch):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_is_exact_on_quadratics(shape, pitch, order):
     truth, gradients, _ = scene(QUADRATIC, shape, pitch)
-    depth = DctSolver(shape, pitch, order=order)(gradients.astype(np.float32))
+    depth = SOLVER[order](shape, pitch)(gradients.astype(np.float32)).depth_mm
     assert np.max(np.abs(depth - (truth - truth.mean()))) <= 3e-6 * max(np.ptp(truth), 1e-3)
 
 
 def test_order_four_is_exact_on_quartics_where_order_two_is_not():
     surface = polynomial({(4, 0): 0.01, (1, 3): 0.02, (2, 2): -0.01, (3, 0): 0.05})
     truth, gradients, pitch = scene(surface, (40, 50), (0.05, 0.08))
-    errors = [rmse_um(DctSolver((40, 50), pitch, order=order)(gradients), truth) for order in (2, 4)]
+    errors = [rmse_um(SOLVER[order]((40, 50), pitch)(gradients).depth_mm, truth) for order in (2, 4)]
     assert errors[0] > 0.02
     assert errors[1] < 1e-3
 
@@ -59,7 +61,7 @@ def test_converges_with_its_order(order, observed):
     for n in (1, 2, 4):
         shape, pitch = (24 * n, 32 * n), (0.4 / n, 0.4 / n)
         truth, gradients, _ = scene(gaussian(1.0, 2.0), shape, pitch)
-        errors.append(rmse_um(DctSolver(shape, pitch, order=order)(gradients), truth))
+        errors.append(rmse_um(SOLVER[order](shape, pitch)(gradients).depth_mm, truth))
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     assert rates == pytest.approx(observed, abs=0.35)
 
@@ -84,35 +86,40 @@ def test_answer_is_linear_in_the_slopes():
     rng = np.random.default_rng(3)
     a, b = rng.standard_normal((2, 20, 31, 2)).astype(np.float32)
     solve = DctSolver((20, 31), (0.05, 0.08))
-    assert solve(2 * a - b) == pytest.approx(2 * solve(a) - solve(b), abs=2e-6)
+    difference = 2 * solve(a).depth_mm - solve(b).depth_mm
+    assert solve(2 * a - b).depth_mm == pytest.approx(difference, abs=2e-6)
 
 
 def test_mirrored_slopes_give_the_mirrored_surface():
     _, gradients, pitch = scene(PEAKS, (45, 60))
-    solve = DctSolver((45, 60), pitch)
+    depth = DctSolver((45, 60), pitch)(gradients).depth_mm
     flipped = gradients[:, ::-1] * [-1, 1]
     turned = np.swapaxes(gradients, 0, 1)[..., ::-1]
-    assert solve(flipped)[:, ::-1] == pytest.approx(solve(gradients), abs=2e-6)
-    depth = DctSolver((60, 45), pitch)(turned)
-    assert pytest.approx(solve(gradients), abs=2e-6) == depth.T
+    mirrored = DctSolver((45, 60), pitch)(flipped).depth_mm
+    assert mirrored[:, ::-1] == pytest.approx(depth, abs=2e-6)
+    transposed = DctSolver((60, 45), pitch)(turned).depth_mm
+    assert pytest.approx(depth, abs=2e-6) == transposed.T
 
 
 @pytest.mark.parametrize("shape", [(12, 17), (5, 256), (1, 4)])
 def test_a_stack_gives_the_bytes_of_its_frames(shape):
     stack = np.random.default_rng(4).standard_normal((2, 3, *shape, 2)).astype(np.float32)
-    solve = DctSolver(shape, (0.05, 0.08))
-    depth = solve(stack)
+    depth = depth_from_gradients(stack, mm_per_px=(0.05, 0.08))
     assert depth.shape == (2, 3, *shape)
     for index in np.ndindex(2, 3):
-        assert np.array_equal(depth[index], solve(stack[index]))
+        assert np.array_equal(depth[index], depth_from_gradients(stack[index], mm_per_px=(0.05, 0.08)))
 
 
 def test_mean_is_zero_also_for_large_frames():
     gradients = 0.05 + 0.05 * np.random.default_rng(5).standard_normal((300, 512, 2))
-    depth = DctSolver((300, 512), (0.0634, 0.0634))(gradients)
+    depth = DctSolver((300, 512), (0.0634, 0.0634))(gradients).depth_mm
     assert abs(float(depth.mean(dtype=np.float64))) < 1e-6 * np.ptp(depth)
 
 
-def test_unknown_order_is_refused():
-    with pytest.raises(ValueError, match="Expected order 2 or 4, got 3"):
-        DctSolver((4, 4), (1.0, 1.0), order=3)
+@pytest.mark.parametrize(
+    "given", [{"weights": np.ones((4, 5))}, {"mask": np.ones((4, 5), bool)}, {"anchor": 0.1}]
+)
+@pytest.mark.parametrize("solver", ["dct", "dct4"])
+def test_weights_mask_and_anchor_are_refused(solver, given):
+    with pytest.raises(ValueError, match="Expected no weights, mask or anchor"):
+        depth_from_gradients(np.zeros((4, 5, 2)), mm_per_px=0.1, solver=solver, **given)

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map, check_mask, check_mm_per_px
-from gelform.depth import Level, Zero, checked_anchor, fitted_surface, zero_region
+from gelform.depth import checked_anchor
 from gelform.depth_sigma.blocks import Cells, sigma_of_pixels, zeros
 from gelform.depth_sigma.closed_form import correlation_of_cells, variance_of_white, variance_within_cells
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.solvers.system import FLOOR
+from gelform.zero import Level, Zero, fitted_surface, zero_region
 
 # Probes are solved on cells (sigma is smooth): about so many of them, of so many pixels across.
 CELLS = 2300

@@ -3,36 +3,36 @@
 `docs/choosing-a-solver.md` says which to take, `docs/adding-a-solver.md` how to write one.
 """
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
-
-from gelform.solvers.curl_gated.solver import GatedSolver
-from gelform.solvers.dct import DctSolver
-from gelform.solvers.dst import DstSolver
-from gelform.solvers.fourier import FourierSolver
+from gelform.solvers.curl_gated.solver import CurlGatedSolver
+from gelform.solvers.dct import Dct4Solver, DctSolver
 from gelform.solvers.multigrid.solver import MultigridSolver
-from gelform.solvers.path import PathSolver
-from gelform.solvers.robust import RobustSolver
+from gelform.solvers.robust import HuberSolver, L1Solver, RobustSolver
+from gelform.solvers.seam import Solution, Solver, Weights
 from gelform.solvers.sparse import SparseSolver
 
 # SOLVERS[name](shape, mm_per_px) prepares a solver.
-
-# These treat all slopes alike: solver(gradients) -> depth, of a frame or a stack.
-UNIFORM: dict[str, Callable[..., Any]] = {
+SOLVERS: dict[str, type[Solver]] = {
     "dct": DctSolver,
-    "dct4": partial(DctSolver, order=4),
-    "path": PathSolver,
-    "fourier": FourierSolver,
-    "dst": DstSolver,
-}
-# These take weights: solver(gradients, weights, mask, anchor) -> Solution, of one frame.
-WEIGHTED: dict[str, Callable[..., Any]] = {
+    "dct4": Dct4Solver,
     "multigrid": MultigridSolver,
     "sparse": SparseSolver,
     "robust": RobustSolver,
-    "robust_huber": partial(RobustSolver, loss="huber"),
-    "robust_l1": partial(RobustSolver, loss="l1"),
-    "gated": GatedSolver,
+    "robust_huber": HuberSolver,
+    "robust_l1": L1Solver,
+    "curl_gated": CurlGatedSolver,
 }
-SOLVERS = {**UNIFORM, **WEIGHTED}
+
+__all__ = [
+    "SOLVERS",
+    "CurlGatedSolver",
+    "Dct4Solver",
+    "DctSolver",
+    "HuberSolver",
+    "L1Solver",
+    "MultigridSolver",
+    "RobustSolver",
+    "Solution",
+    "Solver",
+    "SparseSolver",
+    "Weights",
+]

@@ -9,7 +9,8 @@ SIAM Review 41, 1999), leaves one tridiagonal system per column, which is elimin
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use: a weighted solve needs none of them
@@ -18,8 +19,7 @@ from numpy.typing import NDArray
 
 from gelform.pool import Pool
 from gelform.solvers.edges import divergence, edges_from_gradients
-
-Order = Literal[2, 4]
+from gelform.solvers.seam import Solution, Weights
 
 # A row stride of a large power of two maps a whole column onto a few cache lines.
 ALIASING_BYTES = 1024
@@ -27,47 +27,77 @@ STRIDE_PAD = 16
 
 
 class DctSolver:
-    """Prepared once for a shape and a pitch; gives depth of mean 0 for frames singly or as a stack.
+    """Prepared once for a shape and a pitch; gives depth of mean 0.
+
+    An edge's slope is the mean of its two pixels': exact on quadratics, best under noise.
 
     Parameters
     ----------
     shape : (H, W)
     mm_per_px : (x, y), mm
-    order : 2 or 4
-        Edge slopes: the mean of two pixels (exact on quadratics, best under noise), or four pixels (exact
-        on quartics; for fine texture where the slope noise is under 0.02).
     """
 
-    def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float], *, order: Order = 2) -> None:
-        if order not in (2, 4):
-            raise ValueError(f"Expected order 2 or 4, got {order!r}.")
+    takes_weights: ClassVar[bool] = False
+
+    def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
         self.shape = shape
         self.mm_per_px = mm_per_px
-        self.order = order
         self._pivots, self._splits, self._last = _elimination(shape, mm_per_px)
         self._pool = Pool(lambda: _scratch(shape))
 
-    def __call__(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
-        """Depth (..., H, W) in mm, mean 0, of float32 gradients (..., H, W, 2)."""
-        frames = np.ascontiguousarray(gradients, dtype=np.float32).reshape(-1, *self.shape, 2)
-        depth = np.empty(frames.shape[:-1], dtype=np.float32)
-        with self._pool.one() as scratch:
-            for frame, out in zip(frames, depth):
-                self._solve(frame, out, scratch)
-        return depth.reshape(gradients.shape[:-1])
+    def __call__(
+        self,
+        gradients: NDArray[Any],
+        weights: Weights = None,
+        mask: NDArray[np.bool_] | None = None,
+        anchor: NDArray[Any] | None = None,
+    ) -> Solution:
+        """Depth of one frame of slopes (H, W, 2), mean 0.
 
-    def _solve(self, frame: NDArray[Any], out: NDArray[Any], scratch: NDArray[Any] | None) -> None:
-        work = out if scratch is None else scratch
+        Raises
+        ------
+        ValueError
+            Weights, a mask or an anchor were given.
+        """
+        if not (weights is None and mask is None and anchor is None):
+            raise ValueError(
+                "Expected no weights, mask or anchor for a dct solver, which treats all slopes alike, got some. "
+                "Leave them out, or use solver 'auto' or 'multigrid'."
+            )
+        frame = np.ascontiguousarray(gradients, dtype=np.float32)
+        depth = np.empty(self.shape, dtype=np.float32)
+        with self._pool.one() as scratch:
+            work = depth if scratch is None else scratch
+            self._write_right_side(frame, work)
+            spectrum = scipy.fft.dct(work, axis=-1, overwrite_x=True)
+            _sweep(spectrum, self._pivots, self._splits, self._last)
+            solved = scipy.fft.idct(spectrum, axis=-1, overwrite_x=True)
+            if solved is not depth:
+                depth[...] = solved
+        return Solution(depth, _all_known(self.shape))
+
+    def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
         hx, hy = self.mm_per_px
-        if self.order == 2:
-            _right_side(frame, work, 0.5 * hy * hy / hx, 0.5 * hy)
-        else:
-            work[...] = divergence(edges_from_gradients(frame, order=4), self.mm_per_px) * np.float32(hy * hy)
-        spectrum = scipy.fft.dct(work, axis=-1, overwrite_x=True)
-        _sweep(spectrum, self._pivots, self._splits, self._last)
-        depth = scipy.fft.idct(spectrum, axis=-1, overwrite_x=True)
-        if depth is not out:
-            out[...] = depth
+        _right_side(frame, work, 0.5 * hy * hy / hx, 0.5 * hy)
+
+
+class Dct4Solver(DctSolver):
+    """The same with an edge's slope from four pixels.
+
+    Exact on quartics: for fine texture where the slope noise is under 0.02.
+    """
+
+    def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
+        hy = self.mm_per_px[1]
+        work[...] = divergence(edges_from_gradients(frame, order=4), self.mm_per_px) * np.float32(hy * hy)
+
+
+@lru_cache(maxsize=16)
+def _all_known(shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """A map of True, shared: nobody can write to it."""
+    known = np.ones(shape, dtype=bool)
+    known.flags.writeable = False
+    return known
 
 
 def _scratch(shape: tuple[int, int]) -> NDArray[np.float32] | None:

@@ -8,7 +8,7 @@ Communications in Statistics A6, 1977).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from gelform.solvers.dct import DctSolver
 from gelform.solvers.edges import Pair, differences, divergence, edges_from_gradients
 from gelform.solvers.multigrid.cycle import RIGHT_SIDE
 from gelform.solvers.multigrid.solver import Hierarchy
-from gelform.solvers.system import FLOOR, Problem, Solution, Weights, load_couplings, problem_from_gradients
+from gelform.solvers.seam import Solution, Weights
+from gelform.solvers.system import FLOOR, Problem, load_couplings, problem_from_gradients
 
 Loss = Callable[[NDArray[Any]], NDArray[Any]]
 
@@ -36,30 +37,29 @@ LAST_TOLERANCE = 1e-3
 
 
 class RobustSolver:
-    """Rounds of: residuals, usual residual, weights, solve.
+    """Rounds of: residuals, usual residual, weights, solve; Cauchy's loss.
 
     Parameters
     ----------
     shape : (H, W)
     mm_per_px : (x, y), mm
-    loss : "cauchy", "huber" or "l1"
     rounds : int
     """
+
+    takes_weights: ClassVar[bool] = True
+    loss: ClassVar[str] = "cauchy"
 
     def __init__(
         self,
         shape: tuple[int, int],
         mm_per_px: tuple[float, float],
         *,
-        loss: str = "cauchy",
         rounds: int = 3,
     ) -> None:
-        if loss not in LOSSES:
-            raise ValueError(f"Expected a loss among {', '.join(LOSSES)}, got {loss!r}.")
         self.shape = shape
         self.mm_per_px = mm_per_px
         self.rounds = rounds
-        self._weight = LOSSES[loss]
+        self._weight = LOSSES[self.loss]
         self._uniform = DctSolver(shape, mm_per_px)
         self._pool = Pool(lambda: Hierarchy(shape))
 
@@ -74,7 +74,7 @@ class RobustSolver:
         problem = _per_edge(problem_from_gradients(gradients, weights, mask, anchor))
         with self._pool.one() as hierarchy:
             if weights is None and mask is None and anchor is None:
-                depth, iterations, error = self._uniform(gradients), 0, 0.0
+                depth, iterations, error = self._uniform(gradients).depth_mm, 0, 0.0
             else:
                 hierarchy.load(problem, self.mm_per_px)
                 depth, iterations, error = hierarchy.solve(TOLERANCE, 1000)
@@ -101,6 +101,18 @@ class RobustSolver:
         right = divergence(flux, pitch) * np.float32(pitch[0] * pitch[1])  # type: ignore[arg-type]
         height, width = self.shape
         hierarchy.data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = right - problem.anchor * depth
+
+
+class HuberSolver(RobustSolver):
+    """The same with Huber's loss: quadratic for small residuals, absolute for large ones."""
+
+    loss: ClassVar[str] = "huber"
+
+
+class L1Solver(RobustSolver):
+    """The same with absolute residuals."""
+
+    loss: ClassVar[str] = "l1"
 
 
 def _per_edge(problem: Problem) -> Problem:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use: a weighted solve needs none of them
 from numpy.typing import NDArray
 
 from gelform.solvers.multigrid.cycle import ANCHOR, EAST, RIGHT_SIDE, SOUTH
-from gelform.solvers.system import Problem, Solution, Weights, load, problem_from_gradients
+from gelform.solvers.seam import Solution, Weights
+from gelform.solvers.system import Problem, load, problem_from_gradients
 
 
 class SparseSolver:
     """Exact up to rounding, whatever the weights; 100 times slower than `multigrid`."""
+
+    takes_weights: ClassVar[bool] = True
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
         self.shape = shape

@@ -19,30 +19,11 @@ from numpy.typing import NDArray
 from gelform.gradients import fill_unknown
 from gelform.solvers.edges import Pair, divergence, edges_from_gradients
 from gelform.solvers.multigrid.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
+from gelform.solvers.seam import Weights
 
 # Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
 # raised to it: smaller ones would isolate regions beyond what float32 resolves.
 FLOOR = 1e-3
-
-Weights = NDArray[Any] | Pair | None
-
-
-class Solution(NamedTuple):
-    """What a solver that takes weights returns for one frame.
-
-    Attributes
-    ----------
-    depth_mm : (H, W) float32; each island up to a constant, 0 outside the mask
-    known : (H, W) bool; False outside the mask and where no slope and no anchor says anything
-    iterations : int
-    tolerance : float
-        Estimated largest error relative to the range of depth; 0 for a direct method.
-    """
-
-    depth_mm: NDArray[np.float32]
-    known: NDArray[np.bool_]
-    iterations: int
-    tolerance: float
 
 
 class Problem(NamedTuple):
@@ -79,13 +60,13 @@ def problem_from_gradients(
     if weights is None:
         return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask.copy())
     largest = _largest(weights if whole else weights[mask])
-    told = weights >= FLOOR * largest
+    trusted = weights >= FLOOR * largest
     confidence = np.maximum(weights * np.float32(1 / largest), np.float32(FLOOR))
     if not whole:
-        told, confidence = told & mask, confidence * mask
-    if np.count_nonzero(told) < (told.size if whole else np.count_nonzero(mask)):
-        gradients = fill_unknown(gradients, told)
-    known = told if anchor is _constant(shape, 0.0) else told | (anchor > 0)
+        trusted, confidence = trusted & mask, confidence * mask
+    if np.count_nonzero(trusted) < (trusted.size if whole else np.count_nonzero(mask)):
+        gradients = fill_unknown(gradients, trusted)
+    known = trusted if anchor is _constant(shape, 0.0) else trusted | (anchor > 0)
     if largest != 1:
         anchor = anchor * np.float32(1 / largest)
     return Problem(gradients, confidence, None, None, mask, anchor, known)
@@ -102,15 +83,15 @@ def _problem_per_edge(
 ) -> Problem:
     inside = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
     largest = _largest(np.concatenate([w[i] for w, i in zip(weights, inside)]))
-    told = tuple((w >= FLOOR * largest) & i for w, i in zip(weights, inside))
+    trusted = tuple((w >= FLOOR * largest) & i for w, i in zip(weights, inside))
     edges = edges_from_gradients(gradients)
-    filled = tuple(e if t.all() else fill_unknown(e[..., None], t)[..., 0] for e, t in zip(edges, told))
+    filled = tuple(e if t.all() else fill_unknown(e[..., None], t)[..., 0] for e, t in zip(edges, trusted))
     scaled = tuple(np.maximum(w / largest, FLOOR) * i for w, i in zip(weights, inside))
     known = anchor > 0
-    known[:, 1:] |= told[0]
-    known[:, :-1] |= told[0]
-    known[1:] |= told[1]
-    known[:-1] |= told[1]
+    known[:, 1:] |= trusted[0]
+    known[:, :-1] |= trusted[0]
+    known[1:] |= trusted[1]
+    known[:-1] |= trusted[1]
     anchor = anchor / np.float32(largest)
     return Problem(None, None, filled, scaled, mask, anchor, known)  # type: ignore[arg-type]
 

@@ -19,7 +19,7 @@ def disc(row, col, radius):
 
 
 def gated(gradients, pitch):
-    return depth_from_gradients(gradients, mm_per_px=pitch, solver="gated")
+    return depth_from_gradients(gradients, mm_per_px=pitch, solver="curl_gated")
 
 
 @pytest.mark.parametrize("surface", [BALL, BALLS, PEAKS])

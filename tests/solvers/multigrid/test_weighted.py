@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from gelform.depth import depth_from_gradients, integrate
 from gelform.errors import ConvergenceError
-from gelform.solvers import WEIGHTED, MultigridSolver, SparseSolver
+from gelform.solvers import SOLVERS, MultigridSolver, SparseSolver
 from gelform.solvers.edges import differences, edges_from_gradients
-from scenes import PEAKS, polynomial, scene, with_liars, with_noise
+from scenes import PEAKS, polynomial, scene, with_noise, with_outliers
 
+WEIGHTED = [name for name, solver in SOLVERS.items() if solver.takes_weights]
 SHAPES = [(1, 1), (1, 2), (1, 41), (43, 1), (2, 2), (2, 3), (7, 6), (13, 17), (48, 65), (101, 37)]
 PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
 QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
@@ -55,7 +56,7 @@ def test_minimises_the_stated_energy(solver, pitch, anchored):
     confidence /= confidence.max()
     anchor = 0.3 * rng.uniform(size=(9, 11)) * (rng.uniform(size=(9, 11)) > 0.6) * anchored
     expected = dense_answer(gradients, *harmonic(confidence), anchor, pitch)
-    depth = WEIGHTED[solver]((9, 11), pitch)(gradients, confidence, None, anchor).depth_mm
+    depth = SOLVERS[solver]((9, 11), pitch)(gradients, confidence, None, anchor).depth_mm
     depth, expected = (depth, expected) if anchored else (centred(depth), centred(expected))
     assert np.max(np.abs(depth - expected)) < 5e-4 * np.ptp(expected)
 
@@ -101,7 +102,7 @@ def contrast(kind, shape, rng):
 def test_multigrid_agrees_with_elimination_to_its_tolerance(shape, kind, anchored):
     rng = np.random.default_rng(4)
     truth, gradients, pitch = scene(PEAKS, shape, 0.25)
-    gradients = with_liars(with_noise(gradients, 0.05, rng), 0.1, rng).gradients.astype(np.float32)
+    gradients = with_outliers(with_noise(gradients, 0.05, rng), 0.1, rng).gradients.astype(np.float32)
     weights = contrast(kind, shape, rng)
     anchor = np.where(truth < 0.05, 1e-2, 0) if anchored else None
     fast = MultigridSolver(shape, pitch)(gradients, weights, None, anchor)

@@ -1,9 +1,10 @@
-"""Patches whose slopes lie coherently: regions within jumps of slope that no surface can have.
+"""Patches of outliers that agree among themselves: regions bounded by jumps of slope that no surface can have.
 
 Within such a patch the slopes are those of a surface, and only its rim shows in the curl. So the frame is cut
-into regions where neighbouring slopes jump, and every region is judged by its rim. A contact's rim is a jump
-too, but one across itself, as a surface allows: sampled on pixels, its circulation comes out with both signs
-and is gone in the sum over a few loops. A lie jumps along its rim as well. Specks are gone in the sums too.
+into regions where neighbouring slopes jump, and every region is judged by its rim. At the rim of a contact the
+slope jumps across the rim only, as a surface allows: sampled on pixels, its circulation has both signs and
+cancels in the sum over a few loops. At the rim of an outlier patch the slope along the rim jumps as well, which
+does not cancel. The circulation of single outliers cancels too; those are found pixel by pixel.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ JUMP = 3.0
 LEAST_JUMP = 0.1
 # Where more of the jump than this is along the rim (in squares), no surface has it.
 SHARE = 0.1
-# A region lies if so much of its rim says so. Contacts come to 0 to 0.3, the more the more patches touch
-# their rim, lying patches to 0.3 to 0.7. A small region needs less: little is lost if it was true.
+# A region is an outlier if so much of its rim says so. Contacts reach 0 to 0.3, more where patches touch their
+# rim; outlier patches 0.3 to 0.7. A small region needs less: little is lost if it was right.
 RIM = 0.36
 SMALL_RIM = 0.2
 SMALL = 0.005
@@ -35,13 +36,13 @@ class Patches(NamedTuple):
 
     Attributes
     ----------
-    lie : (H, W) bool
-        Pixels of regions whose slopes lie.
+    outlier : (H, W) bool
+        Pixels of outlier regions.
     explained : (H-1, W-1) float32
         Squares of circulation that the rims of contacts explain.
     """
 
-    lie: NDArray[np.bool_]
+    outlier: NDArray[np.bool_]
     explained: NDArray[np.float32]
 
 
@@ -72,15 +73,15 @@ def patches_from_jumps(
     rim = np.flatnonzero(jumping & (far < near))
     square = 0.5 * (across[1:] + across[:-1] + down[:, 1:] + down[:, :-1])
     along, whole = _sum_around(circulation), _sum_around(np.sqrt(square) * jumping)
-    lies = along.ravel()[rim] ** 2 > SHARE * whole.ravel()[rim] ** 2
+    along_rim = along.ravel()[rim] ** 2 > SHARE * whole.ravel()[rim] ** 2
     owner = near.ravel()[rim]
     count = np.bincount(owner, minlength=areas.size)
     needed = np.where(areas < SMALL * regions.size, SMALL_RIM, RIM)
-    lying = np.bincount(owner, lies, minlength=areas.size) > needed * count
+    outlier = np.bincount(owner, along_rim, minlength=areas.size) > needed * count
     contact = rim[count[owner] >= CONTACT]
     explained = np.zeros(circulation.shape, dtype=np.float32)
     explained.ravel()[contact] = KINK * square.ravel()[contact]
-    grown = cv2.dilate(lying[regions].astype(np.uint8), np.ones((3, 3), np.uint8))
+    grown = cv2.dilate(outlier[regions].astype(np.uint8), np.ones((3, 3), np.uint8))
     return Patches(grown.astype(bool), explained)
 
 

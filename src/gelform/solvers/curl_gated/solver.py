@@ -1,8 +1,8 @@
-"""Weighted least squares with confidence found blindly: where the slopes' curl is large, they lie."""
+"""Weighted least squares that finds outliers by itself: pixels around which the curl of the slopes is large."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,22 @@ from numpy.typing import NDArray
 from gelform.solvers.curl_gated.patches import patches_from_jumps
 from gelform.solvers.edges import edges_from_gradients
 from gelform.solvers.multigrid.solver import MultigridSolver
-from gelform.solvers.system import FLOOR, Solution, Weights
+from gelform.solvers.seam import Solution, Weights
+from gelform.solvers.system import FLOOR
 
-# A pixel lies where the curl around it is more than so many times what is usual in the frame. 2 keeps 99 % of
-# pixels under Gaussian noise alone, which costs 2 % of accuracy.
+# A pixel is an outlier where the curl around it is more than so many times what is usual in the frame. 2 keeps
+# 99 % of pixels under Gaussian noise alone, which costs 2 % of accuracy.
 TIMES_USUAL = 2.0
 # Curl that slopes good to 0.01 have: less is never held against a pixel.
 LEAST_CURL = 0.014
-# The usual curl is the median over every seventh loop of a large frame: enough of them, and a median is slow.
+# The usual curl is the median over every seventh loop of a large frame: all of them would say the same, slower.
 EVERY = 7
 
 
-class GatedSolver:
-    """Finds lying pixels and patches by the curl of the slopes, gives them no weight, solves by `multigrid`."""
+class CurlGatedSolver:
+    """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, solves by `multigrid`."""
+
+    takes_weights: ClassVar[bool] = True
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
         self.shape = shape
@@ -38,36 +41,38 @@ class GatedSolver:
     ) -> Solution:
         """Depth of one frame; given weights (per pixel) are multiplied by what the curl says."""
         if isinstance(weights, tuple):
-            raise ValueError("Expected weights per pixel (H, W) for solver 'gated', got weights per edge.")
+            raise ValueError(
+                "Expected weights per pixel (H, W) for solver 'curl_gated', got weights per edge."
+            )
         given = np.ones(self.shape, dtype=np.float32) if weights is None else weights
-        told = None if weights is None and mask is None else _told(given, mask)
-        confidence = confidence_from_curl(gradients, self.mm_per_px, told) * given
+        trusted = None if weights is None and mask is None else _trusted(given, mask)
+        confidence = confidence_from_curl(gradients, self.mm_per_px, trusted) * given
         if not np.any(confidence if mask is None else confidence[mask]):
-            confidence = given  # a few pixels, and the curl distrusts them all: it cannot tell them apart
+            confidence = given  # a few pixels, all of them outliers: the curl cannot tell them apart
         return self._multigrid(gradients, confidence, mask, anchor)
 
 
-def _told(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _trusted(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Pixels whose slopes count."""
     inside = weights if mask is None else np.where(mask, weights, 0)
     return np.asarray(inside > FLOOR * inside.max())
 
 
 def confidence_from_curl(
-    gradients: NDArray[Any], mm_per_px: tuple[float, float], told: NDArray[np.bool_] | None = None
+    gradients: NDArray[Any], mm_per_px: tuple[float, float], trusted: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float32]:
     """1 where slopes can be those of a surface, 0 where they cannot.
 
     Around the four loops of edges that meet at a pixel, a surface's slopes add up to 0, but for what the
     pixels make of a contact's rim. What is usual comes from the median over the frame, so up to half of it
-    may lie. Patches that lie coherently are found by their rims.
+    may be outliers. Patches of outliers that agree among themselves are found by their rims.
 
     Parameters
     ----------
     gradients : (H, W, 2), mm/mm
     mm_per_px : (x, y), mm
-    told : (H, W) bool, optional
-        Pixels whose slopes mean something: the others say nothing about their neighbours.
+    trusted : (H, W) bool, optional
+        Pixels whose slopes are trusted: the others say nothing about their neighbours.
 
     Returns
     -------
@@ -79,9 +84,9 @@ def confidence_from_curl(
         return np.ones((height, width), dtype=np.float32)
     circulation = _circulation(g, mm_per_px)
     jumps = _squares(g[:, 1:] - g[:, :-1]), _squares(g[1:] - g[:-1])
-    usual = _usual(circulation, told)
-    if told is not None:
-        across, down = told[:, 1:] & told[:, :-1], told[1:] & told[:-1]
+    usual = _usual(circulation, trusted)
+    if trusted is not None:
+        across, down = trusted[:, 1:] & trusted[:, :-1], trusted[1:] & trusted[:-1]
         circulation *= across[1:] & across[:-1]
         jumps = jumps[0] * across, jumps[1] * down
     patches = patches_from_jumps(circulation, jumps, usual)
@@ -90,7 +95,7 @@ def confidence_from_curl(
         limit += patches.explained
     sound = _around(circulation**2) < _around(limit)
     if patches is not None:
-        sound &= ~patches.lie
+        sound &= ~patches.outlier
     return sound.astype(np.float32)
 
 
@@ -107,12 +112,12 @@ def _squares(difference: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(difference[..., 0] ** 2 + difference[..., 1] ** 2)
 
 
-def _usual(circulation: NDArray[np.float32], told: NDArray[np.bool_] | None) -> float:
-    """Standard deviation of the circulation over loops of told pixels, from its median."""
-    if told is None:
+def _usual(circulation: NDArray[np.float32], trusted: NDArray[np.bool_] | None) -> float:
+    """Standard deviation of the circulation over loops of trusted pixels, from its median."""
+    if trusted is None:
         sample = circulation.ravel()
     else:
-        sample = circulation[told[1:, 1:] & told[1:, :-1] & told[:-1, 1:] & told[:-1, :-1]]
+        sample = circulation[trusted[1:, 1:] & trusted[1:, :-1] & trusted[:-1, 1:] & trusted[:-1, :-1]]
     sample = sample[:: EVERY if sample.size > 10_000 else 1]
     return max(1.4826 * float(np.median(np.abs(sample))), LEAST_CURL) if sample.size else LEAST_CURL
 

@@ -7,7 +7,7 @@ of the weights by 1000, where plain multigrid needs 24 to 80 or stalls.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from gelform.solvers.edges import Pair
 from gelform.solvers.multigrid.conjugate import solve
 from gelform.solvers.multigrid.cycle import DEPTH, PLANES, SEARCH
 from gelform.solvers.multigrid.hierarchy import LINES, N, build
-from gelform.solvers.system import Problem, Solution, Weights, load, problem_from_gradients
+from gelform.solvers.seam import Solution, Weights
+from gelform.solvers.system import Problem, load, problem_from_gradients
 
 COARSEST = 40
 
@@ -88,6 +89,8 @@ class MultigridSolver:
     ConvergenceError
         The tolerance was not reached; the message names a cause and remedies.
     """
+
+    takes_weights: ClassVar[bool] = True
 
     def __init__(
         self,

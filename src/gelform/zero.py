@@ -1,0 +1,77 @@
+"""Where depth is 0, and what is levelled off: slopes leave a constant open, and drift adds a tilt."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.checks import check_mask
+
+MEDIAN_SAMPLES = 5_000
+
+Zero = Literal["mean", "border"]
+Level = Literal["slope", "plane", "quadratic"]
+
+
+def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The pixels that say where depth is 0, (H, W) bool.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An unknown word, or a map that is not boolean of that shape.
+    """
+    if isinstance(zero, str):
+        if zero not in ("mean", "border"):
+            raise ValueError(f"Expected zero as 'mean', 'border' or a boolean (H, W), got {zero!r}.")
+        region = np.ones(shape, dtype=bool)
+        if zero == "border" and min(shape) > 2:
+            region[1:-1, 1:-1] = False
+        return region
+    return check_mask(zero, shape=shape, name="zero")
+
+
+def zero_depth(
+    depth: NDArray[np.float32],
+    zero: str | NDArray[np.bool_],
+    region: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+) -> np.float32:
+    """Depth of the zero of one island: its mean where `zero` says so or no zero pixel is inside, else their median."""
+    within = region & inside
+    if (isinstance(zero, str) and zero == "mean") or not within.any():
+        return np.float32(depth[inside].mean(dtype=np.float64))
+    return np.float32(median_over(depth, within))
+
+
+def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
+    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
+    lattice = region[::step, ::step]
+    if np.count_nonzero(lattice) < MEDIAN_SAMPLES / 20:
+        step, lattice = 1, region
+    median: NDArray[np.float32] = np.median(maps[..., ::step, ::step][..., lattice], axis=-1)
+    return median
+
+
+def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
+    """Least-squares polynomial surface of the depth at the region, evaluated over the frame.
+
+    Raises
+    ------
+    ValueError
+        The region has fewer pixels than the surface has terms.
+    """
+    height, width = region.shape
+    x = np.linspace(-1, 1, width)[None, :].repeat(height, 0)
+    y = np.linspace(-1, 1, height)[:, None].repeat(width, 1)
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
+    if np.count_nonzero(region) < terms.shape[-1]:
+        raise ValueError(
+            f"Expected at least {terms.shape[-1]} zero pixels to fit a surface, got {region.sum()}."
+        )
+    rows = depth[..., region].reshape(-1, int(region.sum())).T.astype(np.float64)
+    coefficients = np.linalg.lstsq(terms[region], rows, rcond=None)[0]
+    return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)
