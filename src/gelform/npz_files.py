@@ -58,6 +58,7 @@ def written_file(
             yield handle
             handle.flush()
             os.fsync(handle.fileno())
+        check_free(path, overwrite=overwrite, error=error)  # another process may have been quicker
         os.replace(temporary, path)
     except OSError as problem:
         raise error(f"Cannot write {path}: {problem.strerror or problem}. Nothing was written.") from problem
@@ -172,6 +173,8 @@ def read_npz(
 
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
     """What a file says it is (its `format`), or None where it is no such file; nothing else is read."""
+    if not Path(path).is_file():  # opening a pipe would wait for ever
+        return None
     try:
         with zipfile.ZipFile(path) as archive:
             if archive.getinfo("meta.npy").file_size > MAX_META_BYTES:

@@ -11,6 +11,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
+from made.torch_file_writer import network_arrays, torch_file
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
 
@@ -80,3 +81,18 @@ def run_json(run):
         return json.loads(out)
 
     return command
+
+
+@pytest.fixture
+def network(tmp_path):
+    return torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+
+
+@pytest.fixture
+def imported(run, network, press_folder, tmp_path):
+    path = tmp_path / "imported.npz"
+    rest = press_folder / "background.png"
+    code, _, err = run("import", network, "--from", "gs_sdk", "--background", rest, "-o", path)
+    assert code == 0, err
+    assert "results will be in pixels" in err
+    return path

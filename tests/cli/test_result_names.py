@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.cli.result_names import check_results, make_folder, result_paths
+from gelform.cli.result_names import check_output, check_results, make_folder, result_paths
 from gelform.errors import DataError
 
 part = st.sampled_from(["a", "b", "a.b", "gelsight", "ä ö", "0", "1"])
@@ -79,14 +79,14 @@ def test_folders_that_cannot_be_made(tmp_path):
     assert make_folder(tmp_path / "a" / "b").is_dir()
 
 
-def test_a_user_is_told_of_the_first_compilation(monkeypatch):
-    """Nobody waits seconds in front of a silent screen: once, and only where there is something to compile."""
-    from gelform.cli.console import warm
-    from gelform.depth_sigma import warmup
-
-    told = []
-    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
-    warm(lambda *call: told.append(call))
-    monkeypatch.setattr(warmup, "is_compiled", lambda: True)
-    warm(lambda *call: told.append(call))
-    assert told == [(0, 1, warmup.MESSAGE)]
+def test_an_output_is_checked_before_the_work(tmp_path):
+    (tmp_path / "there").touch()
+    with pytest.raises(DataError, match="got the folder"):
+        check_output(tmp_path, overwrite=True)
+    with pytest.raises(DataError, match=r"already there.*--overwrite"):
+        check_output(tmp_path / "there", overwrite=False)
+    with pytest.raises(DataError, match="Cannot make the folder"):
+        check_output(tmp_path / "there" / "below" / "x", overwrite=False)
+    check_output(tmp_path / "there", overwrite=True)
+    check_output(tmp_path / "a" / "b", overwrite=False)
+    assert (tmp_path / "a").is_dir()

@@ -20,6 +20,7 @@ from gelform.cli.commands import (
     simulate,
 )
 from gelform.cli.failures import DEBUG, ReportedFailures
+from gelform.cli.process import as_process
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -78,4 +79,5 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0, 1 (a mistake in the input), 2 (wrong usage), 70 (a bug), 130 (interrupted)."""
     for threads in THREADS:  # with a busy neighbour two BLAS threads are nine times slower than one
         os.environ.setdefault(threads, "1")
-    app(arguments, prog_name="gelform")
+    with as_process():
+        app(arguments, prog_name="gelform")

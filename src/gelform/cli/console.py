@@ -18,7 +18,7 @@ from gelform.progress import Progress, no_progress
 @contextmanager
 def progress_shown(quiet: bool) -> Iterator[Progress]:
     """A bar for each kind of work on standard error, where that is a terminal; gives what to call."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield no_progress
         return
     from rich.console import Console
@@ -66,7 +66,8 @@ def show_table(
         table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    wide = None if sys.stdout.isatty() else 400  # in a file or a pipe no name is broken over lines
+    on_screen = sys.stdout is not None and sys.stdout.isatty()
+    wide = None if on_screen else 400  # in a file or a pipe no name is broken over lines
     console = Console(highlight=False, markup=False, width=wide)
     console.print(table)
     console.print()
@@ -74,7 +75,8 @@ def show_table(
 
 def print_json(content: Mapping[str, Any]) -> None:
     """One JSON object on standard output; what is not a number (NaN) becomes null."""
-    typer.echo(json.dumps(_plain(content), indent=2, ensure_ascii=False))
+    utf8 = "utf" in (getattr(sys.stdout, "encoding", None) or "").lower()
+    typer.echo(json.dumps(_plain(content), indent=2, ensure_ascii=not utf8))
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:

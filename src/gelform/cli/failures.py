@@ -69,8 +69,13 @@ def _report(problem: BaseException) -> int:
 
 
 def _said(text: str, status: int) -> int:
-    typer.echo(f"gelform: {' '.join(text.split())}", err=True)
+    typer.echo(f"gelform: {one_line(text)}", err=True)
     return status
+
+
+def one_line(text: object) -> str:
+    """What a message says, on one line."""
+    return " ".join(str(text).split())
 
 
 def _sentence(problem: OSError) -> str:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,19 +49,28 @@ def write_report(
     from gelform.calibration.report.content import report_content
     from gelform.calibration.report.learning import learning_curve
     from gelform.calibration.report.page.page import report_page
-    from gelform.npz_files import written_file
 
     rng = np.random.default_rng(REPORT_SEED)
     learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
     progress(0, 1, "drawing the report")
     content = report_content(presses, calibration, rng=rng, learning=learning)
     page = report_page(content, presses, calibration)
-    make_folder(folder)
     files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
-    for name, data in zip(REPORT_FILES, files):
-        with written_file(folder / name, overwrite=overwrite) as file:
-            file.write(data)
+    _write_all({folder / name: data for name, data in zip(REPORT_FILES, files)}, overwrite)
     progress(1, 1, "drawing the report")
+
+
+def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
+    """Write all the files or none: each takes its name only when the bytes of all are on the disk."""
+    from gelform.npz_files import written_file
+
+    make_folder(next(iter(files)).parent)
+    with ExitStack() as stack:
+        for path, data in files.items():
+            handle = stack.enter_context(written_file(path, overwrite=overwrite))
+            handle.write(data)
+            handle.flush()
+            os.fsync(handle.fileno())
 
 
 def _circles_csv(rows: Any) -> bytes:

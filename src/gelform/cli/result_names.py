@@ -53,6 +53,21 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
         raise DataError(f"{there[0]} is already there{more}. Choose another folder, or allow --overwrite.")
 
 
+def check_output(path: Path, *, overwrite: bool) -> None:
+    """Refuse a file name that cannot be written to, before the work: its folder is made where it is missing.
+
+    Raises
+    ------
+    DataError
+        The name is a folder's, a file has it already (unless `overwrite`), or nothing can be written there.
+    """
+    if path.is_dir():
+        raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
+    if os.path.lexists(path) and not overwrite:
+        raise DataError(f"{path} is already there. Choose another name, or allow --overwrite.")
+    make_folder(path.parent)
+
+
 def make_folder(folder: Path) -> Path:
     """Make a folder and those above it, and see that it can be written to.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -129,7 +130,7 @@ def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[st
             yield _write_press(presses, folder, k)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _one_thread) as pool:
+    with ProcessPoolExecutor(workers, context, _as_worker) as pool:
         jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
         try:
             for job in jobs:
@@ -139,8 +140,10 @@ def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[st
             raise
 
 
-def _one_thread() -> None:
+def _as_worker() -> None:
+    """One thread each; Ctrl-C, which reaches all processes, is for the one that started them."""
     cv2.setNumThreads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:

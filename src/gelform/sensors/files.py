@@ -164,6 +164,10 @@ def _is_matrix(value: Any) -> bool:
 def _content(path: Path) -> bytes:
     if path.is_dir():
         raise DataError(f"Expected a file, got the folder {path}.")
+    if path.exists() and not path.is_file():  # reading a pipe or a device might wait for ever
+        raise DataError(
+            f"Expected a file, got a pipe or a device: {path}. Save what it gives as a file first."
+        )
     try:
         return path.read_bytes()
     except FileNotFoundError:

@@ -1,27 +1,8 @@
-"""gelform import and gelform compare."""
-
-import json
+"""gelform import: other packages' calibrations, and what they lack."""
 
 import numpy as np
-import pytest
 
 import gelform
-from made.torch_file_writer import network_arrays, torch_file
-
-
-@pytest.fixture
-def network(tmp_path):
-    return torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
-
-
-@pytest.fixture
-def imported(run, network, press_folder, tmp_path):
-    path = tmp_path / "imported.npz"
-    rest = press_folder / "background.png"
-    code, _, err = run("import", network, "--from", "gs_sdk", "--background", rest, "-o", path)
-    assert code == 0, err
-    assert "results will be in pixels" in err
-    return path
 
 
 def images_of(press_folder):
@@ -69,34 +50,3 @@ def test_nothing_is_guessed(fails, network, press_folder, tmp_path):
     assert not out.exists()
     out.write_bytes(b"")
     assert "already there" in fails("import", network, "--from", "gs_sdk", "--background", rest, "-o", out)
-
-
-def test_compare_writes_a_picture_for_each_image(
-    run, run_json, imported, calibration_file, press_folder, tmp_path
-):
-    pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
-    images, folder = images_of(press_folder), tmp_path / "side"
-    said = run_json("compare", *images, "-c", calibration_file, "-c", imported, "-o", folder)
-    assert [row["image"] for row in said["images"]] == [str(image) for image in images]
-    for image, row in zip(images, said["images"]):
-        assert gelform.read_image(folder / f"{image.stem}.png").shape[2] == 3
-        assert row["unit"] == "px"
-        assert row["peak_a"] > 0
-    code, out, _ = run("compare", images[0], "-c", calibration_file, "-c", calibration_file)
-    assert code == 0
-    assert "peak A (mm)" in out
-
-
-def test_a_calibration_agrees_with_itself(run_json, calibration_file, press_folder):
-    row = run_json("compare", images_of(press_folder)[0], "-c", calibration_file, "-c", calibration_file)[
-        "images"
-    ][0]
-    assert (row["unit"], row["difference_rms"], row["angle_deg"]) == ("mm", 0, 0)
-    assert row["peak_a"] == row["peak_b"] > 0
-    json.dumps(row)
-
-
-def test_compare_wants_two(fails, calibration_file, press_folder, tmp_path):
-    image = images_of(press_folder)[0]
-    assert "expected two, got 1" in fails("compare", image, "-c", calibration_file, status=2)
-    assert "No file" in fails("compare", image, "-c", calibration_file, "-c", tmp_path / "none.npz")

@@ -1,5 +1,6 @@
 """gelform reconstruct: images of one name give as many results, and nothing is half done."""
 
+import json
 import shutil
 
 import numpy as np
@@ -121,6 +122,47 @@ def test_mistakes_are_one_line(fails, calibration_file, press_folder, tmp_path):
     ):
         assert text in fails("reconstruct", *arguments)
     assert not list(out.rglob("*.npz"))
+
+
+def test_one_bad_image_does_not_stop_the_others(run, run_json, calibration_file, press_folder, tmp_path):
+    good = [press_folder / "images" / f"000{k}.png" for k in range(3)]
+    (tmp_path / "bad.png").write_text("no image")
+    arguments = ("reconstruct", good[0], tmp_path / "bad.png", *good[1:], "-c", calibration_file)
+    code, out, err = run(*arguments, "-o", tmp_path / "out")
+    assert code == 1
+    assert err.startswith(f"gelform: error: {tmp_path / 'bad.png'} is ")
+    assert "3 of 4 images done, 0 skipped, 1 not possible." in err
+    assert sum(1 for _ in (tmp_path / "out").rglob("*.npz")) == 3
+    assert out.count(".npz") == 3
+    code, out, _ = run(*arguments, "-o", tmp_path / "again", "--json")
+    said = json.loads(out)
+    assert (code, len(said["results"])) == (1, 3)
+    assert [one["image"] for one in said["failed"]] == [str(tmp_path / "bad.png")]
+
+
+def test_it_goes_on_where_it_was(run, calibration_file, press_folder, tmp_path):
+    images = [press_folder / "images" / f"000{k}.png" for k in range(3)]
+    out = tmp_path / "out"
+    assert run("reconstruct", *images, "-c", calibration_file, "-o", out, "-q")[0] == 0
+    (out / "0001.npz").unlink()
+    (out / "0002.npz").write_text("mine")
+    code, said, err = run("reconstruct", *images, "-c", calibration_file, "-o", out, "--skip-existing")
+    assert code == 0
+    assert "1 of 3 images done, 2 skipped, 0 not possible." in err
+    assert said.count(".npz") == 1
+    assert load_result(out / "0001.npz")
+    assert (out / "0002.npz").read_text() == "mine"
+
+
+def test_strict_fails_on_a_warning(run, calibration_file, press_folder, tmp_path):
+    rest = read_image(press_folder / "background.png").astype(float)
+    save_picture(tmp_path / "rest.png", np.clip(rest * 1.15, 0, 255).astype(np.uint8))
+    arguments = ("reconstruct", press_folder / "images" / "0000.png", "-c", calibration_file)
+    assert run(*arguments, "-o", tmp_path / "a", "--strict")[0] == 0
+    warned = (*arguments, "--background", tmp_path / "rest.png")
+    assert run(*warned, "-o", tmp_path / "b")[0] == 0
+    assert run(*warned, "-o", tmp_path / "c", "--strict")[0] == 1
+    assert load_result(tmp_path / "c" / "0000.npz")
 
 
 def test_unknown_formats_and_solvers_are_usage(fails, calibration_file, press_folder, tmp_path):

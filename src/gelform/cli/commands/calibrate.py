@@ -19,10 +19,10 @@ from gelform.cli.options import (
     numbers,
     one_of,
 )
+from gelform.cli.process import only_writer
 from gelform.cli.report_files import REPORT_FILES, check_report_folder, write_report
-from gelform.cli.result_names import make_folder
+from gelform.cli.result_names import check_output
 from gelform.cli.tables import COLOR_MODELS, listed
-from gelform.errors import CalibrationError
 
 if TYPE_CHECKING:
     from gelform.calibration_file import Calibration
@@ -84,7 +84,7 @@ def calibrate(
     from gelform.calibration.presses.folder import read_presses
     from gelform.calibration_file import load_calibration
 
-    with progress_shown(quiet) as progress:
+    with only_writer(output), progress_shown(quiet) as progress:
         warm(progress)
         found = read_presses(
             presses,
@@ -108,10 +108,7 @@ def calibrate(
 
 def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:
     """Everything that could stop the writing is said before the work."""
-    from gelform.npz_files import check_free
-
-    make_folder(output.parent)
-    check_free(output, overwrite=overwrite, error=CalibrationError)
+    check_output(output, overwrite=overwrite)
     if report is not None:
         check_report_folder(report, overwrite)
 

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from gelform.cli.console import figure, print_json, progress_shown, say, show_table
-from gelform.cli.options import Json, Quiet
+from gelform.cli.options import Json, Overwrite, Quiet
+from gelform.cli.result_names import check_output
 
 
 def design(
@@ -20,6 +21,7 @@ def design(
     ] = None,
     presses: Annotated[int, typer.Option(min=4, help="Ball presses to calibrate each design on.")] = 14,
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -40,18 +42,17 @@ def design(
 
     chosen = sensor_of(sensor)
     if output is not None:
-        from gelform.npz_files import check_free
         from gelform.plots.canvas import check_matplotlib
 
         check_matplotlib()
-        check_free(output, overwrite=False)
+        check_output(output, overwrite=overwrite)
     with progress_shown(quiet) as progress:
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
         from gelform.design.picture import design_picture
         from gelform.plots.canvas import save_picture
 
-        save_picture(output, design_picture(results))
+        save_picture(output, design_picture(results), overwrite=overwrite)
     rows = [
         {
             "design": result.name,

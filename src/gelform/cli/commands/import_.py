@@ -10,9 +10,8 @@ import typer
 from gelform.cli.console import print_json, say
 from gelform.cli.failures import mistakes_in
 from gelform.cli.options import Background, Json, MmPerPx, Overwrite, Quiet, one_of
-from gelform.cli.result_names import make_folder
+from gelform.cli.result_names import check_output
 from gelform.cli.tables import PACKAGES, listed
-from gelform.errors import CalibrationError
 
 
 def import_(
@@ -60,11 +59,9 @@ def import_(
             "needed: an image of the untouched gel; these files hold none.", param_hint="--background"
         )
     from gelform.importers.calibrations import import_calibration
-    from gelform.npz_files import check_free
     from gelform.sensors.files import read_image
 
-    make_folder(output.parent)
-    check_free(output, overwrite=overwrite, error=CalibrationError)
+    check_output(output, overwrite=overwrite)
     with mistakes_in(file):
         calibration = import_calibration(
             file,

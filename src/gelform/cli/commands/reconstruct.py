@@ -10,11 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.failures import MISTAKE, one_line
 from gelform.cli.options import Background, CalibrationFile, Json, Overwrite, Quiet, one_of
 from gelform.cli.result_names import check_results, make_folder, result_paths
 from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
+from gelform.errors import GelformError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction
 
@@ -40,6 +45,12 @@ def reconstruct(
     formats: Annotated[
         str, typer.Option("--format", help="What to write: npz, png, or both: npz,png.")
     ] = "npz",
+    skip_existing: Annotated[
+        bool, typer.Option("--skip-existing", help="Leave out images whose results are there: goes on.")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 1 where a result has a warning.")
+    ] = False,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -47,7 +58,8 @@ def reconstruct(
     """Reconstruct depth in mm from images of a calibrated sensor.
 
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
-    confidence, contact, known and mm_per_px; with --format npz,png a picture beside it.
+    confidence, contact, known and mm_per_px; with --format npz,png a picture beside it. An image that cannot be
+    read or is of another sensor is reported, the others are done, and the exit status is 1.
 
     \b
     Examples:
@@ -58,7 +70,10 @@ def reconstruct(
     wanted = _formats(formats)
     paths = result_paths(images, output, wanted)
     protected = [*images, calibration, *([background] if background else [])]
-    check_results(paths, overwrite=overwrite, protected=protected)
+    todo = list(zip(images, paths))
+    if skip_existing:
+        todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
+    check_results([results for _, results in todo], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         from gelform.plots.canvas import check_matplotlib
 
@@ -66,14 +81,29 @@ def reconstruct(
     with progress_shown(quiet) as progress:
         warm(progress)
         run = _prepared(calibration, background, solver)
-        make_folder(output)
-        rows = []
-        for done, (image, results) in enumerate(zip(images, paths)):
-            rows.append(_reconstruct_one(run, image, results, overwrite))
-            progress(done + 1, len(images), "reconstructing")
+        rows, failed = [], []
+        for done, (path, results) in enumerate(todo):
+            try:
+                image = image_in(path, run.calibration)
+                result = reconstruction_of(run, image, path)
+            except GelformError as problem:
+                failed.append({"image": str(path), "error": one_line(problem)})
+            else:
+                _write(result, image, results, overwrite or skip_existing)
+                rows.append(_row(result, path, results))
+            progress(done + 1, len(todo), "reconstructing")
+    for one in failed:
+        say(f"gelform: error: {one['error']}")
     _report(rows, quiet or as_json)
+    if len(images) > len(rows) and len(images) > 1:
+        skipped = len(images) - len(todo)
+        say(
+            f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} not possible.", quiet
+        )
     if as_json:
-        print_json({"results": rows})
+        print_json({"results": rows, "failed": failed})
+    if failed or (strict and any(row["findings"] for row in rows)):
+        raise typer.Exit(MISTAKE)
 
 
 def _prepared(calibration: Path, background: Path | None, solver: str) -> Reconstructor:
@@ -86,13 +116,11 @@ def _prepared(calibration: Path, background: Path | None, solver: str) -> Recons
     return Reconstructor(loaded, background=background_in(background, loaded), solver=solver)
 
 
-def _reconstruct_one(
-    run: Reconstructor, path: Path, results: dict[str, Path], overwrite: bool
-) -> dict[str, Any]:
+def _write(
+    result: Reconstruction, image: NDArray[np.uint8], results: dict[str, Path], overwrite: bool
+) -> None:
     from gelform.reconstruction import save_result
 
-    image = image_in(path, run.calibration)
-    result = reconstruction_of(run, image, path)
     make_folder(next(iter(results.values())).parent)
     if "npz" in results:
         save_result(result, results["npz"], overwrite=overwrite)
@@ -101,6 +129,10 @@ def _reconstruct_one(
         from gelform.plots.result import picture
 
         save_picture(results["png"], picture(result, image), overwrite=overwrite)
+
+
+def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
+    """What is said of one result."""
     return {
         "image": str(path),
         "outputs": [str(one) for one in results.values()],
@@ -122,6 +154,8 @@ def _peak(result: Reconstruction) -> dict[str, Any]:
 
 
 def _report(rows: Sequence[dict[str, Any]], quiet: bool) -> None:
+    if not rows:
+        return
     found = [(finding["name"], finding["message"]) for row in rows for finding in row["findings"]]
     for name, count in Counter(name for name, _ in found).items():
         message = next(text for other, text in found if other == name)

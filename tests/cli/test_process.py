@@ -1,0 +1,126 @@
+"""The command as a process: closed or odd streams, signals, pipes, two writers of one file; never a traceback."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gelform.cli.process import only_writer
+from gelform.errors import DataError
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and streams")
+GELFORM = f"{sys.executable} -m gelform"
+
+
+def shell(command, **how):
+    return subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, **how)
+
+
+def test_closed_streams_are_no_traceback(calibration_file, tmp_path):
+    for command in (
+        f"{GELFORM} info {calibration_file} 2>&-",
+        f"{GELFORM} info {calibration_file} >&-",
+        f"{GELFORM} info {tmp_path}/nothing 2>&-",
+        f"{GELFORM} info {tmp_path}/nothing <&- >&- 2>&-",
+    ):
+        ran = shell(command)
+        assert ran.returncode == ("nothing" in command), command
+        assert "Traceback" not in ran.stderr
+
+
+def test_a_reader_that_stops_is_no_traceback(press_folder):
+    """Standard error belongs to the command alone: the shell's own would hide what Python says as it exits."""
+    for command in ("--help", "calibrate --help", f"info {press_folder}"):
+        ran = shell(f"set -o pipefail; {GELFORM} {command} | true")
+        assert ran.stderr == "", command
+
+
+def test_a_full_disk_behind_the_output_is_said():
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    ran = shell(f"{GELFORM} --version > /dev/full")
+    assert ran.returncode == 1
+    assert "No space left" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path):
+    image = tmp_path / "Prüfling µ.png"
+    image.write_bytes((press_folder / "images" / "0000.png").read_bytes())
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+    arguments = [
+        sys.executable,
+        "-m",
+        "gelform",
+        "reconstruct",
+        image,
+        "-c",
+        calibration_file,
+        "-o",
+        tmp_path / "o",
+    ]
+    ran = subprocess.run(arguments, capture_output=True, env=ascii_only, timeout=60)
+    assert (ran.returncode, ran.stderr) == (0, b"")
+    assert rb"Pr\xfcfling" in ran.stdout
+    again = subprocess.run(
+        [*arguments, "--overwrite", "--json"], capture_output=True, env=ascii_only, timeout=60
+    )
+    assert json.loads(again.stdout)["results"][0]["image"] == str(image)
+
+
+def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
+    os.mkfifo(tmp_path / "pipe.png")
+    assert "got a pipe" in fails("info", tmp_path / "pipe.png")
+    assert "got a pipe" in fails(
+        "reconstruct", tmp_path / "pipe.png", "-c", calibration_file, "-o", tmp_path / "o"
+    )
+    assert "No file" in fails(
+        "reconstruct", tmp_path / "x.png", "-c", tmp_path / "pipe.png", "-o", tmp_path / "o"
+    )
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
+    arguments = [
+        "simulate",
+        "-o",
+        tmp_path / "out",
+        "--count",
+        "4000",
+        "--workers",
+        str(workers),
+        "--sensor",
+        "digit",
+    ]
+    ran = subprocess.Popen(
+        [sys.executable, "-m", "gelform", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob(".out.partial-*/images/*.png")):
+        assert time.monotonic() < deadline
+        assert ran.poll() is None, ran.stderr.read()
+        time.sleep(0.05)
+    (os.killpg if kind == signal.SIGINT else os.kill)(ran.pid, kind)
+    _, said = ran.communicate(timeout=60)
+    assert (ran.returncode, said) == (130, "gelform: interrupted.\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_second_writer_of_one_file_is_refused(tmp_path, fails, press_folder):
+    with only_writer(tmp_path / "cal.npz"):
+        assert "Another gelform is making" in fails("calibrate", press_folder, "-o", tmp_path / "cal.npz")
+        with only_writer(tmp_path / "other.npz"):
+            pass
+    with only_writer(tmp_path / "cal.npz"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(DataError, match="Cannot write into"), only_writer(tmp_path / "no" / "cal.npz"):
+        pass

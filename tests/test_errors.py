@@ -1,0 +1,11 @@
+"""Every error of gelform's own can be caught by one name, and none passes for a wrong argument."""
+
+from gelform import errors
+
+
+def test_one_base():
+    own = [value for value in vars(errors).values() if isinstance(value, type)]
+    assert len(own) >= 5
+    assert all(issubclass(one, errors.GelformError) for one in own)
+    assert not any(issubclass(one, ValueError | TypeError | OSError) for one in own)
+    assert all(one.__doc__ for one in own)
