@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelform.simulate import Ball, Gel
+from gelform.simulate.gel import ball_press
 from gelform.simulate.gel.ball_press import contact_radius_of_ball, depth_of_ball
 from gelform.simulate.gel.gel import surface_from_ball
+from kernel_agreement import assert_kernel_agrees
 from made.sensors import LENGTH, grid
 
 
@@ -96,3 +98,25 @@ def test_depth_and_rim_slope_are_one_relation_with_a_bulge():
 def test_equal_lengths_are_no_pole():
     near, at = (contact_radius_of_ball(3.0, 0.5, 0.5, thickness_mm=h, bulge=0.5) for h in (0.505, 0.5))
     assert near == pytest.approx(at, rel=0.01)
+
+
+def test_the_kernel_is_the_cap_and_its_table():
+    press = ball_press.ball_press(2.0, 0.6, LENGTH, thickness_mm=2.0, bulge=0.5)
+    a, step = press.contact_radius_mm, 0.002
+    depth, slope = press.tail(a + step * np.arange(800))
+    x, y = (axis.ravel() for axis in grid(1.8, 0.03))
+
+    def reference(dx, dy, depth, slope, z, gradients, touching, radius, top, contact, step):
+        r = np.hypot(dx, dy[:, None])
+        inside, known = r <= contact, r < contact + step * (len(depth) - 1)
+        tail = [np.where(known, values, 0) for values in press.tail(np.maximum(r, contact))]
+        cosine = np.sqrt(np.where(inside, radius**2 - r**2, 1))
+        z = np.where(inside, top - radius + cosine, tail[0])
+        over_r = np.where(inside, -1 / cosine, tail[1] / np.maximum(r, 1e-9))
+        return z, np.stack([over_r * dx, over_r * dy[:, None]], axis=-1), inside
+
+    shape = (y.size, x.size)
+    assert_kernel_agrees(
+        ball_press._ball_surface, reference, x, y, depth, slope, np.zeros(shape), np.zeros((*shape, 2)),
+        np.zeros(shape, bool), press.radius_mm, press.depth_mm, a, step,
+    )  # fmt: skip

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from gelform.simulate import LAYOUTS, Coin, simulate_press
-from gelform.simulate.gel.membrane import carried_along, membrane_over, spread
+from gelform.simulate.gel import membrane
+from gelform.simulate.gel.membrane import bulging_membrane_over, carried_along, membrane_over, spread
+from kernel_agreement import usable_isas
 
 
 def test_the_membrane_never_enters_the_obstacle_and_is_level_free_beside_it():
@@ -53,3 +55,33 @@ def test_a_coarse_guess_that_does_not_settle_stops_nothing():
     sensor = LAYOUTS["homemade"]
     press = simulate_press(sensor, Coin(), depth_mm=0.35, rng=np.random.default_rng(7))
     assert press.depth_mm.max() == pytest.approx(0.35, rel=1e-3)
+
+
+def dense_membrane(obstacle, relaxation_px):
+    """The same problem by projected relaxation on one grid, many times over."""
+    u = np.maximum(obstacle, 0)
+    spring = relaxation_px**-2
+    colour = np.add.outer(np.arange(u.shape[0]), np.arange(u.shape[1])) % 2
+    for sweep in range(4000):
+        padded = np.pad(u, 1, mode="edge")
+        total = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+        u = np.where(colour == sweep % 2, np.maximum(total / (4 + spring), obstacle), u)
+    return u
+
+
+@pytest.mark.parametrize("shape", [(37, 50), (8, 9), (40, 3)])
+def test_the_cycles_end_where_relaxation_on_one_grid_does(shape):
+    obstacle = np.maximum(np.random.default_rng(4).normal(size=shape) - 0.8, 0)
+    found = membrane_over(obstacle, relaxation_px=5.0)
+    np.testing.assert_allclose(found, dense_membrane(obstacle, 5.0), atol=1e-4 * obstacle.max())
+
+
+def test_all_instruction_sets_give_the_same_bits(monkeypatch):
+    """Only the kernel is changed: a handle made by one library is not for another."""
+    obstacle = np.maximum(np.random.default_rng(4).normal(size=(60, 70)) - 1, 0)
+    found = []
+    for isa in usable_isas():
+        monkeypatch.setattr(membrane, "_membrane_cycles", membrane._membrane_cycles.on(isa))
+        found.append(bulging_membrane_over(obstacle, relaxation_px=6.0, bulge=0.5, bulge_px=20.0))
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])

@@ -18,7 +18,9 @@ from gelform.simulate import (
     simulate_press,
 )
 from gelform.simulate.gel.gel import Surface
+from gelform.simulate.light import irradiance
 from gelform.simulate.light.irradiance import irradiance_from_surface
+from kernel_agreement import assert_kernel_agrees
 from made.sensors import PLAIN
 
 WHITE = (1.0, 1.0, 1.0)
@@ -183,3 +185,31 @@ def test_gloss_is_the_power_of_the_half_angle(shininess):
     half = to_light / np.sqrt(square)[..., None] + np.array([0, 0, 1])
     cosine = half[..., 2] / np.linalg.norm(half, axis=-1)
     np.testing.assert_allclose(glossy - matte, 0.5 * 1e5 * cosine**shininess / square, rtol=1e-9)
+
+
+@pytest.mark.parametrize("oversample", [1, 3])
+@pytest.mark.parametrize("shininess", [1, 16])
+def test_the_kernel_is_the_formula_on_every_instruction_set(oversample, shininess):
+    rng = np.random.default_rng(1)
+    sensor = sensor_with(
+        Led((4, 1, 5), (90, 10, 0), beam_power=2), Led((-3, 2, 4), (0, 50, 20)), shape=(20, 300)
+    )
+    x, y = (axis.ravel() for axis in sensor.grid_mm(oversample))
+    z = 0.2 * np.sin(x) * np.cos(y)[:, None]
+    gradients = rng.uniform(-1, 1, (*z.shape, 2))
+    texture = rng.uniform(-0.1, 0.1, (*z.shape, 2)).astype(np.float32)
+    visible = rng.uniform(0, 1, (2, 20, 300)).astype(np.float32)
+    doublings = shininess.bit_length() - 1
+
+    def reference(x, y, z, gradients, texture, table, visible, out, specular, doublings, oversample):
+        surface = Surface(x[None], y[:, None], z, gradients + texture, z > 0)
+        return irradiance.exact_irradiance(
+            surface, table.astype(float), visible.repeat(oversample, 1).repeat(oversample, 2)[:, ::oversample, ::oversample],
+            oversample, specular, doublings,
+        )  # fmt: skip
+
+    assert_kernel_agrees(
+        irradiance._irradiance, reference, x, y, z, gradients, texture,
+        irradiance._table(sensor.leds).astype(np.float32), visible, np.zeros((20, 300, 3), np.float32),
+        0.3, doublings, oversample,
+    )  # fmt: skip

@@ -7,7 +7,9 @@ import pytest
 
 from gelform.simulate import LAYOUTS, Ball, Led, simulate_background, simulate_press
 from gelform.simulate.gel.gel import surface_from_ball
+from gelform.simulate.light import shadows
 from gelform.simulate.light.shadows import shadowed_from_surface, visible_from_surface
+from kernel_agreement import assert_kernel_agrees
 from made.sensors import PLAIN
 
 
@@ -79,3 +81,44 @@ def test_attached_shadows_are_where_the_light_lies_behind_the_surface(place):
     facing = to_light[2] - np.sum(surface.gradients * np.moveaxis(to_light[:2], 0, -1), axis=-1)
     np.testing.assert_array_equal(lost, facing <= 0)
     assert lost.any()
+
+
+def marched(depth, leds, reach, seen, top, sharpest):
+    """Every ray followed to its end, without the search for what can hide a light."""
+    seen = seen.copy()
+    for k, (x, y, z, size) in enumerate(leds):
+        for i, j in np.ndindex(*depth.shape):
+            dx, dy = x - j, y - i
+            steps = max(abs(dx), abs(dy))
+            rise, soft = (z - depth[i, j]) / steps, 0.5 * size / steps + sharpest
+            for s in range(1, int(min((top - depth[i, j]) / rise + 1, steps)) + 1):
+                row, column = i + s * (dy / steps), j + s * (dx / steps)
+                if not (0 <= row < depth.shape[0] - 1 and 0 <= column < depth.shape[1] - 1):
+                    break
+                n, m = int(row), int(column)
+                v, u = row - n, column - m
+                there = (1 - v) * ((1 - u) * depth[n, m] + u * depth[n, m + 1])
+                there += v * ((1 - u) * depth[n + 1, m] + u * depth[n + 1, m + 1])
+                clear = (rise * s + depth[i, j] - there) / (s * soft)
+                seen[k, i, j] = min(seen[k, i, j], np.clip(0.5 + 0.5 * clear, 0, 1))
+    return seen
+
+
+@pytest.mark.parametrize("size", [0.5, 4.0])
+def test_the_kernel_finds_what_every_ray_meets(size):
+    x, y = np.meshgrid(np.arange(48), np.arange(40))
+    depth = np.maximum(1 - np.hypot(x - 22.3, y - 18.7) / 8, 0) + 0.02 * np.sin(x) * np.cos(0.7 * y)
+    depth = depth.astype(np.float32)
+    leds = np.array([(-40.3, 11.2, 3.0, size), (60.1, 70.4, 4.0, size), (30.2, -50.6, 2.0, size)])
+    top = float(depth.max())
+    reach = shadows._reach(leds, depth.shape, top)
+    seen = np.ones((3, 40, 48), np.float32)
+    assert_kernel_agrees(
+        shadows._visible_lights, marched, depth, leds, reach, seen, top, 1e-4, tolerance=1e-4
+    )
+    assert marched(depth, leds, reach, seen, top, 1e-4).min() < 0.1
+
+
+def test_a_gentle_bump_hides_nothing():
+    surface = surface_from_ball(Ball(8), *PLAIN.grid_mm(), center_mm=(0, 0), depth_mm=0.2, relaxation_mm=0.5)
+    assert visible_from_surface(surface, (Led((-8.0, 2.0, 9.0), (1, 1, 1)),)) is None

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from gelform.simulate import Ball, Optics, exposed, simulate_background, simulate_press
+from gelform.simulate.sensor import grey_levels
 from gelform.simulate.sensor.grey_levels import draws, normal_table, saturated_from_levels
+from kernel_agreement import assert_kernel_agrees
 from made.sensors import PLAIN, SMALL
 
 
@@ -59,3 +61,27 @@ def test_jpeg_leaves_its_blocks():
     steps = np.abs(np.diff(image, axis=1)).mean(axis=(0, 2))
     borders = steps[7::8].mean()
     assert borders > 1.5 * np.delete(steps, np.arange(7, 79, 8)).mean()
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+@pytest.mark.parametrize("noisy", [True, False])
+def test_the_kernel_rounds_what_numpy_makes(noisy, gamma):
+    rng = np.random.default_rng(0)
+    levels = rng.uniform(-20, 280, (30, 41, 3)).astype(np.float32)
+    drawn = draws(rng, levels.size).reshape(levels.shape) if noisy else None
+    curve = None if gamma == 1 else grey_levels.response_table(gamma)
+
+    def reference(levels, drawn, normal, curve, grey, variance, gain):
+        if drawn is not None:
+            levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal[drawn]
+        if curve is not None:
+            place = (len(curve) - 1) * np.sqrt(np.maximum(levels, 0) * np.float32(1 / 255))
+            whole = np.minimum(place.astype(int), len(curve) - 2)
+            levels = curve[whole] + (place - whole) * (curve[whole + 1] - curve[whole])
+        return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+
+    grey = np.empty(levels.shape, np.uint8)
+    assert_kernel_agrees(
+        grey_levels._grey_levels, reference, levels, drawn, normal_table(), curve, grey,
+        np.float32(1.5), np.float32(0.02),
+    )  # fmt: skip

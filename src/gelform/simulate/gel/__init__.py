@@ -3,7 +3,6 @@
 from gelform.simulate.gel.ball_press import (
     BallPress,
     ball_on_grid,
-    ball_press,
     contact_radius_of_ball,
     depth_of_ball,
 )
@@ -25,7 +24,6 @@ __all__ = [
     "Gel",
     "Surface",
     "ball_on_grid",
-    "ball_press",
     "bulging_membrane_over",
     "carried_along",
     "contact_radius_of_ball",

@@ -7,15 +7,24 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 from scipy.optimize import brentq
 from scipy.special import k0e, k1e
+
+from gelform._native import Kernel
 
 NODES = 200  # of the bulge inside the contact
 TABLE = 4096
 REACH_LENGTHS = 16  # e^-16: beyond, the gel is at rest
 APART = 1e-3  # the two lengths of the gel may not be closer than this (their solutions would coincide)
+
+
+_ball_surface = Kernel(
+    "ball_surface",
+    "f64[w] dx, f64[h] dy, f64[points] depth, f64[points] slope, out f64[h,w] z, out f64[h,w,2] gradients, "
+    "out bool[h,w] touching, f64 radius, f64 top, f64 contact, f64 step",
+)
 
 
 @dataclass(frozen=True)
@@ -107,7 +116,7 @@ def ball_on_grid(
     z, gradients = np.zeros((y_mm.size, x_mm.size)), np.zeros((y_mm.size, x_mm.size, 2))
     touching = np.zeros(z.shape, dtype=bool)
     dx, dy = np.ravel(x_mm) - center_mm[0], np.ravel(y_mm) - center_mm[1]
-    _fill(dx, dy, press.radius_mm, press.depth_mm, a, step, depth, slope, z, gradients, touching)
+    _ball_surface(dx, dy, depth, slope, z, gradients, touching, press.radius_mm, press.depth_mm, a, step)
     return z, gradients, touching
 
 
@@ -137,28 +146,24 @@ def _rim(
     return float(slope + b_slope + membrane * kl), float(membrane), b
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
 def _bulge_inside(
-    face: Any, a: float, thickness: float, bulge: float, coupling: float, kh: float
+    face: NDArray[Any], a: float, thickness: float, bulge: float, coupling: float, kh: float
 ) -> tuple[float, float]:
-    """The bulge and its slope at the rim, where it obeys `b' = -coupling (g + b) - kh b`.
-
-    Thomas's elimination of the tridiagonal system.
-    """
+    """The bulge and its slope at the rim, where it obeys `b' = -coupling (g + b) - kh b`."""
     step = a / NODES
     stiffness = (thickness / step) ** 2
-    diagonal, upper, right = 1 - bulge + 4 * stiffness, -4 * stiffness, bulge * face[0]
-    for i in range(1, NODES + 1):
-        lower, outward = -stiffness * (1 - 0.5 / i), -stiffness * (1 + 0.5 / i)
-        own, force = 1 - bulge + 2 * stiffness, bulge * face[i]
-        if i == NODES:  # the ghost beyond the rim, by the condition there
-            lower += outward
-            own -= outward * 2 * step * (coupling + kh)
-            force += outward * 2 * step * coupling * face[i]
-        factor = lower / diagonal
-        diagonal, right, upper = own - factor * upper, force - factor * right, outward
-    b = right / diagonal
-    return b, -coupling * (face[NODES] + b) - kh * b
+    i = np.arange(1, NODES + 1)
+    lower, upper = np.empty(NODES + 1), np.empty(NODES + 1)
+    diagonal, right = np.full(NODES + 1, 1 - bulge + 2 * stiffness), bulge * face
+    lower[1:], upper[1:] = -stiffness * (1 - 0.5 / i), -stiffness * (1 + 0.5 / i)
+    diagonal[0], upper[0] = 1 - bulge + 4 * stiffness, -4 * stiffness
+    ghost = upper[-1]  # the node beyond the rim, eliminated by the condition there
+    lower[-1] += ghost
+    diagonal[-1] -= ghost * 2 * step * (coupling + kh)
+    right[-1] += ghost * 2 * step * coupling * face[-1]
+    bands = np.stack([np.roll(upper, 1), diagonal, np.roll(lower, -1)])
+    b = float(solve_banded((1, 1), bands, right, check_finite=False)[-1])
+    return b, -coupling * (float(face[-1]) + b) - kh * b
 
 
 def _apart(thickness_mm: float, relaxation_mm: float) -> float:
@@ -166,41 +171,3 @@ def _apart(thickness_mm: float, relaxation_mm: float) -> float:
     if abs(thickness_mm / relaxation_mm - 1) < APART:
         return relaxation_mm * (1 + APART)
     return thickness_mm
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _fill(
-    dx: Any,
-    dy: Any,
-    radius: float,
-    top: float,
-    a: float,
-    step: float,
-    depth: Any,
-    slope: Any,
-    out: Any,
-    gradients: Any,
-    touching: Any,
-) -> None:
-    """The cap inside, beyond it cubic Hermite interpolation in a table of depth and slope over the radius."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            square = dx[j] * dx[j] + dy[i] * dy[i]
-            r = np.sqrt(square)
-            if r <= a:
-                cosine = np.sqrt(radius * radius - square)
-                out[i, j] = top - radius + cosine
-                over_r = -1 / cosine
-                touching[i, j] = True
-            else:
-                place = (r - a) / step
-                k = int(place)
-                if k + 1 >= depth.size:
-                    continue
-                t = place - k
-                d0, d1, s0, s1 = depth[k], depth[k + 1], step * slope[k], step * slope[k + 1]
-                square_term, cubic = 3 * (d1 - d0) - 2 * s0 - s1, 2 * (d0 - d1) + s0 + s1
-                out[i, j] = d0 + t * (s0 + t * (square_term + t * cubic))
-                over_r = (s0 + t * (2 * square_term + 3 * t * cubic)) / (step * r)
-            gradients[i, j, 0] = over_r * dx[j]
-            gradients[i, j, 1] = over_r * dy[i]

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
+from gelform._native import Handle, Kernel
 from gelform.errors import ConvergenceError
 
 TOLERANCE = 1e-5  # of the deepest point
 DRAG_TOLERANCE = 1e-3
 MAX_CYCLES = 100
 GUESS_CYCLES = 25
-SWEEPS = 2
-COARSEST_SWEEPS = 20
 BULGE_SAMPLES = 12  # samples per length on the grid on which the smooth bulge is computed
 Map = NDArray[np.float64]
+
+_membrane_cycles = Kernel(
+    "membrane_cycles",
+    "membrane* grids, out f64[gh,gw] u, out f64[gh,gw] before, f64[h,w] lowest, out bool[h,w] may_move, "
+    "out f64[1] change, f64 spring, f64 target, i32 cycles",
+)
 
 
 def membrane_over(obstacle: NDArray[Any], *, relaxation_px: float) -> NDArray[np.float64]:
@@ -76,20 +79,27 @@ def bulging_membrane_over(
     return _solved(g, relaxation_px, bulge=bulge, bulge_px=bulge_px)
 
 
-@dataclass(frozen=True)
-class _Level:
-    """One grid of the multigrid cycle.
+class _Grids:
+    """The grids of a multigrid solution, from the finest to one on which relaxation alone is quick."""
 
-    u is the unknown with a border of ghosts, g its lower bound, f the right-hand side, r the residual, `free`
-    where u may move, `spring` the bed's stiffness per sample, 1/L^2.
-    """
+    def __init__(self, shape: tuple[int, ...], relaxation_px: float) -> None:
+        height, width = shape
+        self._handle = Handle("membrane", height, width)
+        self._spring = relaxation_px**-2  # the bed's stiffness for a sample
+        self._ghosted = np.zeros((height + 2, width + 2))  # the surface, with a border that the kernel fills
+        self._before = np.empty_like(self._ghosted)
+        self._change = np.zeros(1)
+        self.u = self._ghosted[1:-1, 1:-1]
+        self.lowest = np.full(shape, -np.inf)
+        self.free = np.ones(shape, dtype=bool)
 
-    u: Map
-    g: Map
-    f: Map
-    r: Map
-    free: NDArray[np.bool_]
-    spring: float
+    def cycle(self, target: float, most: int) -> float:
+        """Up to `most` V-cycles, until one changes `u` by no more than `target`; the last one's largest change."""
+        _membrane_cycles(
+            self._handle, self._ghosted, self._before, self.lowest, self.free, self._change,
+            self._spring, target, most,
+        )  # fmt: skip
+        return float(self._change[0])
 
 
 def _solved(
@@ -100,29 +110,27 @@ def _solved(
     A first guess may stop short of that: on a coarse relief two contacts can take turns for ever.
     """
     u, b = _coarse_guess(g, relaxation_px, bulge, bulge_px)
-    levels = _levels(g.shape, relaxation_px)
-    top = levels[0]
-    np.maximum(g + b, 0, out=top.g)
-    top.u[1:-1, 1:-1] = np.maximum(u, top.g)
+    grids = _Grids(g.shape, relaxation_px)
+    np.maximum(g + b, 0, out=grids.lowest)
+    grids.u[:] = np.maximum(u, grids.lowest)
     target = TOLERANCE * max(float(g.max()), 1e-12)
-    before, change = np.empty_like(top.u), np.inf
-    for _ in range(GUESS_CYCLES if guess else MAX_CYCLES):
-        before[:] = top.u
-        _cycle(levels, 0)
-        change = float(_largest_change(before, top.u))
-        if bulge > 0:
-            risen = spread(top.u[1:-1, 1:-1], bulge_px) * bulge
-            change = max(change, float(np.abs(risen - b).max()))
-            b = risen
-            np.maximum(g + b, 0, out=top.g)
+    most = GUESS_CYCLES if guess else MAX_CYCLES
+    if bulge == 0:
+        change = grids.cycle(target, most)
+    for _ in range(most if bulge > 0 else 0):
+        change = grids.cycle(target, 1)
+        risen = spread(grids.u, bulge_px) * bulge
+        change = max(change, float(np.abs(risen - b).max()))
+        b = risen
+        np.maximum(g + b, 0, out=grids.lowest)
         if change <= target:
-            return np.maximum(top.u[1:-1, 1:-1], top.g), b
-    if guess:
-        return np.maximum(top.u[1:-1, 1:-1], top.g), b
-    raise ConvergenceError(
-        f"The gel's surface did not settle in {MAX_CYCLES} cycles (change {change:.3g}). "
-        f"Its relaxation length is {relaxation_px:.3g} samples: simulate with another oversample."
-    )
+            break
+    if change > target and not guess:
+        raise ConvergenceError(
+            f"The gel's surface did not settle in {MAX_CYCLES} cycles (change {change:.3g}). "
+            f"Its relaxation length is {relaxation_px:.3g} samples: simulate with another oversample."
+        )
+    return np.maximum(grids.u, grids.lowest), b
 
 
 def spread(values: Map, length_px: float) -> Map:
@@ -150,18 +158,13 @@ def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Ma
 
     The values that are not fixed are the first guess; the result is good to a thousandth of the largest value.
     """
-    levels = _levels(values.shape, length_px)
-    top = levels[0]
-    top.u[1:-1, 1:-1] = values
-    top.free[:] = ~fixed
-    target = DRAG_TOLERANCE * max(float(np.abs(top.u).max()), 1e-9)
-    before = np.empty_like(top.u)
-    for _ in range(MAX_CYCLES):
-        before[:] = top.u
-        _cycle(levels, 0)
-        if _largest_change(before, top.u) <= target:
-            return top.u[1:-1, 1:-1].copy()
-    raise ConvergenceError(f"The gel's drag did not settle in {MAX_CYCLES} cycles.")
+    grids = _Grids(values.shape, length_px)
+    grids.u[:] = values
+    np.logical_not(fixed, out=grids.free)
+    target = DRAG_TOLERANCE * max(float(np.abs(values).max()), 1e-9)
+    if grids.cycle(target, MAX_CYCLES) > target:
+        raise ConvergenceError(f"The gel's drag did not settle in {MAX_CYCLES} cycles.")
+    return grids.u.copy()
 
 
 def _coarse_guess(g: Map, relaxation_px: float, bulge: float, bulge_px: float) -> tuple[Map, Map]:
@@ -174,104 +177,3 @@ def _coarse_guess(g: Map, relaxation_px: float, bulge: float, bulge_px: float) -
     coarse = _solved(halved, relaxation_px / 2, bulge=bulge, bulge_px=bulge_px / 2, guess=True)
     fine = [cv2.resize(part, even.shape[::-1], interpolation=cv2.INTER_LINEAR) for part in coarse]
     return np.asarray(fine[0][:height, :width]), np.asarray(fine[1][:height, :width])
-
-
-def _levels(shape: tuple[int, ...], relaxation_px: float) -> list[_Level]:
-    """Grids from fine to coarse, until the bed or the size makes relaxation alone quick."""
-    levels = []
-    height, width = shape
-    spring = relaxation_px**-2
-    while True:
-        size = (height, width)
-        u, lowest = np.zeros((height + 2, width + 2)), np.full(size, -np.inf)
-        levels.append(_Level(u, lowest, np.zeros(size), np.zeros(size), np.ones(size, dtype=bool), spring))
-        if min(size) < 5 or spring > 2:
-            return levels
-        height, width, spring = (height + 1) // 2, (width + 1) // 2, 4 * spring
-
-
-def _cycle(levels: list[_Level], k: int) -> None:
-    """One V-cycle: relax, correct by the next coarser grid what does not touch, relax."""
-    level = levels[k]
-    if k == len(levels) - 1:
-        _relax(level.u, level.g, level.f, level.free, level.spring, COARSEST_SWEEPS)
-        return
-    _relax(level.u, level.g, level.f, level.free, level.spring, SWEEPS)
-    _residual(level.u, level.g, level.f, level.free, level.spring, level.r)
-    moves = level.free & (level.u[1:-1, 1:-1] > level.g)
-    coarse = levels[k + 1]
-    _restrict(level.r, moves, coarse.f, coarse.free)
-    coarse.u[:] = 0
-    _cycle(levels, k + 1)
-    _correct(level.u, level.g, moves, coarse.u)
-    _relax(level.u, level.g, level.f, level.free, level.spring, SWEEPS)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _largest_change(before: Any, after: Any) -> float:
-    largest = 0.0
-    for i in range(1, after.shape[0] - 1):
-        for j in range(1, after.shape[1] - 1):
-            largest = max(largest, abs(after[i, j] - before[i, j]))
-    return largest
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _ghosts(u: Any) -> None:
-    for j in range(u.shape[1]):
-        u[0, j], u[-1, j] = u[1, j], u[-2, j]
-    for i in range(u.shape[0]):
-        u[i, 0], u[i, -1] = u[i, 1], u[i, -2]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _relax(u: Any, g: Any, f: Any, free: Any, spring: float, sweeps: int) -> None:
-    """Projected Gauss-Seidel, red-black; only the finest grid has an obstacle, only coarser ones a mask."""
-    factor = 1 / (4 + spring)
-    for half in range(2 * sweeps):
-        _ghosts(u)
-        for i in range(g.shape[0]):
-            for j in range((i + half) % 2, g.shape[1], 2):
-                if free[i, j]:
-                    total = u[i, j + 1] + u[i + 2, j + 1] + u[i + 1, j] + u[i + 1, j + 2] + f[i, j]
-                    u[i + 1, j + 1] = max(factor * total, g[i, j])
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _residual(u: Any, g: Any, f: Any, free: Any, spring: float, r: Any) -> None:
-    """The residual at samples that are free and do not touch; 0 elsewhere."""
-    _ghosts(u)
-    for i in range(f.shape[0]):
-        for j in range(f.shape[1]):
-            r[i, j] = 0
-            if free[i, j] and u[i + 1, j + 1] > g[i, j]:
-                total = u[i, j + 1] + u[i + 2, j + 1] + u[i + 1, j] + u[i + 1, j + 2] + f[i, j]
-                r[i, j] = total - (4 + spring) * u[i + 1, j + 1]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _restrict(r: Any, moves: Any, coarse: Any, coarse_moves: Any) -> None:
-    """Four times the mean of 2x2 residuals (the spacing doubles); a sample moves if all its four do."""
-    height, width = r.shape
-    for i in range(coarse.shape[0]):
-        i0, i1 = 2 * i, min(2 * i + 1, height - 1)
-        for j in range(coarse.shape[1]):
-            j0, j1 = 2 * j, min(2 * j + 1, width - 1)
-            coarse[i, j] = r[i0, j0] + r[i1, j0] + r[i0, j1] + r[i1, j1]
-            coarse_moves[i, j] = moves[i0, j0] and moves[i1, j0] and moves[i0, j1] and moves[i1, j1]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _correct(u: Any, g: Any, moves: Any, coarse: Any) -> None:
-    """Add the coarse correction, bilinear between coarse centres, to what does not touch."""
-    _ghosts(coarse)
-    for i in range(g.shape[0]):
-        i0 = i // 2 + 1
-        i1 = i0 - 1 if i % 2 == 0 else i0 + 1
-        for j in range(g.shape[1]):
-            if moves[i, j]:
-                j0 = j // 2 + 1
-                j1 = j0 - 1 if j % 2 == 0 else j0 + 1
-                beside = coarse[i1, j0] + coarse[i0, j1]
-                change = 0.5625 * coarse[i0, j0] + 0.1875 * beside + 0.0625 * coarse[i1, j1]
-                u[i + 1, j + 1] = max(u[i + 1, j + 1] + change, g[i, j])

@@ -6,14 +6,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
 from gelform.checks import check_finite
 from gelform.simulate.indenters.faces import MAX_SIZE_MM
 
 MAX_TRIANGLES = 5_000_000
 MIN_SIZE_MM = 0.01
+
+_rasterise = Kernel(
+    "rasterise",
+    "f64[count,3] vertices, i64[faces,3] triangles, out f64[h,w] height, f64 x0, f64 y0, f64 hx, f64 hy",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,29 +108,6 @@ def height_of_triangles(
             f"Expected a regular grid (1, W) and (H, 1), got {np.shape(x_mm)} and {np.shape(y_mm)}."
         )
     out = np.full((y.size, x.size), -np.inf)
-    _rasterise(
-        vertices, triangles, x[0], y[0], (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1), out
-    )
+    pitch_x, pitch_y = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
+    _rasterise(vertices, triangles, out, x[0], y[0], pitch_x, pitch_y)
     return out
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _rasterise(vertices: Any, triangles: Any, x0: float, y0: float, hx: float, hy: float, out: Any) -> None:
-    for k in range(triangles.shape[0]):
-        a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-        if area == 0:
-            continue
-        j0 = max(int(np.ceil((min(a[0], b[0], c[0]) - x0) / hx)), 0)
-        j1 = min(int(np.floor((max(a[0], b[0], c[0]) - x0) / hx)), out.shape[1] - 1)
-        i0 = max(int(np.ceil((min(a[1], b[1], c[1]) - y0) / hy)), 0)
-        i1 = min(int(np.floor((max(a[1], b[1], c[1]) - y0) / hy)), out.shape[0] - 1)
-        for i in range(i0, i1 + 1):
-            y = y0 + i * hy
-            for j in range(j0, j1 + 1):
-                x = x0 + j * hx
-                u = ((x - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (y - a[1])) / area
-                v = ((b[0] - a[0]) * (y - a[1]) - (x - a[0]) * (b[1] - a[1])) / area
-                if u >= -1e-12 and v >= -1e-12 and u + v <= 1 + 1e-12:
-                    z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
-                    out[i, j] = max(out[i, j], z)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.simulate.gel.gel import Surface
 from gelform.simulate.sensor.led import Led
 
-NO_SHADOWS = np.ones((0, 1, 1), dtype=np.float32)
+BLOCK_SAMPLES = 1 << 14  # of the surface at once in numpy: what the processor's cache holds
+
+_irradiance = Kernel(
+    "irradiance",
+    "f64[w] x, f64[h] y, f64[h,w] z, f64[h,w,2] gradients, f32[h,w,2]? texture, f32[lights,10] leds, "
+    "f32[lights,rows,columns]? visible, out f32[rows,columns,3] out, f32 specular, i32 doublings, i32 oversample",
+)
 
 
 def irradiance_from_surface(
@@ -47,112 +54,63 @@ def irradiance_from_surface(
     -------
     irradiance : (H, W, 3), grey levels before vignetting
     """
-    table = np.array([_row(led) for led in leds], dtype=dtype)
-    height, width = (n // oversample for n in surface.depth_mm.shape)
-    out = np.zeros((height, width, 3), dtype=dtype)
-    x, y = surface.x_mm.ravel().astype(dtype), surface.y_mm.ravel().astype(dtype)
-    gradients = surface.gradients.astype(dtype)
-    if texture is not None:
-        gradients = gradients + texture.astype(dtype)
-    numbers = np.array([0, 1, 2, 1 / oversample**2, specular], dtype=dtype)
     doublings = int(shininess).bit_length() - 1
-    seen = NO_SHADOWS if visible is None else visible
-    _shade(x, y, surface.depth_mm.astype(dtype), gradients, table, seen, oversample, numbers, doublings, out)
+    table = _table(leds).astype(dtype)
+    table[:, 3:6] /= oversample**2
+    height, width = (n // oversample for n in surface.depth_mm.shape)
+    if dtype == np.float32:
+        out = np.zeros((height, width, 3), dtype=np.float32)
+        x, y = surface.x_mm.ravel(), surface.y_mm.ravel()
+        z, gradients = map(np.ascontiguousarray, (surface.depth_mm, surface.gradients))
+        _irradiance(x, y, z, gradients, texture, table, visible, out, specular, doublings, oversample)
+        return out
+    out = np.empty((height, width, 3), dtype=dtype)
+    rows = max(1, BLOCK_SAMPLES // (surface.depth_mm.shape[1] * oversample))
+    for first in range(0, height, rows):
+        at = slice(first, first + rows)
+        fine = slice(first * oversample, (first + rows) * oversample)
+        gradients = surface.gradients[fine] if texture is None else surface.gradients[fine] + texture[fine]
+        part = Surface(surface.x_mm, surface.y_mm[fine], surface.depth_mm[fine], gradients, surface.contact)
+        seen = None if visible is None else visible[:, at]
+        out[at] = exact_irradiance(part, table, seen, oversample, specular, doublings)
     return out
 
 
-def _row(led: Led) -> tuple[float, ...]:
-    axis = np.subtract(led.aim_mm, led.position_mm)
-    axis = axis / np.linalg.norm(axis)
-    return (*led.position_mm, *led.color, *axis, float(led.beam_power))
-
-
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
-def _shade(
-    x: Any,
-    y: Any,
-    z: Any,
-    g: Any,
-    leds: Any,
-    seen: Any,
+def exact_irradiance(
+    surface: Surface,
+    table: NDArray[np.float64],
+    visible: NDArray[np.float32] | None,
     oversample: int,
-    numbers: Any,
+    specular: float,
     doublings: int,
-    out: Any,
-) -> None:
-    """Row by row and light by light, so that the innermost loops are plain vectors of one type."""
-    zero, one, share, specular = numbers[0], numbers[1], numbers[3], numbers[4]
-    width = x.size
-    p, q, cosine, near = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.empty_like(x)
-    row, gloss = np.empty_like(x), np.empty_like(x)
-    light = np.empty((3, width), dtype=x.dtype)
-    for i in range(y.size):
-        light[:] = zero
-        for j in range(width):
-            p[j], q[j] = g[i, j, 0], g[i, j, 1]
-            cosine[j] = one / np.sqrt(one + p[j] * p[j] + q[j] * q[j])
-        for k in range(leds.shape[0]):
-            led, dy = leds[k], leds[k, 1] - y[i]
-            _lambert(x, z[i], p, q, cosine, led, dy, zero, one, near, row)
-            if specular > zero:
-                _add_gloss(x, z[i], p, q, cosine, led, dy, numbers, doublings, near, gloss, row)
-            for _ in range(int(led[9])):
-                for j in range(width):
-                    along = led[6] * (x[j] - led[0]) - led[7] * dy + led[8] * (z[i, j] - led[2])
-                    row[j] *= max(along * near[j], zero)
-            if seen.shape[0] > 0:
-                for j in range(width):
-                    row[j] *= seen[k, i // oversample, j // oversample]
-            for c in range(3):
-                strength = led[3 + c] * share
-                if strength > zero:
-                    for j in range(width):
-                        light[c, j] += strength * row[j]
-        for j in range(width):
-            for c in range(3):
-                out[i // oversample, j // oversample, c] += light[c, j]
+) -> NDArray[np.float64]:
+    """The same in double precision, of lights as rows of numbers: what the kernel is held to."""
+    p, q = surface.gradients[..., 0], surface.gradients[..., 1]
+    cosine = 1 / np.sqrt(1 + p**2 + q**2)
+    height, width = (n // oversample for n in surface.depth_mm.shape)
+    total = np.zeros((height, width, 3))
+    for k, led in enumerate(table):
+        dx, dy, dz = led[0] - surface.x_mm, led[1] - surface.y_mm, led[2] - surface.depth_mm
+        near = 1 / np.sqrt(dx**2 + dy**2 + dz**2)
+        lit = np.maximum(dz - p * dx - q * dy, 0) * cosine * near**3
+        if specular > 0:
+            half = np.maximum((1 + (dz - p * dx - q * dy) * near) * cosine, 0)
+            gloss = (half**2 / (2 + 2 * dz * near)) ** (2.0 ** (doublings - 1))
+            lit += np.where(lit > 0, specular * gloss * near**2, 0)
+        if led[9] > 0:
+            lit *= np.maximum(-(led[6] * dx + led[7] * dy + led[8] * dz) * near, 0) ** led[9]
+        pixels = lit.reshape(height, oversample, width, oversample).sum(axis=(1, 3))
+        total += (pixels if visible is None else pixels * visible[k])[..., None] * led[3:6]
+    return total
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
-def _lambert(
-    x: Any, z: Any, p: Any, q: Any, cosine: Any, led: Any, dy: Any, zero: Any, one: Any, near: Any, row: Any
-) -> None:
-    lx, lz = led[0], led[2]
-    for j in range(x.size):
-        dx, dz = lx - x[j], lz - z[j]
-        near[j] = one / np.sqrt(dx * dx + dy * dy + dz * dz)
-    for j in range(x.size):  # apart from the loop above: one that writes two arrays is not vectorised
-        facing = max(lz - z[j] - p[j] * (lx - x[j]) - q[j] * dy, zero)
-        row[j] = facing * cosine[j] * near[j] * near[j] * near[j]
-
-
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
-def _add_gloss(
-    x: Any,
-    z: Any,
-    p: Any,
-    q: Any,
-    cosine: Any,
-    led: Any,
-    dy: Any,
-    numbers: Any,
-    doublings: int,
-    near: Any,
-    gloss: Any,
-    row: Any,
-) -> None:
-    zero, one, two, specular = numbers[0], numbers[1], numbers[2], numbers[4]
-    lx, lz = led[0], led[2]
-    for j in range(x.size):
-        dx, dz = (lx - x[j]) * near[j], (lz - z[j]) * near[j]
-        half = (dz + one - p[j] * dx - q[j] * dy * near[j]) * cosine[j]
-        gloss[j] = max(half, zero) * max(half, zero) / (two + two * dz)  # squared: no root needed
-    if doublings == 0:
-        for j in range(x.size):
-            gloss[j] = np.sqrt(gloss[j])
-    for _ in range(doublings - 1):
-        for j in range(x.size):
-            gloss[j] *= gloss[j]
-    for j in range(x.size):
-        lit = one if row[j] > zero else zero
-        row[j] += specular * gloss[j] * near[j] * near[j] * lit
+@lru_cache(maxsize=8)
+def _table(leds: tuple[Led, ...]) -> NDArray[np.float64]:
+    """Lights as rows of numbers: place, colour, axis, power of the beam."""
+    axes = [np.subtract(led.aim_mm, led.position_mm) for led in leds]
+    return np.array(
+        [
+            (*led.position_mm, *led.color, *(axis / np.linalg.norm(axis)), float(led.beam_power))
+            for led, axis in zip(leds, axes)
+        ]
+    )

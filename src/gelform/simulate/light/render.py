@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from gelform.simulate.gel.gel import Surface
@@ -70,7 +69,7 @@ def render(
     )
     markers = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px) if markers_mm is None else markers_mm
     albedo = _albedo(sensor, markers)
-    _dim(light, albedo, sensor.timing.light_at(time_s, sensor.shape[0])[:, 0].astype(dtype))
+    light = _dimmed(light, albedo, sensor.timing.light_at(time_s, sensor.shape[0]).astype(dtype))
     light = spread_in_gel(light, sensor.coating, sensor.mm_per_px)
     maps = maps_from_depth(sensor, coarse.depth_mm)
     levels = levels_from_irradiance(sensor, light, maps=maps)
@@ -94,15 +93,13 @@ def _truth(
     """Depth, gradients, albedo, contact, shadowed where each pixel looks."""
     if maps is None:
         return surface.depth_mm, surface.gradients, albedo, surface.contact, shadowed
-    numbers = np.empty((*albedo.shape, 4), dtype=np.float32)
-    _packed(surface.depth_mm, surface.gradients, albedo, numbers)
-    seen = cv2.remap(numbers, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    numbers = [surface.depth_mm, surface.gradients[..., 0], surface.gradients[..., 1], albedo]
+    packed = cv2.merge([np.asarray(number, dtype=np.float32) for number in numbers])
+    seen = cv2.remap(packed, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
     flags = surface.contact.astype(np.uint8) + 2 * shadowed.astype(np.uint8)
     flags = cv2.remap(flags, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REFLECT_101)
-    depth, gradients = np.empty_like(surface.depth_mm), np.empty_like(surface.gradients)
-    bright = np.empty_like(albedo)
-    _unpacked(seen, depth, gradients, bright)
-    return depth, gradients, bright, (flags & 1) > 0, flags > 1
+    depth, bright = seen[..., 0].astype(np.float64), seen[..., 3].copy()
+    return depth, seen[..., 1:3].astype(np.float64), bright, (flags & 1) > 0, flags > 1
 
 
 def middle_samples(surface: Surface, oversample: int) -> Surface:
@@ -124,30 +121,10 @@ def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray
     albedo = albedo_map(sensor.coating, sensor.shape, sensor.mm_per_px)
     if len(markers_mm) == 0:
         return albedo
-    places = np.array([sensor.px_from_mm((x, y)) for x, y in markers_mm])
+    places = markers_mm / sensor.mm_per_px + (np.array(sensor.shape[::-1]) - 1) / 2
     return with_markers(albedo, places, sensor.coating.marker_radius_mm / sensor.mm_per_px)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _dim(light: Any, albedo: Any, lamps: Any) -> None:
-    """Times the reflectance (H, W) and the LEDs' light (H, 3), in place."""
-    for i in range(light.shape[0]):
-        for j in range(light.shape[1]):
-            for c in range(3):
-                light[i, j, c] *= albedo[i, j] * lamps[i, c]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _packed(depth: Any, gradients: Any, albedo: Any, out: Any) -> None:
-    for i in range(depth.shape[0]):
-        for j in range(depth.shape[1]):
-            out[i, j, 0], out[i, j, 3] = depth[i, j], albedo[i, j]
-            out[i, j, 1], out[i, j, 2] = gradients[i, j, 0], gradients[i, j, 1]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _unpacked(seen: Any, depth: Any, gradients: Any, albedo: Any) -> None:
-    for i in range(depth.shape[0]):
-        for j in range(depth.shape[1]):
-            depth[i, j], albedo[i, j] = seen[i, j, 0], seen[i, j, 3]
-            gradients[i, j, 0], gradients[i, j, 1] = seen[i, j, 1], seen[i, j, 2]
+def _dimmed(light: NDArray[Any], albedo: NDArray[np.float32], lamps: NDArray[Any]) -> NDArray[Any]:
+    """Light (H, W, 3) times the reflectance (H, W) and the LEDs' light (H, 1, 3)."""
+    return np.asarray(cv2.multiply(light, cv2.merge([albedo * lamps[..., channel] for channel in range(3)])))

@@ -31,9 +31,10 @@ def spread_in_gel(light: NDArray[Any], coating: Coating, mm_per_px: float) -> ND
     size = (max(width // factor, 2), max(height // factor, 2))
     small = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
     added = sum(part * _blurred(small, sigma * size[0] / width) for part, sigma in wide)
-    out = light * light.dtype.type(1 - coating.scattering)
-    out += cv2.resize(np.asarray(added, dtype=light.dtype), (width, height), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(out)
+    wide_light = cv2.resize(
+        np.asarray(added, dtype=light.dtype), (width, height), interpolation=cv2.INTER_CUBIC
+    )
+    return np.asarray(cv2.addWeighted(light, 1 - coating.scattering, wide_light, 1, 0))
 
 
 def _blurred(small: NDArray[Any], sigma: float) -> NDArray[Any]:

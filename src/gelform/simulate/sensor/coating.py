@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map
@@ -79,10 +78,10 @@ class Coating:
         """Places (N, 2) of the markers at rest: a grid about the centre, to half a pitch beyond the image."""
         if self.marker_pitch_mm == 0:
             return np.zeros((0, 2))
-        half = np.array([shape[1], shape[0]]) * mm_per_px / 2
-        nx, ny = (int(h / self.marker_pitch_mm + 0.5) for h in half)
-        x, y = np.meshgrid(np.arange(-nx, nx + 1), np.arange(-ny, ny + 1))
-        return np.asarray(np.stack([x, y], axis=-1).reshape(-1, 2) * self.marker_pitch_mm, dtype=np.float64)
+        half_x, half_y = (n * mm_per_px / 2 for n in shape[::-1])
+        nx, ny = (int(half / self.marker_pitch_mm + 0.5) for half in (half_x, half_y))
+        y, x = np.mgrid[-ny : ny + 1, -nx : nx + 1] * self.marker_pitch_mm
+        return np.stack([x.ravel(), y.ravel()], axis=-1)
 
     @property
     def is_plain(self) -> bool:
@@ -129,19 +128,15 @@ def with_markers(
 ) -> NDArray[np.float32]:
     """The reflectance with dark dots at places (N, 2), x and y, with soft edges."""
     out = albedo.copy()
-    _dots(out, np.ascontiguousarray(places_px, dtype=np.float64), radius_px)
+    reach = int(radius_px) + 1
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    x, y = (np.rint(places_px[:, k]).astype(np.intp)[:, None, None] for k in (0, 1))
+    rows, columns = np.broadcast_arrays(y + row, x + column)
+    away = np.hypot(columns - places_px[:, 0, None, None], rows - places_px[:, 1, None, None])
+    cover = np.clip(radius_px + 0.5 - away, 0, 1)
+    shown = (cover > 0) & (rows >= 0) & (rows < out.shape[0]) & (columns >= 0) & (columns < out.shape[1])
+    np.multiply.at(out, (rows[shown], columns[shown]), (1 - 0.9 * cover[shown]).astype(np.float32))
     return out
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _dots(out: Any, places: Any, radius: float) -> None:
-    height, width = out.shape
-    for k in range(places.shape[0]):
-        x, y = places[k]
-        for i in range(max(int(y - radius), 0), min(int(y + radius) + 2, height)):
-            for j in range(max(int(x - radius), 0), min(int(x + radius) + 2, width)):
-                cover = min(max(radius + 0.5 - np.sqrt((j - x) ** 2 + (i - y) ** 2), 0), 1)
-                out[i, j] *= 1 - 0.9 * cover
 
 
 @lru_cache(maxsize=8)

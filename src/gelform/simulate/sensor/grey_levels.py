@@ -7,15 +7,19 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from gelform._native import Kernel
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
-_NO_NOISE = np.zeros(0, dtype=np.uint16)
-_NO_CURVE = np.zeros(0, dtype=np.float32)
 CURVE_STEPS = 4096
+
+_grey_levels = Kernel(
+    "grey_levels",
+    "f32[...] levels, u16[...]? drawn, f32[65536] normal, f32[points]? curve, out u8[...] grey, f32 variance, "
+    "f32 gain",
+)
 
 
 def image_from_levels(
@@ -26,19 +30,24 @@ def image_from_levels(
     Without `rng` there is no noise; without `quantise` levels are neither rounded, cut nor compressed. Noise is
     normal in 65536 steps, so that none is beyond 4.3 standard deviations.
     """
-    noise = _NO_NOISE
-    if rng is not None and (sensor.noise_sd > 0 or sensor.noise_gain > 0):
-        noise = draws(rng, levels.size)
-    image = np.empty_like(levels)
-    gamma = sensor.optics.response_gamma
-    numbers = np.array([0, sensor.noise_sd**2, sensor.noise_gain, 255, 1 / 255, 1 / gamma, CURVE_STEPS])
-    curve = response_table(gamma) if quantise and gamma != 1 else _NO_CURVE
-    _expose(levels.reshape(-1), noise, normal_table(), numbers.astype(levels.dtype), curve, image.reshape(-1))
+    noisy = rng is not None and (sensor.noise_sd > 0 or sensor.noise_gain > 0)
+    drawn = draws(rng, levels.size).reshape(levels.shape) if rng is not None and noisy else None
+    variance, gain, gamma = sensor.noise_sd**2, sensor.noise_gain, sensor.optics.response_gamma
     if not quantise:
-        return image
+        return _unrounded(levels, drawn, variance, gain, gamma)
     grey = np.empty(levels.shape, dtype=np.uint8)
-    _round(image.reshape(-1), grey.reshape(-1))
+    curve = None if gamma == 1 else response_table(gamma)
+    _grey_levels(levels, drawn, normal_table(), curve, grey, variance, gain)
     return grey if sensor.optics.jpeg_quality is None else _compressed(grey, sensor.optics.jpeg_quality)
+
+
+def _unrounded(
+    levels: NDArray[Any], drawn: NDArray[np.uint16] | None, variance: float, gain: float, gamma: float
+) -> NDArray[Any]:
+    """Levels with noise of a variance that grows with the level, behind the response curve itself."""
+    if drawn is not None:
+        levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal_table()[drawn]
+    return levels if gamma == 1 else 255 * (np.maximum(levels, 0) / 255) ** (1 / gamma)
 
 
 def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
@@ -62,9 +71,7 @@ def response_table(gamma: float) -> NDArray[np.float32]:
 
 def saturated_from_levels(levels: NDArray[Any]) -> NDArray[np.bool_]:
     """Where (H, W) some channel is cut at 0 or 255."""
-    out = np.zeros(levels.shape[:2], dtype=bool)
-    _cut(levels, out)
-    return out
+    return cv2.inRange(levels, (-0.5,) * 3, (255.5,) * 3) == 0
 
 
 def _compressed(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
@@ -74,41 +81,3 @@ def _compressed(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     if not done:
         raise ValueError(f"Expected an image that JPEG can hold, got one of shape {grey.shape}.")
     return np.asarray(cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))
-
-
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
-def _expose(levels: Any, noise: Any, normal: Any, numbers: Any, curve: Any, out: Any) -> None:
-    """Noise of variance sd^2 + gain level, then the response curve: from its table where there is one."""
-    zero, read, gain, full, unit, power, _ = numbers
-    if noise.size > 0:
-        for k in range(levels.size):  # apart from the look-up: a loop without one is a vector's
-            out[k] = np.sqrt(read + gain * max(levels[k], zero))
-        for k in range(levels.size):
-            out[k] = levels[k] + out[k] * normal[noise[k]]
-    else:
-        out[:] = levels
-    if curve.size > 0:
-        last = numbers[6]
-        for k in range(out.size):
-            out[k] = last * np.sqrt(max(out[k], zero) * unit)
-        for k in range(out.size):
-            n = min(int(out[k]), curve.size - 2)
-            out[k] = curve[n] + (out[k] - n) * (curve[n + 1] - curve[n])
-    elif power != 1:
-        for k in range(out.size):
-            out[k] = full * (max(out[k], zero) * unit) ** power
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _round(values: Any, out: Any) -> None:
-    for k in range(values.size):
-        out[k] = np.uint8(min(max(np.rint(values[k]), 0), 255))
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _cut(levels: Any, out: Any) -> None:
-    for i in range(levels.shape[0]):
-        for j in range(levels.shape[1]):
-            for c in range(3):
-                if levels[i, j, c] < -0.5 or levels[i, j, c] > 255.5:
-                    out[i, j] = True

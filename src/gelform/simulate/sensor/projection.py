@@ -24,17 +24,17 @@ def maps_from_depth(sensor: SimulatedSensor, depth_mm: NDArray[Any]) -> Maps | N
     if optics.is_plain:
         return None
     x, y = _undistorted(sensor)
+    height, width = sensor.shape
     if optics.height_mm is None:
         return x, y
-    height, width = sensor.shape
-    cx, cy = (width - 1) / 2, (height - 1) / 2
+    cx, cy = np.float32((width - 1) / 2), np.float32((height - 1) / 2)
     depth = depth_mm.astype(np.float32)
     at_x, at_y = x, y
     for _ in range(2):
         z = cv2.remap(depth, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
         scale = 1 - z / np.float32(optics.height_mm)
         at_x, at_y = cx + (x - cx) * scale, cy + (y - cy) * scale
-    return at_x.astype(np.float32), at_y.astype(np.float32)
+    return at_x, at_y
 
 
 def px_seen(sensor: SimulatedSensor, points_mm: NDArray[Any], depth_mm: float = 0.0) -> NDArray[np.float64]:
