@@ -35,7 +35,7 @@ def test_depth_and_slope_are_told_apart():
     places = [(30, 30), (60, 45), (50, 30), (35, 50)]
     presses = [press_at(x, y, 0.5) for x, y in places]
     contacts = [contact_at(x, y, 25.0) for x, y in places]
-    response = forward_from_presses(presses, contacts, 0.8, MM)
+    response = forward_from_presses(presses, contacts, 0.8, MM, "GelSight Mini")
     at_top = response.color_from_gradients(
         np.zeros((1, 2)), np.array([50]), np.array([40]), depth_mm=np.array([0.4])
     )
@@ -46,13 +46,21 @@ def test_depth_and_slope_are_told_apart():
     np.testing.assert_allclose(at_slope, [[0.6 / norm, -0.2 / norm, 0]], atol=0.05)
 
 
-def test_depth_in_the_contact_is_the_balls():
+@pytest.mark.parametrize(
+    ("sensor_name", "top_mm"),
+    [
+        ("GelSight Mini, unit A", press_depth_of_rim(3.0, 1.25)),  # its gel is known
+        ("DIGIT", 3 - np.sqrt(9 - 1.25**2)),  # nothing but the ball is known
+        ("my sensor", 3 - np.sqrt(9 - 1.25**2)),
+    ],
+)
+def test_depth_in_the_contact_is_the_balls(sensor_name, top_mm):
     contact = contact_at(50.0, 40.0, 25.0)
     samples = contact_samples([press_at(50, 40, 0)], [contact], 0.8)
-    depth = depth_in_contact(samples, contact, BALL_PX, MM)
+    depth = depth_in_contact(samples, contact, BALL_PX, MM, sensor_name)
     r = np.hypot(samples.x_px - 50, samples.y_px - 40) * MM
     np.testing.assert_allclose(depth.max() - depth, 3 - np.sqrt(9 - r**2), atol=1e-9)
-    assert depth.max() == pytest.approx(press_depth_of_rim(3.0, 1.25))
+    assert depth.max() == pytest.approx(top_mm)
 
 
 def test_the_noise_of_images_is_found_under_what_is_smooth():

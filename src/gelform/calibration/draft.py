@@ -57,7 +57,7 @@ def fit_all(
         background_noise=noise_from_image(presses.background) if noise is None else noise,
         change=change_settings(presses, chosen.change_offset),
         color_model=chosen.fit_samples(samples),
-        forward=forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px),
+        forward=forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px, presses.sensor_name),
         slope_sigma=FIRST_GUESS,
         untouched_change=untouched_change(used, contacts),
         held_out={},

@@ -10,34 +10,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import noise_from_image
+from gelform.ball import STEEPEST_FRACTION
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
+from gelform.color_models import Samples
 from gelform.color_models._shared.forward import ForwardResponse
-from gelform.simulate.twin import press_depth_of_rim
+from gelform.simulate.twin import GEL_OF, press_depth_of_rim
 
 MAX_NOISE_IMAGES = 12
 
 
 def forward_from_presses(
-    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], zone: float, mm_per_px: float
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    zone: float,
+    mm_per_px: float,
+    sensor_name: str,
 ) -> ForwardResponse:
-    """The forward response of presses of balls, with the depths that their visible rims imply."""
+    """The forward response of presses of balls, with the depths that their visible rims imply.
+
+    Parameters
+    ----------
+    presses, contacts : prepared, and their circles
+    zone : share of the contact radius whose pixels are used
+    mm_per_px : pixel pitch, mm
+    sensor_name : tells whether the gel is known, see `depth_in_contact`
+    """
     parts = []
     each = 40_000 // max(len(presses), 1)
     for press, contact in zip(presses, contacts):
         samples = contact_samples([press], [contact], zone, total=each)
-        parts.append((samples, depth_in_contact(samples, contact, press.ball_radius_px, mm_per_px)))
+        parts.append(
+            (samples, depth_in_contact(samples, contact, press.ball_radius_px, mm_per_px, sensor_name))
+        )
     names = ("color_change", "x_px", "y_px", "gradients", "weight")
     joined: dict[str, Any] = {n: np.concatenate([getattr(s, n) for s, _ in parts]) for n in names}
     return ForwardResponse.fit(replace(parts[0][0], **joined), depth_mm=np.concatenate([d for _, d in parts]))
 
 
 def depth_in_contact(
-    samples: Any, contact: ContactCircle, ball_radius_px: float, mm_per_px: float
+    samples: Samples, contact: ContactCircle, ball_radius_px: float, mm_per_px: float, sensor_name: str
 ) -> NDArray[np.float64]:
-    """Depth in mm (N,) of samples under a ball whose visible rim is known."""
-    radius = ball_radius_px * mm_per_px
-    top = press_depth_of_rim(radius, contact.radius_px * mm_per_px)
+    """Depth in mm (N,) of samples under a ball whose visible rim is known.
+
+    How far the gel around the contact has sunk is known of a GelSight Mini alone, whose gel was measured. For any other
+    sensor depth counts from the rim: the height of the ball's cap.
+    """
+    radius, rim = ball_radius_px * mm_per_px, contact.radius_px * mm_per_px
+    if sensor_name.startswith(GEL_OF):
+        top = press_depth_of_rim(radius, rim)
+    else:
+        top = radius - np.sqrt(radius**2 - min(rim, STEEPEST_FRACTION * radius) ** 2)
     square = ((samples.x_px - contact.x_px) ** 2 + (samples.y_px - contact.y_px) ** 2) * mm_per_px**2
     return np.asarray(top - radius + np.sqrt(np.maximum(radius**2 - square, 0)), dtype=np.float64)
 

@@ -27,6 +27,7 @@ STEEPEST = 1.2  # calibrations see slopes up to about 1; a cubic response says n
 GEL = Gel(thickness_mm=3.5, bulge=0.5)
 RELAXATION_MM = 0.5
 RIM_MM = 0.25
+GEL_OF = "GelSight Mini"
 _ANY_LIGHT = Led((0.0, 0.0, 1e3), (1.0, 1.0, 1.0))
 
 
