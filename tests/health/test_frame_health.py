@@ -48,7 +48,7 @@ def test_one_light_that_is_off_is_named(health):
     faults = health(frame)
     assert names(faults) == ["dark"]
     assert "green 100 %" in faults.findings[0].message
-    assert "red" not in faults.findings[0].message
+    assert "red 1" not in faults.findings[0].message
 
 
 @pytest.mark.parametrize(
