@@ -1,0 +1,121 @@
+"""What a call with bad input may end in, and the one judge of it.
+
+An error of gelform's own that says what is wrong, a finding, or a result that is right. All else is `Wrong`: an error of
+another library, one that no message explains, a warning that leaks, NaN, a wrong result without a word.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gelform
+from gelform import GelformError
+
+SOURCE = str(Path(gelform.__file__).parent)
+COLLECT = os.environ.get(
+    "GELFORM_ROBUSTNESS_COLLECT"
+)  # a file that takes what is wrong, instead of stopping there
+SHORTEST = 15
+# Words of Python's and its libraries' own messages, which say nothing to who gave the input.
+FOREIGN_WORDS = (
+    "embedded null",
+    "empty sequence",
+    "codec can't",
+    "has no attribute",
+    "not subscriptable",
+    "object is not",
+    "unhashable",
+    "out of range float",
+    "could not be broadcast",
+    "cannot reshape",
+    "setting an array element",
+    "OpenCV(",
+    "unexpected keyword",
+    "positional argument",
+)
+counts: Counter[str] = Counter()
+
+
+class Wrong(AssertionError):
+    """Neither an error of gelform's own, nor a finding, nor right."""
+
+
+def judge(
+    what: str, call: Callable[[], Any], right: Callable[[Any], str | None] = lambda result: None
+) -> str:
+    """Make a call and say how it ended: "error", "finding" or "right".
+
+    Parameters
+    ----------
+    what : the case, for who reads the failure
+    call : with bad input
+    right : says what is wrong with a result, or None; a result must be finite besides
+
+    Raises
+    ------
+    Wrong
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            result = call()
+        except Exception as problem:
+            complaint, outcome = _of_error(problem), "error"
+        else:
+            complaint, outcome = _of_result(result, right)
+    counts[outcome if complaint is None else "wrong"] += 1
+    if complaint is None:
+        return outcome
+    if COLLECT is None:
+        raise Wrong(f"{what}: {complaint}")
+    with open(COLLECT, "a", encoding="utf-8") as file:
+        file.write(json.dumps([what, complaint]) + "\n")
+    return "wrong"
+
+
+def _of_error(problem: Exception) -> str | None:
+    frames = traceback.extract_tb(problem.__traceback__)
+    own = [frame for frame in frames if frame.filename.startswith(SOURCE)]
+    where = f"{Path(own[-1].filename).relative_to(SOURCE)}:{own[-1].name}" if own else "?"
+    said = f"{type(problem).__name__}: {str(problem)[:200]} [{where}]"
+    if not isinstance(problem, (GelformError, ValueError, TypeError)):
+        return f"foreign error {said}"
+    if not isinstance(problem, GelformError) and not frames[-1].filename.startswith(SOURCE):
+        return f"error of another library {said}"
+    message = str(problem)
+    if len(message) < SHORTEST or any(word.lower() in message.lower() for word in FOREIGN_WORDS):
+        return f"unexplained error {said}"
+    return None
+
+
+def _of_result(result: Any, right: Callable[[Any], str | None]) -> tuple[str | None, str]:
+    if not is_finite(result):
+        return "a result with NaN or infinity", ""
+    if any(finding.name for finding in getattr(result, "health", ())):
+        return None, "finding"
+    return right(result), "right"
+
+
+def is_finite(value: Any) -> bool:
+    """No NaN and no infinity in arrays, numbers, records, and lists of them."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind not in "fc" or bool(np.isfinite(value).all())
+    if isinstance(value, (float, np.floating)):
+        return bool(np.isfinite(value))
+    if isinstance(value, Mapping):
+        return all(is_finite(one) for one in value.values())
+    if isinstance(value, (list, tuple)):
+        return all(is_finite(one) for one in value)
+    if dataclasses.is_dataclass(value):
+        return all(is_finite(vars(value)[name]) for name in vars(value))
+    return True

@@ -1,0 +1,96 @@
+"""A gel that is known exactly: three fixed lights on a Lambertian surface, a ball in it, no fit anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from gelform.background.change import ChangeSettings
+from gelform.calibration_file import Calibration
+from gelform.color_models.lambertian import LambertianModel
+from gelform.confidence import SlopeSigma
+from gelform.view import View
+
+SHAPE = (64, 80)
+MM_PER_PX = 0.1
+LIGHTS = np.array([[0.6, 0.1, 1.0], [-0.35, 0.5, 1.0], [-0.2, -0.6, 1.0]])
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A ball of radius_mm, depth_mm deep at (x, y) px, and the image's seed."""
+
+    radius_mm: float = 4.0
+    depth_mm: float = 0.4
+    x_px: float = 40.0
+    y_px: float = 30.0
+    seed: int = 1
+
+
+@cache
+def background() -> np.ndarray:
+    """(H, W, 3) float32: what many frames of the untouched gel average to."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] / SHAPE[1]
+    waves = 6 * np.sin(9 * x + 4 * y)
+    levels = np.stack([70 + 60 * x + waves, 130 - 50 * y, 80 + 50 * (1 - x) * y - waves], axis=-1)
+    levels.setflags(write=False)
+    return levels.astype(np.float32)
+
+
+def depth_of(touch: Touch) -> np.ndarray:
+    """(H, W) float64, mm: a cap, and gel at rest around it."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    square = ((x - touch.x_px) ** 2 + (y - touch.y_px) ** 2) * MM_PER_PX**2
+    cap = np.sqrt(np.maximum(touch.radius_mm**2 - square, 0)) - (touch.radius_mm - touch.depth_mm)
+    return np.maximum(cap, 0)
+
+
+def image_of(touch: Touch | None) -> np.ndarray:
+    """(H, W, 3) uint8, with a camera's noise; None: nothing touches."""
+    depth = np.zeros(SHAPE) if touch is None else depth_of(touch)
+    slope_y, slope_x = np.gradient(depth, MM_PER_PX)
+    normals = np.stack([-slope_x, -slope_y, np.ones(SHAPE)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    light = background() * np.maximum(normals @ LIGHTS.T, 0)
+    noise = np.random.default_rng(0 if touch is None else touch.seed).normal(0, 1, light.shape)
+    return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+
+
+@cache
+def calibration() -> Calibration:
+    """What calibrating perfectly would give."""
+    return Calibration(
+        sensor_name="known gel",
+        serial=None,
+        gel_id=None,
+        view=View(),
+        image_shape=SHAPE,
+        mm_per_px=MM_PER_PX,
+        mm_per_px_sigma=0.001,
+        background=background(),
+        background_noise=np.ones(3),
+        change=ChangeSettings(offset=0.0),
+        color_model=LambertianModel(LIGHTS),
+        forward=None,
+        slope_sigma=SlopeSigma(
+            rest=0.02, slopes=(0.1, 1.0), sigmas=(0.03, 0.06), clean=0.06, correlation_px=1.0
+        ),
+        untouched_change=0.05,
+        held_out={},
+        training_digests=(),
+        settings={},
+        library_version="0",
+        created_utc="2026-01-01T00:00:00+00:00",
+    )
+
+
+def depth_error(depth_mm: np.ndarray, touch: Touch) -> str | None:
+    """What is wrong with a depth, against the truth; None where it is right."""
+    truth = depth_of(touch)
+    rms = float(np.sqrt(np.mean((depth_mm - truth) ** 2)))
+    peak = float(np.abs(depth_mm.max() - truth.max()))
+    if rms > 0.02 + 0.1 * touch.depth_mm or peak > 0.03 + 0.2 * touch.depth_mm:
+        return f"depth wrong by {rms:.3f} mm RMS, {peak:.3f} mm at its peak of {touch.depth_mm:.2f} mm, no finding"
+    return None
