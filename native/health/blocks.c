@@ -1,10 +1,12 @@
-// What a look at a frame takes in one pass: its 16x16 blocks, and a digest of each row.
+// What a look at a frame takes in one pass: its 16x16 blocks, a digest of each row, and how the
+// difference to the rest image jumps from row to row.
 #include "../common.h"
 
 enum { BLOCK = 16, WIDE = 3 * BLOCK };  // pixels; bytes across a block
 enum { STRIP = 4 * WIDE };             // as wide as vectors like it
 enum { STEP = 4, SEEN = BLOCK / STEP * BLOCK };  // every fourth row of a block tells a constant from noise
-enum { WORDS = 16 };                   // of a row are digested
+enum { WORDS = 16, PIECE = 64 };  // of a row are digested; bytes compared at a time
+enum { MOST = 16 };                // grey levels that a byte adds to a jump: a seam is wide, not high
 
 struct spread {
   uint8_t low[STRIP], high[STRIP];
@@ -54,11 +56,30 @@ static inline void store(const struct spread *of, ptrdiff_t first, uint8_t *mean
   }
 }
 
-// Mean and range (largest of the channels) of each whole block, and a digest of each row.
-EXPORT int health_blocks(const uint8_t *image, uint8_t *means, uint8_t *ranges, int64_t *digests, ptrdiff_t h,
-                         ptrdiff_t w, ptrdiff_t bh, ptrdiff_t bw) {
+// Mean over a third of the row's bytes, in pieces as wide as vectors like them.
+static float jump(const uint8_t *restrict image, const uint8_t *restrict rest, ptrdiff_t pitch, ptrdiff_t bytes) {
+  int32_t total = 0;
+  ptrdiff_t count = 0;
+  for (ptrdiff_t at = 0; at + PIECE <= bytes || at == 0; at += 3 * PIECE) {
+    const ptrdiff_t wide = bytes - at < PIECE ? bytes - at : PIECE;
+    for (ptrdiff_t i = at; i < at + wide; i++) {
+      const int16_t step = (int16_t)((image[i] - image[i - pitch]) - (rest[i] - rest[i - pitch]));
+      const int16_t size = step < 0 ? -step : step;
+      total += size < MOST ? size : MOST;
+    }
+    count += wide;
+  }
+  return (float)total / (float)count;
+}
+
+// Mean and range (largest of the channels) of each whole block; of each row a digest, and its jump from the row above.
+EXPORT int health_blocks(const uint8_t *image, const uint8_t *rest, uint8_t *means, uint8_t *ranges, int64_t *digests,
+                         float *jumps, ptrdiff_t h, ptrdiff_t w, ptrdiff_t bh, ptrdiff_t bw) {
   if (bh != h / BLOCK || bw != w / BLOCK) return WRONG_SIZE;
-  for (ptrdiff_t y = 0; y < h; y++) digests[y] = digest(image + 3 * w * y, 3 * w);
+  for (ptrdiff_t y = 0; y < h; y++) {
+    digests[y] = digest(image + 3 * w * y, 3 * w);
+    jumps[y] = y == 0 ? 0 : jump(image + 3 * w * y, rest + 3 * w * y, 3 * w, 3 * w);
+  }
   for (ptrdiff_t k = 0; k < bh; k++)
     for (ptrdiff_t at = 0; at < bw; at += STRIP / WIDE) {
       const ptrdiff_t count = bw - at < STRIP / WIDE ? bw - at : STRIP / WIDE;

@@ -4,17 +4,29 @@ import numpy as np
 import pytest
 
 from gelform.health import blocks
-from gelform.health.blocks import blocks_from_image
 from kernel_agreement import assert_kernel_agrees
+from made.worn_frames import blocks_of
 
 PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 
-def reference(image, means, ranges, digests):
+def reference(image, rest, means, ranges, digests, jumps):
     h, w = means.shape[:2]
     seen = image[: 16 * h, : 16 * w].reshape(h, 16, w, 16, 3)[:, ::4].astype(int)
     means = (seen.sum(axis=(1, 3)) + 32) // 64
-    return means, np.ptp(seen, axis=(1, 3)).max(axis=-1), np.array([digest(row.tobytes()) for row in image])
+    ranges = np.ptp(seen, axis=(1, 3)).max(axis=-1)
+    differs = (image.astype(int) - rest).reshape(len(image), -1)
+    jumps = np.concatenate(
+        [[0], np.minimum(np.abs(np.diff(differs, axis=0)), 16)[:, compared(differs.shape[1])].mean(axis=1)]
+    )
+    return means, ranges, np.array([digest(row.tobytes()) for row in image]), jumps
+
+
+def compared(width):
+    """Every third piece of 64 bytes; of a row that has no whole one, all."""
+    if width < 64:
+        return np.arange(width)
+    return np.concatenate([np.arange(at, at + 64) for at in range(0, width - 63, 192)])
 
 
 def digest(row):
@@ -30,17 +42,28 @@ def digest(row):
         return (even + np.uint64(3) * odd).astype(np.int64)
 
 
-@pytest.mark.parametrize("shape", [(240, 320), (35, 50), (16, 16)])
+@pytest.mark.parametrize("shape", [(240, 320), (35, 50), (16, 16), (20, 18)])
 def test_the_kernel_agrees_with_numpy(shape):
     image = np.random.default_rng(1).integers(0, 256, (*shape, 3), dtype=np.uint8)
-    out = blocks_from_image(image)
-    assert_kernel_agrees(blocks._blocks, reference, image, out.means, out.ranges, out.row_digests)
+    rest = np.random.default_rng(2).integers(0, 256, image.shape, dtype=np.uint8)
+    out = blocks_of(image, rest)
+    assert_kernel_agrees(
+        blocks._blocks, reference, image, rest, out.means, out.ranges, out.row_digests, out.row_jumps
+    )
+
+
+def test_jumps_are_those_of_the_difference_to_the_rest_image():
+    rest = np.random.default_rng(8).integers(0, 200, (32, 64, 3), dtype=np.uint8)
+    brighter = rest + 20
+    assert blocks_of(brighter, rest).row_jumps.max() == 0
+    brighter[12:] += 7
+    np.testing.assert_allclose(blocks_of(brighter, rest).row_jumps, 7.0 * (np.arange(32) == 12))
 
 
 def test_a_constant_block_has_no_range_and_its_own_mean():
     image = np.random.default_rng(2).integers(0, 256, (64, 80, 3), dtype=np.uint8)
     image[16:32, 32:48] = (10, 20, 30)
-    found = blocks_from_image(image)
+    found = blocks_of(image)
     assert found.ranges[1, 2] == 0
     assert found.means[1, 2].tolist() == [10, 20, 30]
     assert np.count_nonzero(found.ranges < 3) == 1
@@ -49,7 +72,7 @@ def test_a_constant_block_has_no_range_and_its_own_mean():
 def test_only_rows_alike_have_one_digest():
     image = np.random.default_rng(3).integers(0, 256, (64, 40, 3), dtype=np.uint8)
     image[40] = image[7]
-    digests = blocks_from_image(image).row_digests
+    digests = blocks_of(image).row_digests
     assert digests[40] == digests[7]
     assert len(np.unique(digests)) == 63
 
@@ -57,11 +80,11 @@ def test_only_rows_alike_have_one_digest():
 def test_floats_are_rounded_as_a_camera_would():
     image = np.random.default_rng(4).uniform(0, 255, (32, 32, 3)).astype(np.float32)
     rounded = np.rint(image).astype(np.uint8)
-    np.testing.assert_array_equal(blocks_from_image(image).means, blocks_from_image(rounded).means)
+    np.testing.assert_array_equal(blocks_of(image).means, blocks_of(rounded).means)
 
 
 def test_pixels_of_blocks_reach_the_border():
-    found = blocks_from_image(np.zeros((40, 60, 3), dtype=np.uint8))
+    found = blocks_of(np.zeros((40, 60, 3), dtype=np.uint8))
     mask = found.pixels(np.array([[False, False, False], [False, False, True]]), 60)
     assert mask.shape == (40, 60)
     assert mask[16:, 32:].all()
@@ -69,6 +92,6 @@ def test_pixels_of_blocks_reach_the_border():
 
 
 def test_an_image_smaller_than_a_block_has_none():
-    found = blocks_from_image(np.zeros((5, 7, 3), dtype=np.uint8))
+    found = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
     assert found.means.shape == (0, 0, 3)
     assert not found.pixels(np.zeros((0, 0), dtype=bool), 7).any()

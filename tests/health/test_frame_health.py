@@ -1,5 +1,6 @@
 """Each fault is found and named, with its share; sound frames have none."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -89,6 +90,22 @@ def test_of_a_band_and_its_copy_the_copy_is_lost(health):
     assert faults.lost[64:80].all()
 
 
+@pytest.mark.parametrize("seam", [30, 70])
+def test_a_part_that_is_displaced_sideways_is_torn(seam):
+    stripes = gel().astype(np.float32)
+    stripes += 25 * np.sin(np.arange(SHAPE[1]) / 8)[None, :, None]
+    rest = np.clip(stripes, 0, 255).astype(np.uint8)
+    frame = np.clip(rest + np.random.default_rng(3).normal(0, 1.5, rest.shape), 0, 255).astype(np.uint8)
+    health = FrameHealth(rest)
+    assert names(health(frame)) == []
+    displaced = np.s_[seam:] if seam > 48 else np.s_[:seam]
+    frame[displaced] = np.roll(frame[displaced], 20, axis=1)
+    faults = health(frame)
+    assert names(faults) == ["torn"]
+    assert faults.lost[displaced].all()
+    assert faults.findings[0].figure == pytest.approx(26 / 96 if seam > 48 else 30 / 96)
+
+
 def test_rows_that_the_untouched_image_repeats_too_are_sound():
     framed = gel()
     framed[:12] = framed[84:] = 0
@@ -106,10 +123,11 @@ def test_the_background_itself_is_frozen_and_a_second_look_is_not():
 
 
 def test_a_quarter_that_saturates_is_found_and_only_it_is_lost(health):
-    frame = with_part(pressed(), (slice(0, 48), slice(0, 64)), 255)
-    noisy = frame.copy()
-    noisy[:48, :64] -= np.random.default_rng(6).integers(0, 4, (48, 64, 3), dtype=np.uint8)
-    faults = health(noisy)
+    glare = np.zeros(SHAPE, dtype=np.float32)
+    glare[:52, :68] = 255
+    frame = np.clip(pressed() + cv2.GaussianBlur(glare, (0, 0), 3)[..., None], 0, 255)
+    frame[:52, :68] -= np.random.default_rng(6).integers(0, 4, (52, 68, 3))
+    faults = health(np.clip(frame, 0, 255).astype(np.uint8))
     assert names(faults) == ["saturated"]
     assert faults.findings[0].figure == pytest.approx(0.25)
     assert np.array_equal(np.argwhere(faults.lost).max(axis=0), [47, 63])

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from gelform.health.blocks import Blocks, blocks_from_image, pixels_from_image
+
 SHAPE = (96, 128)
 
 
@@ -32,3 +34,10 @@ def with_part(image: np.ndarray, part: tuple[slice, slice], level: int | tuple[i
     changed = image.copy()
     changed[part] = level
     return changed
+
+
+def blocks_of(image: np.ndarray, rest: np.ndarray | None = None) -> Blocks:
+    """The image's blocks, held against the gel or another untouched image of its size."""
+    pixels = pixels_from_image(image)
+    rest = gel() if rest is None and image.shape[:2] == SHAPE else rest
+    return blocks_from_image(pixels, pixels if rest is None else rest)

@@ -22,7 +22,6 @@ ALIKE = (
     {"calibration", "calibration of version 1"},
     {"png", "jpg", "bmp", "tif", "ppm", "image of a press"},
     {"sensor.toml", "sensor.toml of presses"},
-    {"label.npz", "Taxim table", "Taxim pack"},
 )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.check import Finding
-from gelform.health.blocks import BLOCK_PX, Blocks, blocks_from_image
+from gelform.health.blocks import BLOCK_PX, Blocks, blocks_from_image, pixels_from_image
 from gelform.health.levels import Levels
 from gelform.health.torn import Torn, torn_finding
 
@@ -52,35 +52,33 @@ class FrameHealth:
 
     def __init__(self, background: NDArray[Any]) -> None:
         self._background = background
-        rest = blocks_from_image(background)
+        self._pixels = pixels_from_image(background)
+        rest = blocks_from_image(self._pixels, self._pixels)
         self._rest_digests = rest.row_digests
         self._levels = Levels(rest)
         self._torn = Torn(background, rest)
 
     def __call__(self, image: NDArray[Any]) -> FrameFaults:
         """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
-        blocks = blocks_from_image(image)
+        blocks = blocks_from_image(pixels_from_image(image), self._pixels)
         if self._is_background(blocks, image):
             message = "The frame is the background itself, pixel for pixel: frozen, or the background was given as a frame."
             return FrameFaults((Finding("frozen", message, 1.0),))
-        flat, rows = self._torn.flat(blocks), self._torn.repeated_rows(blocks, image)
-        if flat is not None and flat.mean() > MOST_TORN and self._levels(blocks)[1] is not None:
-            flat = rows = None
-        levels, clipped = self._levels(blocks, flat)
-        if flat is None and rows is None and clipped is None:
+        torn = self._torn(blocks, image)
+        if torn is not None and torn.mean() > MOST_TORN and self._levels(blocks)[1] is not None:
+            torn = None
+        levels, clipped = self._levels(blocks, None if torn is None else blocks.centered_in(torn))
+        if torn is None and clipped is None:
             return SOUND
-        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, image.shape[1])
-        if rows is not None:
-            torn[rows] = True
-        findings = (*((torn_finding(torn),) if torn.any() else ()), *levels)
-        lost = _grown(torn) if torn.any() else torn
+        lost = np.zeros(image.shape[:2], dtype=bool) if torn is None else _grown(torn)
         if clipped is not None:
             lost |= blocks.pixels(clipped, image.shape[1])
-        return FrameFaults(findings, lost)
+        return FrameFaults((*(() if torn is None else (torn_finding(torn),)), *levels), lost)
 
     def _is_background(self, blocks: Blocks, image: NDArray[Any]) -> bool:
-        same = np.array_equal(blocks.row_digests, self._rest_digests)
-        return same and np.array_equal(image, self._background)
+        if blocks.row_digests[0] != self._rest_digests[0]:
+            return False
+        return np.array_equal(image, self._background)
 
 
 def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
