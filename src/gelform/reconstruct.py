@@ -23,6 +23,7 @@ from gelform.contact import contact_from_depth
 from gelform.depth import Integration, checked_solver, integrate, takes_weights
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
+from gelform.health import DepthLimit, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFinder
 from gelform.pool import Pool
 from gelform.reconstruction import Reconstruction
@@ -31,6 +32,8 @@ from gelform.view import image_from_frame
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
 USUAL_WIDTH_MM = 20.0
 USUAL_SIGMA = 0.05
+LEAST_WEIGHT = 1e-6  # where nothing at all is seen, so that there is an equation to solve: of a gel at rest
+LOST_SIGMA = 1.0  # of a slope of which the frame says nothing, mm/mm
 
 
 class Reconstructor:
@@ -79,6 +82,7 @@ class Reconstructor:
         self.background = calibration.background
         if background is not None:
             today = self._checked(background, "background")
+            check_untouched_image(today, calibration.background)
             self.findings = check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
@@ -92,6 +96,8 @@ class Reconstructor:
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
+        self._health = FrameHealth(self.background)
+        self._limit = DepthLimit.of(calibration.image_shape, self._pitch)
         self._markers = MarkerFinder(self.background)
         self._no_markers = np.zeros(calibration.image_shape, dtype=bool)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
@@ -129,34 +135,38 @@ class Reconstructor:
         CalibrationError
             The background is clearly not of this image, or the image is BGR.
         """
-        image = self._checked(image, "image")
+        faults = self._health(self._checked(image, "image"))
+        image = faults.image  # what says nothing shows the untouched gel, and has no weight below
         exposure, drifted = self._untouched_image.compare(image)
-        markers = self._marker_pixels(image)
+        hidden = faults.hidden(self._marker_pixels(image))
         with self._pool.one() as change:
             self._untouched_image.change(image, exposure, out=change)
             gradients, model_sigma = self._model.gradients_from_color(change)
-            untouched, few = untouched_pixels(change, self.calibration.untouched_change, markers)
+            untouched, few = untouched_pixels(change, self.calibration.untouched_change, hidden)
             remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
             sigma, confidence = self._sigma(gradients, image, untouched, change)
+            faults.widen(sigma, LOST_SIGMA)
             albedo = self._albedo_source(change)
         gradients_sigma, confidence = with_model_sigma(sigma, confidence, model_sigma, self._clean)
-        confidence[markers] = 0  # what they hide is filled from around them
+        confidence[hidden] = LEAST_WEIGHT if hidden.all() else 0  # filled from around
         solution, depth_sigma = self._integrate(gradients, confidence, untouched, gradients_sigma)
+        depth_mm, too_deep = self._limit.bound(solution.depth_mm)
+        faults.widen(depth_sigma, self._limit.ignorance_mm)
         scaled = self.calibration.mm_per_px is not None
         return Reconstruction(
-            depth=solution.depth_mm if scaled else solution.depth_mm / np.float32(self._pitch),
+            depth=depth_mm if scaled else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
             gradients_sigma=gradients_sigma,
             confidence=confidence,
-            contact=contact_from_depth(solution.depth_mm, mm_per_px=self._pitch),
-            known=solution.known,
+            contact=contact_from_depth(depth_mm, mm_per_px=self._pitch),
+            known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*self.findings, *drifted, *few),
+            health=(*self.findings, *faults.findings, *drifted, *few, *too_deep),
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
         )

@@ -154,3 +154,12 @@ def test_frames_of_real_sensors_raise_no_false_alarm(data):
     frames = [getattr(frame, "image", frame) for frame in video]
     health = FrameHealth(np.mean(frames[:20], axis=0).astype(np.float32))
     assert [k for k, frame in enumerate(frames) if health(frame).findings] == []
+
+
+def test_a_few_rows_at_the_border_are_lost_and_not_the_rest(health):
+    frame = pressed()
+    frame[:7] = 0
+    faults = health(frame)
+    assert names(faults) == ["torn"]
+    assert faults.lost[:7].all()
+    assert not faults.lost[32:].any()

@@ -110,8 +110,10 @@ def compared(
 ) -> tuple[Exposure, tuple[Finding, ...]]:
     exposure = exposure_from_blocks(seen, untouched)
     correlation = _correlation(seen, untouched, exposure.gain)
-    turned = _correlation_reversed(seen, untouched) if correlation < 0.97 else 0.0
-    if turned > max(0.9, correlation + 0.03):
+    turned = (
+        _correlation_reversed(seen, untouched) if correlation is not None and correlation < 0.97 else None
+    )
+    if correlation is not None and turned is not None and turned > max(0.9, correlation + 0.03):
         raise CalibrationError(
             f"The image looks like BGR: its channels fit the background better reversed (correlation "
             f"{turned:.2f} against {correlation:.2f}). Turn them: image[..., ::-1]."
@@ -120,14 +122,14 @@ def compared(
     return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
 
 
-def _refuse_unlike(gain: NDArray[np.float64], correlation: float) -> None:
-    if gain.min() < RATIO_REFUSE[0] or gain.max() > RATIO_REFUSE[1]:
+def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) -> None:
+    if gain is not None and (gain.min() < RATIO_REFUSE[0] or gain.max() > RATIO_REFUSE[1]):
         raise CalibrationError(
             f"The background is not of this image: untouched pixels are {_times(gain)} times as bright as in "
             f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
             "same exposure, white balance and lights."
         )
-    if correlation < CORRELATION_REFUSE:
+    if correlation is not None and correlation < CORRELATION_REFUSE:
         raise CalibrationError(
             f"The background is not of this image: the two correlate by {correlation:.2f} on untouched pixels "
             f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
@@ -136,6 +138,9 @@ def _refuse_unlike(gain: NDArray[np.float64], correlation: float) -> None:
 
 def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
     gain = exposure.gain
+    if gain is None:
+        message = "No part of the image is bright enough in all channels, and not saturated, to compare its exposure."
+        return (Finding("exposure_unknown", message, 0.0),)
     largest = float(gain[np.argmax(np.abs(np.log(gain)))])
     if gain.min() < RATIO_WARN[0] or gain.max() > RATIO_WARN[1]:
         message = f"Untouched pixels are {_times(gain)} times as bright as in the background: take a new background."
@@ -158,18 +163,25 @@ def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
     return (Finding("background_differs", message, least),)
 
 
-def _times(gain: NDArray[np.float64]) -> str:
-    return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
+def _times(gain: NDArray[np.float64] | None) -> str:
+    return "unknown" if gain is None else ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
 
 
-def _correlation_reversed(seen: NDArray[np.float32], untouched: NDArray[np.float32]) -> float:
+def _correlation_reversed(seen: NDArray[np.float32], untouched: NDArray[np.float32]) -> float | None:
     turned = np.ascontiguousarray(seen[..., ::-1])
     return _correlation(turned, untouched, exposure_from_blocks(turned, untouched).gain)
 
 
-def _correlation(seen: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any]) -> float:
-    """Correlation over all but the `TOUCHED_SHARE` of the blocks that changed most, channels together."""
-    return float(_correlated(seen.reshape(-1, 3), untouched.reshape(-1, 3), 1 / gain, 1 - TOUCHED_SHARE))
+def _correlation(
+    seen: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any] | None
+) -> float | None:
+    """Correlation over all but the `TOUCHED_SHARE` of the blocks that changed most, channels together.
+
+    None where the untouched image is featureless: it can neither agree nor disagree. 0 where only the image is.
+    """
+    scale = np.ones(3) if gain is None else 1 / gain
+    correlation = float(_correlated(seen.reshape(-1, 3), untouched.reshape(-1, 3), scale, 1 - TOUCHED_SHARE))
+    return None if np.isnan(correlation) else correlation
 
 
 @njit(cache=True, nogil=True)
@@ -188,6 +200,8 @@ def _correlated(seen, untouched, scale, kept):  # type: ignore[no-untyped-def]
                 sums += np.array([1.0, a, b, a * a, b * b, a * b])
     a, b = sums[1] / sums[0], sums[2] / sums[0]
     var_a, var_b = sums[3] / sums[0] - a * a, sums[4] / sums[0] - b * b
-    if min(var_a, var_b) < 1e-4:  # a featureless background can neither agree nor disagree
-        return 1.0
+    if var_b < 1e-4:
+        return np.nan
+    if var_a < 1e-4:
+        return 0.0
     return (sums[5] / sums[0] - a * b) / np.sqrt(var_a * var_b)

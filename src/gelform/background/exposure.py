@@ -28,8 +28,9 @@ class Exposure:
 
     Attributes
     ----------
-    gain : (3,) float64, R, G, B
-        Untouched pixels are this many times as bright as in the untouched image.
+    gain : (3,) float64, R, G, B, or None
+        Untouched pixels are this many times as bright as in the untouched image. None: no block can tell, because
+        each is dark or saturated in the image or in the untouched one.
     share : float, 0-1
         Part of the image that agrees on the gain to 2 %, in all three channels.
     least_change : float
@@ -39,7 +40,7 @@ class Exposure:
         The same for the half that changed least: for two untouched images.
     """
 
-    gain: NDArray[np.float64]
+    gain: NDArray[np.float64] | None
     share: float
     least_change: float
     middle_change: float
@@ -55,6 +56,8 @@ class Exposure:
 
         Between the two its logarithm grows in proportion, so that no frame jumps.
         """
+        if self.gain is None:
+            return np.ones(3)
         part = min(max((self.share - MIN_SHARE) / (FULL_SHARE - MIN_SHARE), 0.0), 1.0)
         return np.asarray(self.gain**part, dtype=np.float64)
 
@@ -87,7 +90,7 @@ def exposure_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.floa
     """`exposure_from_image` of images that `block_means` has averaged."""
     center, distances, inside = _crowd(blocks.reshape(-1, 3), untouched.reshape(-1, 3), HALF_WIDTHS_LOG)
     if not len(distances):
-        return Exposure(np.ones(3), 0.0, np.inf, np.inf)
+        return Exposure(None, 0.0, np.inf, np.inf)
     order = np.partition(distances, (len(distances) // 4, len(distances) // 2))
     quarter, half = order[len(distances) // 4], order[len(distances) // 2]
     return Exposure(np.exp(center), inside / (blocks.size // 3), float(quarter), float(half))

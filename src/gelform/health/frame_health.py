@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.check import Finding
+from gelform.errors import CalibrationError
 from gelform.health.blocks import BLOCK_PX, Blocks, blocks_from_image, pixels_from_image
 from gelform.health.levels import Levels
 from gelform.health.torn import Torn, torn_finding
@@ -17,16 +18,18 @@ from gelform.health.torn import Torn, torn_finding
 MOST_TORN = 0.95  # a frame of one colour is dark or saturated where that colour is an end of the range
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameFaults:
     """What is wrong with a frame.
 
     Attributes
     ----------
+    image : (H, W, 3), with the untouched image in place of what is lost, so that nothing is read from it
     findings : `dark`, `saturated`, `torn` (figure: share of the frame), `frozen` (figure 1)
     lost : (H, W) bool, pixels that say nothing about the gel, a margin around torn parts included; None: there are none
     """
 
+    image: NDArray[Any]
     findings: tuple[Finding, ...] = ()
     lost: NDArray[np.bool_] | None = None
 
@@ -35,8 +38,18 @@ class FrameFaults:
         """Not one pixel is left to measure with."""
         return self.lost is not None and bool(self.lost.all())
 
+    def hidden(self, markers: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Pixels (H, W) that markers hide or that are lost."""
+        return markers if self.lost is None else markers | self.lost
 
-SOUND = FrameFaults()
+    def seen(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """What is known (H, W), without what is lost."""
+        return known if self.lost is None else known & ~self.lost
+
+    def widen(self, sigma: NDArray[np.float32] | None, least: float) -> None:
+        """Raise a standard deviation (H, W), in place, to `least` where the frame is lost."""
+        if self.lost is not None and sigma is not None:
+            np.maximum(sigma, np.float32(least), out=sigma, where=self.lost)
 
 
 class FrameHealth:
@@ -63,22 +76,38 @@ class FrameHealth:
         blocks = blocks_from_image(pixels_from_image(image), self._pixels)
         if self._is_background(blocks, image):
             message = "The frame is the background itself, pixel for pixel: frozen, or the background was given as a frame."
-            return FrameFaults((Finding("frozen", message, 1.0),))
+            return FrameFaults(image, (Finding("frozen", message, 1.0),))
         torn = self._torn(blocks, image)
         if torn is not None and torn.mean() > MOST_TORN and self._levels(blocks)[1] is not None:
             torn = None
         levels, clipped = self._levels(blocks, None if torn is None else blocks.centered_in(torn))
         if torn is None and clipped is None:
-            return SOUND
+            return FrameFaults(image)
         lost = np.zeros(image.shape[:2], dtype=bool) if torn is None else _grown(torn)
         if clipped is not None:
             lost |= blocks.pixels(clipped, image.shape[1])
-        return FrameFaults((*(() if torn is None else (torn_finding(torn),)), *levels), lost)
+        findings = (*(() if torn is None else (torn_finding(torn),)), *levels)
+        return FrameFaults(np.where(lost[..., None], self._pixels, image), findings, lost)
 
     def _is_background(self, blocks: Blocks, image: NDArray[Any]) -> bool:
         if blocks.row_digests[0] != self._rest_digests[0]:
             return False
         return np.array_equal(image, self._background)
+
+
+def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None:
+    """Refuse an untouched image (H, W, 3) in which parts are dark, saturated or torn against the calibration's.
+
+    Raises
+    ------
+    CalibrationError
+        The finding's own words are in the message.
+    """
+    faults = FrameHealth(calibrated)(image)
+    if faults.lost is not None:
+        raise CalibrationError(
+            f"This background cannot be one: {faults.findings[0].message} Take it again, with nothing touching the gel."
+        )
 
 
 def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:

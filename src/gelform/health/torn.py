@@ -34,11 +34,8 @@ class Torn:
 
     def __call__(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
         """Pixels (H, W) that did not arrive; None where all did."""
-        flat, repeated, displaced = (
-            self.flat(blocks),
-            self.repeated_rows(blocks, image),
-            self.displaced_rows(blocks),
-        )
+        flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
+        displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
         if flat is None and repeated is None and displaced is None:
             return None
         width = image.shape[1]
@@ -93,9 +90,11 @@ class Torn:
         far = (rows >= seams[0]) & (rows < (seams[-1] if len(seams) > 1 else len(rows)))
         away = np.abs(blocks.means.astype(np.int16) - self._rest).mean(axis=(1, 2))
         blocks_far = far[BLOCK_PX // 2 :: BLOCK_PX][: len(away)]
-        if len(seams) == 1 and blocks_far.any() and not blocks_far.all():
-            return far if away[blocks_far].mean() > away[~blocks_far].mean() else ~far
-        return far
+        if len(seams) > 1:
+            return far
+        if blocks_far.all() or not blocks_far.any():  # a seam within half a block of the border
+            return far if far.mean() < 0.5 else ~far
+        return far if away[blocks_far].mean() > away[~blocks_far].mean() else ~far
 
     def _seams(self, jumps: NDArray[np.float32]) -> NDArray[np.intp]:
         """Rows that jump by far more than the rows beside them and the middle one."""

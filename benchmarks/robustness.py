@@ -1,0 +1,64 @@
+"""Bad input by the ten thousand: the properties of tests/robustness with a larger budget and a seed of its own.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/robustness.py                # 50,000 cases, 5-10 minutes
+    python benchmarks/robustness.py --cases 200000 --seed 7
+
+Every case ends in an error of gelform's own, a finding, or a result that is right; anything else is printed and makes the
+exit status 1. Writes results/robustness.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import secrets
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from report import write
+
+ROOT = Path(__file__).resolve().parents[1]
+CASES_IN_CI = 4_000  # about what the suite tries by itself
+SUMMARY = re.compile(r"robustness: (\d+) cases: (.*)")
+
+
+def run(cases: int, seed: int) -> tuple[int, dict[str, int], list[list[str]]]:
+    """Cases tried, how they ended, and what was wrong: (case, complaint)."""
+    with tempfile.TemporaryDirectory() as folder:
+        wrong = Path(folder) / "wrong.jsonl"
+        environment = {
+            **os.environ,
+            "GELFORM_ROBUSTNESS_FACTOR": str(cases / CASES_IN_CI),
+            "GELFORM_ROBUSTNESS_COLLECT": str(wrong),
+        }
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--hypothesis-seed={seed}"]
+        done = subprocess.run(
+            [*command, "tests/robustness"], cwd=ROOT, env=environment, capture_output=True, text=True
+        )
+        complaints = [json.loads(line) for line in wrong.read_text().splitlines()] if wrong.exists() else []
+    match = SUMMARY.search(done.stdout)
+    if done.returncode or match is None:
+        raise SystemExit(f"The suite itself failed:\n{done.stdout[-3000:]}{done.stderr[-1000:]}")
+    ended = {name: int(count) for name, count in (one.rsplit(" ", 1) for one in match[2].split(", "))}
+    return int(match[1]), ended, complaints
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=50_000)
+    parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6))
+    asked = parser.parse_args()
+    count, ended, complaints = run(asked.cases, asked.seed)
+    print(f"seed {asked.seed}: {count} cases: {ended}")
+    for case, complaint in complaints[:50]:
+        print(f"  {case}: {complaint}")
+    write("robustness", {"seed": asked.seed, "cases": count, "ended": ended, "wrong": complaints[:50]})
+    raise SystemExit(1 if complaints else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""Frames that say nothing, or only in part: findings, large sigma, bounded depth; never an exception, never NaN."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.solvers import SOLVERS
+from hostile.small_gel import (
+    MM_PER_PX,
+    SHAPE,
+    Touch,
+    background,
+    calibration,
+    depth_error,
+    depth_of,
+    image_of,
+)
+
+TOUCH = Touch(depth_mm=0.4, x_px=40, y_px=40)
+
+
+@pytest.fixture(scope="module")
+def reconstruct():
+    return gelform.Reconstructor(calibration())
+
+
+def names(result):
+    return [finding.name for finding in result.health]
+
+
+@pytest.mark.parametrize(("level", "name"), [(0, "dark"), (255, "saturated"), (200, "torn")])
+def test_a_dead_frame_is_depth_0_of_which_nothing_is_known(reconstruct, level, name):
+    result = reconstruct(np.full((*SHAPE, 3), level, dtype=np.uint8))
+    assert name in names(result)
+    assert np.abs(result.depth_mm).max() < 5e-3
+    assert result.depth_sigma_mm.min() > 1.0
+    assert result.gradients_sigma.min() >= 1.0
+    assert result.confidence.max() < 1e-5
+    assert not result.known.any()
+    assert not result.contact.any()
+
+
+@pytest.mark.parametrize("solver", ["auto", "dct", "sparse", "robust", "gated"])
+def test_every_kind_of_solver_survives_a_dead_frame(solver):
+    assert solver == "auto" or solver in SOLVERS
+    result = gelform.Reconstructor(calibration(), solver=solver)(np.zeros((*SHAPE, 3), dtype=np.uint8))
+    assert np.isfinite(result.depth_mm).all()
+    assert np.abs(result.depth_mm).max() < 0.01
+    assert "dark" in names(result)
+
+
+def test_what_is_left_of_a_torn_frame_is_measured(reconstruct):
+    frame = image_of(TOUCH)
+    frame[:8] = 0
+    result = reconstruct(frame)
+    assert names(result) == ["torn"]
+    assert not result.known[:8].any()
+    assert result.known[24:].all()
+    assert result.depth_sigma_mm[:8].min() > 1.0
+    assert result.depth_sigma_mm[24:].max() < 0.5
+    below = slice(24, None)
+    assert np.abs(result.depth_mm[below] - depth_of(TOUCH)[below]).max() < 0.03
+
+
+def test_a_sound_frame_is_measured_as_ever(reconstruct):
+    result = reconstruct(image_of(TOUCH))
+    assert names(result) == []
+    assert depth_error(result.depth_mm, TOUCH) is None
+    assert result.known.all()
+
+
+@pytest.mark.parametrize("level", [0, 255, 128])
+def test_a_background_that_is_none_is_refused(level):
+    with pytest.raises(gelform.CalibrationError, match="This background cannot be one"):
+        gelform.Reconstructor(calibration(), background=np.full((*SHAPE, 3), level, dtype=np.uint8))
+
+
+def test_depth_ends_where_the_gel_does(reconstruct):
+    """A colour change that means slopes of 5 all over: no gel does that, and the result says so."""
+    ramp = np.clip(background() * np.array([0.75, 1.3, 1.0]), 0, 255)
+    ramp[:, :4] = background()[:, :4]
+    result = reconstruct(ramp.astype(np.float32))
+    assert np.abs(result.depth_mm).max() <= min(SHAPE) * MM_PER_PX + 1e-6
+    assert np.abs(result.depth_mm).max() < 1e-3 or result.health
