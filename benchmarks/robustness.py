@@ -35,7 +35,15 @@ def run(cases: int, seed: int) -> tuple[int, dict[str, int], list[list[str]]]:
             "GELFORM_ROBUSTNESS_FACTOR": str(cases / CASES_IN_CI),
             "GELFORM_ROBUSTNESS_COLLECT": str(wrong),
         }
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--hypothesis-seed={seed}"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            f"--hypothesis-seed={seed}",
+        ]
         done = subprocess.run(
             [*command, "tests/robustness"], cwd=ROOT, env=environment, capture_output=True, text=True
         )
