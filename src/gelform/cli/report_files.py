@@ -31,33 +31,29 @@ def check_report_folder(folder: Path, overwrite: bool) -> None:
         raise DataError(f"{folder / there[0]} is already there. Choose another folder, or allow --overwrite.")
 
 
-def write_report(
-    presses: Presses,
-    calibration: Calibration,
-    folder: Path,
-    *,
-    overwrite: bool,
-    progress: Progress,
-    with_learning: bool = True,
-) -> None:
-    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table.
-
-    The learning curve calibrates a dozen times more; without it the page says less and comes sooner.
-    """
+def content_of(
+    presses: Presses, calibration: Calibration, progress: Progress, *, with_learning: bool
+) -> dict[str, Any]:
+    """The report in numbers and words; with the learning curve, which calibrates a dozen times more, it says more."""
     import numpy as np
 
     from gelform.calibration.report.content import report_content
     from gelform.calibration.report.learning import learning_curve
-    from gelform.calibration.report.page.page import report_page
 
     rng = np.random.default_rng(REPORT_SEED)
     learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
-    progress(0, 1, "drawing the report")
-    content = report_content(presses, calibration, rng=rng, learning=learning)
+    return report_content(presses, calibration, rng=rng, learning=learning)
+
+
+def write_report(
+    content: dict[str, Any], presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool
+) -> None:
+    """Write what `--report` promises: the page, the numbers behind it, and the circles as a table."""
+    from gelform.calibration.report.page.page import report_page
+
     page = report_page(content, presses, calibration)
     files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
     _write_all({folder / name: data for name, data in zip(REPORT_FILES, files)}, overwrite)
-    progress(1, 1, "drawing the report")
 
 
 def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:

@@ -34,6 +34,7 @@ def test_a_calibration_and_its_report(run_json, folder, tmp_path):
     assert content["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"]
     assert content["calibration"]["digest"] == calibration.digest
     assert content["verdict"]["headline"] in (report / "report.html").read_text(encoding="utf-8")
+    assert said["verdict"] == content["verdict"]
     truth = [press.label for press in read_presses(folder).presses]
     with (report / "circles.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -42,7 +43,12 @@ def test_a_calibration_and_its_report(run_json, folder, tmp_path):
 
 
 def test_circles_can_be_used_as_labels(run, folder, tmp_path):
-    assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--report", tmp_path / "r", "-q")[0] == 0
+    code, _, err = run(
+        "calibrate", folder, "-o", tmp_path / "cal.npz", "--report", tmp_path / "r", "--model", "polynomial"
+    )
+    assert code == 0
+    verdict = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))["verdict"]
+    assert err.splitlines()[-2:] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
     shutil.copy(tmp_path / "r" / "circles.csv", folder / "presses.csv")
     assert all(press.label is not None for press in read_presses(folder).presses)
 

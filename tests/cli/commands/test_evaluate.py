@@ -14,6 +14,8 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     assert code == 0
     assert f"made from {expected.seen} of these presses" in err
     assert out.count("(seen)") == expected.seen
+    assert "may even be larger" in err
+    assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
 
 
 def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path):
@@ -34,7 +36,8 @@ def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path
         "--mm-per-px",
         "0.1",
     )
-    assert "120x160" in fails(*arguments)
+    said = fails(*arguments)
+    assert "Expected images of 120x160 px (height x width), got 60x80" in said
 
 
 def test_a_wrong_calibration(fails, press_folder, tmp_path):

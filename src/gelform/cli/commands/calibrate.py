@@ -20,7 +20,7 @@ from gelform.cli.options import (
     one_of,
 )
 from gelform.cli.process import only_writer
-from gelform.cli.report_files import REPORT_FILES, check_report_folder, write_report
+from gelform.cli.report_files import REPORT_FILES, check_report_folder, content_of, write_report
 from gelform.cli.result_names import check_output
 from gelform.cli.tables import COLOR_MODELS, listed
 
@@ -98,12 +98,16 @@ def calibrate(
         first = None if start is None else load_calibration(start)
         calibration = calibrate_presses(found, color_model=model, start=first, progress=progress)
         calibration.save(output, overwrite=overwrite)
+        content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:
-            write_report(found, calibration, report, overwrite=overwrite, progress=progress)
+            write_report(content, found, calibration, report, overwrite=overwrite)
+    verdict = content["verdict"]
     _show(calibration, quiet or as_json)
     say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.", quiet)
+    say(f"{verdict['headline']}.", quiet)
+    say(f"Next: {verdict['next']}", quiet)
     if as_json:
-        print_json({"calibration": str(output), **calibration.report.to_dict()})
+        print_json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 
 
 def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:

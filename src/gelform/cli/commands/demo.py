@@ -84,13 +84,13 @@ def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
 def _calibrated(folder: Path, progress: Progress) -> Calibration:
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.folder import read_presses
-    from gelform.cli.report_files import write_report
+    from gelform.cli.report_files import content_of, write_report
 
     presses = read_presses(folder / "presses", progress=progress)
     calibration = calibrate(presses, progress=progress)
     calibration.save(folder / "calibration.npz")
-    where = folder / "report"
-    write_report(presses, calibration, where, overwrite=False, progress=progress, with_learning=False)
+    content = content_of(presses, calibration, progress, with_learning=False)
+    write_report(content, presses, calibration, folder / "report", overwrite=False)
     return calibration
 
 
