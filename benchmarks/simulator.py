@@ -127,6 +127,7 @@ def speed() -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, sensor in (
         ("plain", LAYOUTS["three-edges"]),
+        ("cast_shadows", replace(LAYOUTS["three-edges"], cast_shadows=True)),
         ("everything_but_cast_shadows", full),
         ("everything", replace(full, cast_shadows=True)),
     ):
