@@ -30,8 +30,8 @@ static float seen_from(const float *depth, ptrdiff_t i, ptrdiff_t j, const doubl
   const float *from = depth + i * w + j;
   const double dx = led[0] - (double)j, dy = led[1] - (double)i, ax = fabs(dx), ay = fabs(dy);
   const double steps = ax > ay ? ax : ay;
-  if (steps < 1) return 1;
   const double rise = (led[2] - *from) / steps, soft = 0.5 * led[3] / steps + sharpest;
+  if (steps < 1 || !(rise > 0)) return 1;
   const double reach = (top - *from) / rise + 1, last = floor(reach < steps ? reach : steps);
   if (apart((double)j, (double)j + last * dx / steps, box[2], box[3])) return 1;
   if (apart((double)i, (double)i + last * dy / steps, box[0], box[1])) return 1;
@@ -40,9 +40,10 @@ static float seen_from(const float *depth, ptrdiff_t i, ptrdiff_t j, const doubl
   struct ray ray = {right, down, (float)(ay / ax), room_x};
   if (ax < ay) ray = (struct ray){down, right, (float)(ax / ay), room_y};
   const double beside = (double)(ax < ay ? room_x : room_y) * (1 - 1e-6);  // steps across: one sample further is read
+  if (beside < 0.5) return 1;
   if (beside <= (double)ray.last * ray.slope) ray.last = (ptrdiff_t)ceil(beside / ray.slope) - 1;
   if (last < (double)ray.last) ray.last = (ptrdiff_t)last;
-  if (beside < 0.5 || ray.last < 1) return 1;
+  if (ray.last < 1) return 1;
   return clamp((float)(0.5 + 0.5 * (rise - steepest(from, &ray)) / soft), 0, 1);
 }
 

@@ -122,3 +122,19 @@ def test_the_kernel_finds_what_every_ray_meets(size):
 def test_a_gentle_bump_hides_nothing():
     surface = surface_from_ball(Ball(8), *PLAIN.grid_mm(), center_mm=(0, 0), depth_mm=0.2, relaxation_mm=0.5)
     assert visible_from_surface(surface, (Led((-8.0, 2.0, 9.0), (1, 1, 1)),)) is None
+
+
+def test_lights_at_the_border_and_under_the_surface_are_seen():
+    """Rays that have no room, or do not rise, meet nothing."""
+    depth = np.zeros((6, 8), dtype=np.float32)
+    depth[2:4, 3:5] = 1
+    leds = np.array(
+        [(-20.0, 0.0, 3.0, 1.0), (-20.0, 5.0, 3.0, 1.0), (3.0, -20.0, 0.5, 1.0), (3.0, 2.0, 1.0, 1.0)]
+    )
+    seen = np.ones((4, 6, 8), np.float32)
+    shadows._visible_lights(depth, leds, np.full(4, 8), seen, 1.0, 1e-5)
+    assert np.all((seen >= 0) & (seen <= 1))
+    assert np.all(seen[0, 0] == 1)
+    assert np.all(seen[1, 5] == 1)
+    assert np.all(seen[2, 2:4, 3:5] == 1)
+    assert seen[0].min() == 0
