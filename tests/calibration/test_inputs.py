@@ -16,6 +16,7 @@ from gelform.calibration.inputs import (
     is_reversed,
     light_order_note,
     light_turn,
+    repeated_images,
 )
 from gelform.design.study import _as_read
 from gelform.simulate import Led, exposed, simulate_ball_presses
@@ -152,3 +153,45 @@ def test_real_sets_pass_and_are_caught_when_spoilt(data):
             swapped = reversed_channels(few, range(len(few.presses)), background=True)
             assert "saved as BGR" in light_order_note(swapped, *turn_of(swapped)[:2])
             assert abs(turn) > 1
+
+
+def test_the_same_image_counts_once(presses):
+    """Listed twice, presses would judge models that have seen them: the second is left out and named."""
+    twice = replace(
+        presses,
+        presses=(*presses.presses, *(replace(p, name=f"copy of {p.name}") for p in presses.presses[:3])),
+    )
+    assert repeated_images(presses) == {}
+    assert repeated_images(twice) == {
+        len(presses.presses) + k: f"the same image as {presses.presses[k].name}" for k in range(3)
+    }
+    other_ball = replace(presses.presses[0], name="other", ball_diameter_mm=1.0)
+    with pytest.raises(gelform.CalibrationError, match="same image, listed with balls of 1 and"):
+        repeated_images(replace(presses, presses=(*presses.presses, other_ball)))
+
+
+def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
+    eight = presses.subset(range(8))
+    copies = tuple(replace(press, name=f"copy of {press.name}") for press in eight.presses)
+    once = gelform.calibrate(eight, color_model="lambertian")
+    twice = gelform.calibrate(replace(eight, presses=(*eight.presses, *copies)), color_model="lambertian")
+    assert twice.held_out == once.held_out
+    assert [row.accepted for row in twice.report.presses] == [row.accepted for row in once.report.presses] + [
+        False
+    ] * 8
+
+
+def test_frames_of_one_press_are_no_presses(presses):
+    noise = np.random.default_rng(0)
+    press = presses.presses[0]
+    frames = tuple(
+        replace(
+            press,
+            name=str(k),
+            digest=str(k),
+            image=np.clip(press.image + noise.normal(0, 1, press.image.shape), 0, 255).astype(np.uint8),
+        )
+        for k in range(8)
+    )
+    with pytest.raises(gelform.CalibrationError, match="presses at 3 places or more, got 1 among"):
+        gelform.calibrate(replace(presses, presses=frames))

@@ -16,7 +16,7 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.circles.sigma import circle_sigmas
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.draft import fit_all
-from gelform.calibration.inputs import check_inputs, input_notes
+from gelform.calibration.inputs import check_inputs, input_notes, repeated_images
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.held_out import measure_held_out
 from gelform.calibration.report.record import report_of_run
@@ -80,8 +80,8 @@ def calibrate(
 
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
-    refined, folds = _refined_and_folded(prepared, found, model, progress)
-    _check_enough(presses, refined)
+    refined, folds = _refined_and_folded(prepared, found, repeated_images(presses), model, progress)
+    _check_enough(presses, refined, len(folds))
 
     candidates, zones = _candidates(color_model, len(folds[0].training), first_unit)
     by_offset = prepared_by_offset(presses, prepared, (c.change_offset for c in candidates))
@@ -128,22 +128,28 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
 def _refined_and_folded(
     prepared: list[PreparedPress],
     found: Sequence[ContactCircle],
+    excluded: dict[int, str],
     start: HierarchicalModel | None,
     progress: Progress,
 ) -> tuple[Refined, list[Fold]]:
     """Circles of the presses that fit, and the folds; what the folds contradict is left out of both."""
-    refined = refine(prepared, found, start=start, progress=progress)
+    refined = refine(prepared, found, excluded=excluded, start=start, progress=progress)
     folds = make_folds(prepared, found, refined.accepted, start=start, progress=progress)
     odd = unlike_the_others(prepared, found, folds, start=start)
     if odd:
-        refined = refine(prepared, found, excluded=odd, start=start, progress=progress)
+        refined = refine(prepared, found, excluded={**excluded, **odd}, start=start, progress=progress)
         folds = make_folds(prepared, found, refined.accepted, start=start, progress=progress)
     return refined, folds
 
 
-def _check_enough(presses: Presses, refined: Refined) -> None:
-    if len(refined.accepted) >= MIN_PRESSES:
+def _check_enough(presses: Presses, refined: Refined, folds: int) -> None:
+    if folds >= MIN_PRESSES:
         return
+    if len(refined.accepted) >= MIN_PRESSES:
+        raise CalibrationError(
+            f"Expected presses at {MIN_PRESSES} places or more, got {folds} among the {len(refined.accepted)} of "
+            f"{presses.folder} that fit: the others show the same press. Press the ball at many places, one image each."
+        )
     figures = r" ?\(?\d[\d.]*( px)?\)?"  # alike but for these, reasons are counted together
     heads = [reason.split(":")[0] for reason in refined.reasons if reason is not None]
     reasons = Counter(re.sub(figures, "", head) for head in heads)

@@ -40,6 +40,28 @@ def check_inputs(presses: Presses) -> None:
     _check_untouched(presses)
 
 
+def repeated_images(presses: Presses) -> dict[int, str]:
+    """Presses whose image is pixel for pixel an earlier one's, with the reason to leave them out.
+
+    Raises
+    ------
+    CalibrationError
+        The same image is said to be of two balls.
+    """
+    first: dict[str, int] = {}
+    repeated = {}
+    for i, press in enumerate(presses.presses):
+        earlier = presses.presses[first.setdefault(press.digest, i)]
+        if earlier.ball_diameter_mm != press.ball_diameter_mm:
+            raise CalibrationError(
+                f"{press.name} and {earlier.name} of {presses.folder} are the same image, listed with balls of "
+                f"{press.ball_diameter_mm:g} and {earlier.ball_diameter_mm:g} mm. Correct the table."
+            )
+        if earlier is not press:
+            repeated[i] = f"the same image as {earlier.name}"
+    return repeated
+
+
 def _check_channels(presses: Presses) -> None:
     wrong = [press.name for press in presses.presses if is_reversed(press.image, presses.background)]
     if not wrong:

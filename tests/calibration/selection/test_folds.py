@@ -39,6 +39,16 @@ def test_a_size_that_is_left_out_is_not_in_the_training(sizes, prepared):
         assert not trained & {prepared[i].ball_radius_px for i in fold.held_out}
 
 
+def test_presses_that_show_the_same_stay_together(prepared, found):
+    """Else a press is judged by a model that has seen it under another name."""
+    twice = [*prepared, *prepared[:5]]
+    folds = make_folds(twice, [*found, *found[:5]], range(len(twice)))
+    assert sorted(i for fold in folds for i in fold.held_out) == list(range(len(twice)))
+    for fold in folds:
+        for i in range(5):
+            assert (i in fold.held_out) == (len(prepared) + i in fold.held_out)
+
+
 def test_no_size_is_left_out_where_the_others_are_few(prepared, found):
     assert size_folds(prepared, found, range(len(prepared))) == []
 

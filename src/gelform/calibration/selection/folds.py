@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gelform.calibration.circles.alike import groups_alike
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.refine import agreement, fit_model, misfit_reasons, recentered, refine
 from gelform.calibration.circles.samples import PreparedPress
@@ -56,6 +57,8 @@ def make_folds(
 ) -> list[Fold]:
     """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
 
+    Presses that show the same (`groups_alike`) stay in one fold.
+
     Parameters
     ----------
     presses, found : prepared, and the circle found in each image
@@ -63,11 +66,12 @@ def make_folds(
     start : another unit's model, where the refinement begins
     progress : called with (done, total, what)
     """
-    ordered = sorted(usable, key=lambda i: presses[i].ball_radius_px)
-    count = min(FOLDS, len(ordered))
+    groups = groups_alike(presses, sorted(usable, key=lambda i: presses[i].ball_radius_px))
+    ordered = [i for group in groups for i in group]
+    count = min(FOLDS, len(groups))
     folds = []
     for f in range(count):
-        held_out = tuple(i for k, i in enumerate(ordered) if k % count == f)
+        held_out = tuple(i for k, group in enumerate(groups) if k % count == f for i in group)
         folds.append(_fold(presses, found, held_out, [i for i in ordered if i not in held_out], start))
         progress(f + 1, count, "holding presses out")
     return folds
