@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
 from gelform.checks import (
     check_finite,
     check_gradients,
@@ -16,6 +16,16 @@ from gelform.checks import (
     check_mask,
     check_mm_per_px,
     check_normals,
+)
+
+_slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
+_curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w] known, out f64[2] result")
+_coarser_known = Kernel(
+    "coarser_known",
+    "f32[h,w,c] values, bool[h,w] known, out f32[rows,columns,c] coarse, out bool[rows,columns] coarse_known",
+)
+_fill_from_coarser = Kernel(
+    "fill_from_coarser", "f32[rows,columns,c] coarse, out f32[h,w,c] values, bool[h,w] known, i32 sweeps"
 )
 
 
@@ -57,6 +67,13 @@ def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[flo
     return gradients.astype(np.float32)
 
 
+def slopes_of_solution(depth: NDArray[np.float32], mm_per_px: tuple[float, float]) -> NDArray[np.float32]:
+    """`gradients_from_depth` of one solved depth map (H, W) float32, in single precision: for each frame."""
+    gradients = np.empty((*depth.shape, 2), dtype=np.float32)
+    _slopes_of_depth(depth, gradients, 1 / mm_per_px[0], 1 / mm_per_px[1])
+    return gradients
+
+
 def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:
     """Integrability check `dp/dy - dq/dx` per pixel, in 1/mm: zero where the slopes are those of a surface.
 
@@ -76,26 +93,9 @@ def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[flo
 
 def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
     """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) off the border, slope per pixel."""
-    square, count = _curl_squares(gradients, known)
-    return float(np.sqrt(square / count)) if count else 0.0
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _curl_squares(g, known):  # type: ignore[no-untyped-def]
-    """Sum of squares of `dp/dy - dq/dx` by central differences, and of how many pixels; without a branch."""
-    total, count = 0.0, 0
-    quarter = np.float32(0.25)
-    for n in range(g.shape[0]):
-        for i in range(1, g.shape[1] - 1):
-            row, seen = np.float32(0), np.int32(0)
-            for j in range(1, g.shape[2] - 1):
-                counts = np.int32(known[n, i, j])
-                turn = g[n, i + 1, j, 0] - g[n, i - 1, j, 0] - g[n, i, j + 1, 1] + g[n, i, j - 1, 1]
-                row += np.float32(counts) * turn * turn
-                seen += counts
-            total += quarter * row
-            count += seen
-    return total, count
+    found = np.empty(2)
+    _curl_squares(gradients, known, found)
+    return float(np.sqrt(found[0] / found[1])) if found[1] else 0.0
 
 
 def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
@@ -130,83 +130,11 @@ def _filled(values: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np
     if known.all():
         return values
     height, width, channels = values.shape
-    coarse = np.zeros(((height + 1) // 2, (width + 1) // 2, channels), dtype=np.float32)
-    coarse_known = np.zeros(coarse.shape[:2], dtype=bool)
-    _pull(values, known, coarse, coarse_known)
-    _push(_filled(coarse, coarse_known), values, known, SWEEPS)
+    coarse = np.empty(((height + 1) // 2, (width + 1) // 2, channels), dtype=np.float32)
+    coarse_known = np.empty(coarse.shape[:2], dtype=bool)
+    _coarser_known(values, known, coarse, coarse_known)
+    _fill_from_coarser(_filled(coarse, coarse_known), values, known, SWEEPS)
     return values
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
-def _pull(
-    values: NDArray[Any], known: NDArray[Any], coarse: NDArray[Any], coarse_known: NDArray[Any]
-) -> None:
-    """Means of the known among each 2x2 pixels; beyond an odd border the last pixel stands in, unknown."""
-    height, width, channels = values.shape
-    for i in range(coarse.shape[0]):
-        top, low = 2 * i, min(2 * i + 1, height - 1)
-        for j in range(coarse.shape[1]):
-            left, right = 2 * j, min(2 * j + 1, width - 1)
-            a = np.float32(known[top, left])
-            b = np.float32(known[top, right] and right > left)
-            c = np.float32(known[low, left] and low > top)
-            d = np.float32(known[low, right] and low > top and right > left)
-            count = a + b + c + d
-            if count > 0:
-                coarse_known[i, j] = True
-                a, b, c, d = a / count, b / count, c / count, d / count
-                for k in range(channels):
-                    coarse[i, j, k] = (
-                        a * values[top, left, k]
-                        + b * values[top, right, k]
-                        + c * values[low, left, k]
-                        + d * values[low, right, k]
-                    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
-def _push(coarse: NDArray[Any], values: NDArray[Any], known: NDArray[Any], sweeps: int) -> None:
-    """Unknown pixels from the coarser level, bilinearly; then relaxed, forwards and backwards in turn."""
-    height, width, channels = values.shape
-    rows, cols = coarse.shape[0], coarse.shape[1]
-    holes = np.empty((height * width, 2), dtype=np.int32)
-    count = 0
-    for i in range(height):
-        near_i = i // 2
-        far_i = min(max(near_i + 2 * (i % 2) - 1, 0), rows - 1)
-        for j in range(width):
-            if known[i, j]:
-                continue
-            holes[count, 0], holes[count, 1] = i, j
-            count += 1
-            near_j = j // 2
-            far_j = min(max(near_j + 2 * (j % 2) - 1, 0), cols - 1)
-            for c in range(channels):
-                near = (
-                    np.float32(0.75) * coarse[near_i, near_j, c] + np.float32(0.25) * coarse[near_i, far_j, c]
-                )
-                far = np.float32(0.75) * coarse[far_i, near_j, c] + np.float32(0.25) * coarse[far_i, far_j, c]
-                values[i, j, c] = np.float32(0.75) * near + np.float32(0.25) * far
-    for sweep in range(sweeps):
-        for place in range(count):
-            hole = place if sweep % 2 == 0 else count - 1 - place
-            i, j = holes[hole, 0], holes[hole, 1]
-            for c in range(channels):
-                total = np.float32(0)
-                neighbours = 0
-                if i > 0:
-                    total += values[i - 1, j, c]
-                    neighbours += 1
-                if i < height - 1:
-                    total += values[i + 1, j, c]
-                    neighbours += 1
-                if j > 0:
-                    total += values[i, j - 1, c]
-                    neighbours += 1
-                if j < width - 1:
-                    total += values[i, j + 1, c]
-                    neighbours += 1
-                values[i, j, c] = total / np.float32(neighbours)
 
 
 def _slope(values: NDArray[Any], axis: int) -> NDArray[Any]:

@@ -15,14 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.anchor import RestAnchor
 from gelform.background.change import PreparedBackground
 from gelform.background.check import Finding, background_digest, check_own_background
-from gelform.background.untouched import remove_bias, untouched_pixels
+from gelform.background.untouched import reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_image
-from gelform.confidence import PreparedSigma, UnknownSigma, with_model_sigma
+from gelform.color_models.seam import gradients_from_pending
+from gelform.confidence import PreparedSigma, UnknownSigma, solved_sigma, with_model_sigma
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, checked_solver, integrate, takes_weights
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
+from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFinder
 from gelform.pool import Pool
@@ -96,10 +98,10 @@ class Reconstructor:
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
+        self._solved_factor = calibration.slope_sigma.solved_factor if calibration.slope_sigma else 1.0
         self._health = FrameHealth(self.background)
         self._limit = DepthLimit.of(calibration.image_shape, self._pitch)
         self._markers = MarkerFinder(self.background)
-        self._no_markers = np.zeros(calibration.image_shape, dtype=bool)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -140,24 +142,27 @@ class Reconstructor:
         exposure, drifted = self._untouched_image.compare(image)
         hidden = faults.hidden(self._marker_pixels(image))
         with self._pool.one() as change:
-            self._untouched_image.change(image, exposure, out=change)
-            gradients, model_sigma = self._model.gradients_from_color(change)
-            untouched, few = untouched_pixels(change, self.calibration.untouched_change, hidden)
-            remove_bias(gradients, untouched)  # colour that drifted everywhere is no slope
-            sigma, confidence = self._sigma(gradients, image, untouched, change)
+            pending = self._untouched_image.pending(image, exposure)
+            observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
+            reference = reference_from_color_change(
+                change, observed, self.calibration.untouched_change, hidden
+            )
+            untouched, sigma, confidence = self._sigma(image, change, observed, reference, hidden)
             faults.widen(sigma, LOST_SIGMA)
             albedo = self._albedo_source(change)
-        gradients_sigma, confidence = with_model_sigma(sigma, confidence, model_sigma, self._clean)
-        confidence[hidden] = LEAST_WEIGHT if hidden.all() else 0  # filled from around
-        solution, depth_sigma = self._integrate(gradients, confidence, untouched, gradients_sigma)
+        observed_sigma, confidence = with_model_sigma(sigma, confidence, model_sigma, self._clean)
+        if hidden is not None and hidden.all():
+            confidence[:] = LEAST_WEIGHT
+        solution, depth_sigma = self._integrate(observed, confidence, untouched, observed_sigma)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
         faults.widen(depth_sigma, self._limit.ignorance_mm)
         scaled = self.calibration.mm_per_px is not None
         return Reconstruction(
             depth=depth_mm if scaled else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
-            gradients=gradients,
-            gradients_sigma=gradients_sigma,
+            gradients=slopes_of_solution(depth_mm, (self._pitch, self._pitch)),
+            gradients_sigma=solved_sigma(observed_sigma, hidden, self._solved_factor),
+            observed_gradients=observed,
             confidence=confidence,
             contact=contact_from_depth(depth_mm, mm_per_px=self._pitch),
             known=faults.seen(solution.known),
@@ -166,7 +171,7 @@ class Reconstructor:
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*self.findings, *faults.findings, *drifted, *few, *too_deep),
+            health=(*self.findings, *faults.findings, *drifted, *reference.findings, *too_deep),
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
         )
@@ -220,8 +225,11 @@ class Reconstructor:
             hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
             raise ValueError(f"{problem} {hint}") from None
 
-    def _marker_pixels(self, image: NDArray[Any]) -> NDArray[np.bool_]:
-        """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included."""
+    def _marker_pixels(self, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included.
+
+        None where the gel has no markers.
+        """
         if not len(self._markers.untouched):
-            return self._no_markers
+            return None
         return self._markers.mask(image, int(np.ceil(2 * self.calibration.change.blur_px)))

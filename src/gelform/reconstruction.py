@@ -21,10 +21,10 @@ from gelform.normals import normals_from_gradients
 from gelform.npz_files import read_npz, write_npz
 
 KIND = "gelform result"
-FORMAT_VERSION = 2  # the newest that is read; results with a scale are written as version 1
+FORMAT_VERSION = 3  # 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth
 MAX_BYTES = 4 * 2**30
-_MAPS = ("depth_sigma_mm", "gradients", "gradients_sigma", "confidence", "contact", "known")
-_OPTIONAL = ("depth_sigma_mm", "gradients_sigma")
+_OPTIONAL = ("depth_sigma_mm", "gradients_sigma", "observed_gradients")
+_MAPS = ("gradients", "confidence", "contact", "known", *_OPTIONAL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,10 @@ class Reconstruction:
     depth : (H, W) float32, 0 at rest, positive where pressed; finite everywhere. In mm, or in widths of a pixel
         where mm_per_px is None: read depth_mm or depth_px, which say which
     depth_sigma_mm : (H, W) float32, mm, one standard deviation, or None
-    gradients : (H, W, 2) float32, slopes dz/dx and dz/dy, mm/mm
+    gradients : (H, W, 2) float32, slopes dz/dx and dz/dy of the solved depth, mm/mm
     gradients_sigma : (H, W, 2) float32, their standard deviation, or None
+    observed_gradients : (H, W, 2) float32, slopes as the color model read them, without the bias of untouched pixels:
+        what the depth was solved from. None in results of format versions 1 and 2, whose `gradients` they are
     confidence : (H, W) float32, 0-1
     contact : (H, W) bool, where something touches
     known : (H, W) bool; False where the depth was filled without information
@@ -45,7 +47,7 @@ class Reconstruction:
     mm_per_px_sigma : its standard deviation, mm, or None; not part of depth_sigma_mm
     zero : what depth 0 is: "untouched", "border", "mean"
     solver : the method that integrated
-    curl_rms : RMS of `dp/dy - dq/dx`, slope per pixel: how far the slopes are from those of a surface
+    curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel: how far they are from those of a surface
     health : findings that a user should know, each with its figure
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : of the calibration that was used
@@ -61,6 +63,7 @@ class Reconstruction:
     known: NDArray[np.bool_]
     mm_per_px: float | tuple[float, float] | None
     mm_per_px_sigma: float | None = None
+    observed_gradients: NDArray[np.float32] | None = None
     zero: str = "untouched"
     solver: str = ""
     curl_rms: float = 0.0
@@ -76,7 +79,7 @@ class Reconstruction:
         if len(shape) != 2:
             raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
         for name in _MAPS:
-            wanted = (*shape, 2) if name.startswith("gradients") else shape
+            wanted = (*shape, 2) if "gradients" in name else shape
             values = getattr(self, name)
             if np.shape(values) != wanted and not (values is None and name in _OPTIONAL):
                 raise ValueError(f"Expected {name} of shape {wanted}, as depth, got {np.shape(values)}.")
@@ -195,8 +198,7 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
         arrays |= {"depth_mm": result.depth, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
     meta = {name: getattr(result, name) for name in _META}
     meta["health"] = [asdict(finding) for finding in result.health]
-    version = FORMAT_VERSION if result.mm_per_px is None else 1
-    write_npz(path, arrays, meta, kind=KIND, version=version, overwrite=overwrite, error=DataError)
+    write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
 
 
 def load_result(path: str | PathLike[str]) -> Reconstruction:

@@ -7,15 +7,20 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
 from gelform.background.check import Finding, compared
 from gelform.background.exposure import Exposure, block_means
 from gelform.checks import check_image
 
 MAX_CONDITION = 30.0
 Matrix = tuple[tuple[float, ...], ...]
+_color_change = Kernel(
+    "color_change",
+    "u8[h,w,3]? image, f32[h,w,3]? light, f32[s] scale, f32[h,w,3] untouched, f32[h,w,3] gain, f32[t] taps, "
+    "out f32[n] work, out f32[h,w,3] change",
+)
 
 
 @dataclass(frozen=True)
@@ -136,6 +141,7 @@ class PreparedBackground:
         self.background = check_image(background, name="background").astype(np.float32)
         self._light = light_from_image(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
+        self._taps = _blur_taps(settings.blur_px)
         self._blocks = block_means(self.background)
 
     def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
@@ -148,47 +154,59 @@ class PreparedBackground:
         """
         return compared(block_means(image), self._blocks)
 
-    def change(
-        self,
-        image: NDArray[Any],
-        exposure: Exposure | None = None,
-        out: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+    def change(self, image: NDArray[Any], exposure: Exposure | None = None) -> NDArray[np.float32]:
         """Color change (H, W, 3) float32; with `exposure`, of the image that today's exposure would have given.
 
         What is compensated is the exposure's `believed_gain`.
         """
-        shape = self._light.shape
-        change: NDArray[np.float32] = np.empty(shape, dtype=np.float32) if out is None else out
+        return self.pending(image, exposure).write(np.empty(self._light.shape, dtype=np.float32))
+
+    def pending(self, image: NDArray[Any], exposure: Exposure | None = None) -> PendingChange:
+        """`change`, still to be computed: all of it but the pass over the pixels."""
         light = light_from_image(image, self.settings)
-        mixed = self.settings.crosstalk is not None
         share = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
-        if mixed and np.ptp(share) > 0:
+        if self.settings.crosstalk is not None and np.ptp(share) > 0:
             # gains act on the channels as the camera has them: in front of the crosstalk
             matrix = np.asarray(self.settings.crosstalk)
             light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(share) @ matrix)
             share = np.ones(3)
-        rows = (shape[0], shape[1] * 3)
-        scale = np.tile(share.astype(np.float32), shape[1])
-        _scaled_change(
-            light.reshape(rows),
-            scale,
-            self._light.reshape(rows),
-            self._gain.reshape(rows),
-            change.reshape(rows),
-        )
-        if self.settings.blur_px > 0:
-            blur = self.settings.blur_px
-            cv2.GaussianBlur(change, (0, 0), blur, dst=change, borderType=cv2.BORDER_REFLECT_101)
-        return change
+        scale = np.tile(share.astype(np.float32), light.shape[1])
+        light = np.ascontiguousarray(light)
+        either = (light, None) if light.dtype == np.uint8 else (None, light)
+        return PendingChange((*either, scale, self._light, self._gain, self._taps))
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _scaled_change(light, scale, untouched, gain, out):  # type: ignore[no-untyped-def]
-    """(light scale - untouched) gain, row by row."""
-    for y in range(light.shape[0]):
-        for x in range(light.shape[1]):
-            out[y, x] = (np.float32(light[y, x]) * scale[x] - untouched[y, x]) * gain[y, x]
+@dataclass(frozen=True)
+class PendingChange:
+    """A color change of which all is known but the pixels: computed alone, or in one pass with a color model.
+
+    Attributes
+    ----------
+    arguments : of the kernel `color_change`, up to its work array
+    """
+
+    arguments: tuple[Any, ...]
+
+    @property
+    def work_size(self) -> int:
+        """How many floats of work the kernel needs: a row with its border, and the rows that a blur reaches."""
+        scale, taps = self.arguments[2], self.arguments[5]
+        radius = len(taps) - 1
+        return 2 * len(scale) * (radius + 1) + 6 * radius
+
+    def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Compute the color change into `out` (H, W, 3), and return it."""
+        _color_change(*self.arguments, np.empty(self.work_size, dtype=np.float32), out)
+        return out
+
+
+def _blur_taps(blur_px: float) -> NDArray[np.float32]:
+    """Weights of a Gaussian blur from the middle on, as far as OpenCV takes them for floats: 4 standard deviations."""
+    if blur_px == 0:
+        return np.ones(1, dtype=np.float32)
+    size = int(np.rint(8 * blur_px + 1)) | 1
+    taps: NDArray[np.float32] = cv2.getGaussianKernel(size, blur_px, cv2.CV_32F)[size // 2 :, 0]
+    return np.ascontiguousarray(taps)
 
 
 def image_from_color_change(

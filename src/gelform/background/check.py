@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from gelform.background.exposure import Exposure, block_means, exposure_from_blocks
@@ -179,29 +178,12 @@ def _correlation(
 
     None where the untouched image is featureless: it can neither agree nor disagree. 0 where only the image is.
     """
-    scale = np.ones(3) if gain is None else 1 / gain
-    correlation = float(_correlated(seen.reshape(-1, 3), untouched.reshape(-1, 3), scale, 1 - TOUCHED_SHARE))
-    return None if np.isnan(correlation) else correlation
-
-
-@njit(cache=True, nogil=True)
-def _correlated(seen, untouched, scale, kept):  # type: ignore[no-untyped-def]
-    distance = np.zeros(seen.shape[0])
-    for k in range(seen.shape[0]):
-        for c in range(3):
-            distance[k] += abs(seen[k, c] * scale[c] - untouched[k, c])
-    last = min(int(kept * seen.shape[0]), seen.shape[0] - 1)
-    limit = np.partition(distance, last)[last]
-    sums = np.zeros(6)
-    for k in range(seen.shape[0]):
-        if distance[k] <= limit:
-            for c in range(3):
-                a, b = seen[k, c] * scale[c] - 128, untouched[k, c] - 128
-                sums += np.array([1.0, a, b, a * a, b * b, a * b])
-    a, b = sums[1] / sums[0], sums[2] / sums[0]
-    var_a, var_b = sums[3] / sums[0] - a * a, sums[4] / sums[0] - b * b
-    if var_b < 1e-4:
-        return np.nan
-    if var_a < 1e-4:
-        return 0.0
-    return (sums[5] / sums[0] - a * b) / np.sqrt(var_a * var_b)
+    scaled = seen if gain is None else seen * (1 / gain).astype(np.float32)
+    distance = np.abs(scaled - untouched).sum(axis=-1)
+    last = min(int((1 - TOUCHED_SHARE) * distance.size), distance.size - 1)
+    least_changed = distance <= np.partition(distance, last, axis=None)[last]
+    a, b = (values[least_changed].ravel().astype(np.float64) for values in (scaled, untouched))
+    a, b = a - a.mean(), b - b.mean()
+    if b @ b < 1e-4 * b.size:
+        return None
+    return float(a @ b / np.sqrt((a @ a) * (b @ b))) if a @ a >= 1e-4 * a.size else 0.0

@@ -12,14 +12,18 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from gelform._native import Kernel
 
 BLOCKS = 1200
 DARK, BRIGHT = 6.0, 250.0  # mean levels of a block between which its ratio tells the gain
-SPAN_LOG, BINS, WINDOW = 1.2, 240, 6  # the crowd is first sought in windows of 0.06 over +-1.2
 HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])  # what counts as untouched, round by round
 MIN_SHARE, FULL_SHARE = 0.15, 0.3
+
+_crowd_of_ratios = Kernel(
+    "crowd_of_ratios", "f32[n,3] logs, f64[rounds] half_widths, out f64[3] center, out f64[n] distances"
+)
 
 
 @dataclass(frozen=True)
@@ -88,63 +92,14 @@ def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
 
 def exposure_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> Exposure:
     """`exposure_from_image` of images that `block_means` has averaged."""
-    center, distances, inside = _crowd(blocks.reshape(-1, 3), untouched.reshape(-1, 3), HALF_WIDTHS_LOG)
-    if not len(distances):
+    lit = (np.minimum(blocks, untouched).min(axis=-1) > DARK) & (
+        np.maximum(blocks, untouched).max(axis=-1) < BRIGHT
+    )
+    if not lit.any():
         return Exposure(None, 0.0, np.inf, np.inf)
-    order = np.partition(distances, (len(distances) // 4, len(distances) // 2))
-    quarter, half = order[len(distances) // 4], order[len(distances) // 2]
-    return Exposure(np.exp(center), inside / (blocks.size // 3), float(quarter), float(half))
-
-
-@njit(cache=True, nogil=True)
-def _crowd(blocks, untouched, half_widths):  # type: ignore[no-untyped-def]
-    """Where the blocks' log ratios crowd, each block's distance from there (largest channel), and how many are near.
-
-    The start is each channel's fullest window; then the mean of the blocks that are near in all channels.
-    """
-    ratios = np.empty((blocks.shape[0], 3))
-    count = 0
-    for k in range(blocks.shape[0]):
-        low = min(blocks[k, 0], blocks[k, 1], blocks[k, 2], untouched[k, 0], untouched[k, 1], untouched[k, 2])
-        high = max(
-            blocks[k, 0], blocks[k, 1], blocks[k, 2], untouched[k, 0], untouched[k, 1], untouched[k, 2]
-        )
-        if low > DARK and high < BRIGHT:
-            for c in range(3):
-                ratios[count, c] = np.log(blocks[k, c] / untouched[k, c])
-            count += 1
-    ratios = ratios[:count]
-    center = np.zeros(3)
-    for c in range(3):
-        center[c] = _fullest(ratios[:, c])
-    distances = np.empty(count)
-    inside = 0
-    for half_width in half_widths:
-        total, inside = np.zeros(3), 0
-        for k in range(count):
-            a, b, c = ratios[k, 0] - center[0], ratios[k, 1] - center[1], ratios[k, 2] - center[2]
-            distances[k] = max(abs(a), abs(b), abs(c))
-            if distances[k] < half_width:
-                inside += 1
-                total[0] += a
-                total[1] += b
-                total[2] += c
-        if inside == 0:
-            break
-        center += total / inside
-    return center, distances, inside
-
-
-@njit(cache=True, nogil=True)
-def _fullest(values):  # type: ignore[no-untyped-def]
-    """Middle of the window that holds the most values, on a grid of bins."""
-    bins = np.zeros(BINS, dtype=np.int64)
-    for value in values:
-        bins[min(max(int((value + SPAN_LOG) * BINS / (2 * SPAN_LOG)), 0), BINS - 1)] += 1
-    held = bins[:WINDOW].sum()
-    best, start = held, 0
-    for first in range(1, BINS - WINDOW + 1):
-        held += bins[first + WINDOW - 1] - bins[first - 1]
-        if held > best:
-            best, start = held, first
-    return (start + WINDOW / 2) * 2 * SPAN_LOG / BINS - SPAN_LOG
+    logs = np.log(blocks[lit] / untouched[lit])
+    center, distances = np.empty(3), np.empty(len(logs))
+    inside = _crowd_of_ratios(logs, HALF_WIDTHS_LOG, center, distances)
+    quarter, half = len(distances) // 4, len(distances) // 2
+    order = np.partition(distances, (quarter, half))
+    return Exposure(np.exp(center), inside / (blocks.size // 3), float(order[quarter]), float(order[half]))

@@ -1,72 +1,91 @@
-"""Which pixels a touch left alone: what slope and depth are measured against."""
+"""What a touch left alone, and what slope and depth are measured against there."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from gelform.background.check import Finding
 
 MIN_UNTOUCHED = 0.02
-BIAS_SAMPLES = 5_000
+SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and shares
+EXPOSURE_STEP_PX = 8
 
 
-def untouched_pixels(
-    color_change: NDArray[np.float32], threshold: float, hidden: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
-    """Pixels whose colour did not change; the least changed ones, with a finding, where there are too few.
+class Reference(NamedTuple):
+    """What untouched pixels have in common.
+
+    Attributes
+    ----------
+    common_change : (3,) float32, the color change of most pixels: an exposure step moves all alike and touches none
+    threshold : color changes that differ from it by less mean: not touched
+    bias : (2,) float32, median slope of the untouched pixels: colour that drifted everywhere is no slope
+    given : (H, W) bool, the untouched pixels where the threshold leaves too few: those that changed least; or None
+    findings : one, where the threshold leaves too few
+    """
+
+    common_change: NDArray[np.float32]
+    threshold: float
+    bias: NDArray[np.float32]
+    given: NDArray[np.bool_] | None
+    findings: tuple[Finding, ...]
+
+
+def reference_from_color_change(
+    color_change: NDArray[np.float32],
+    gradients: NDArray[np.float32],
+    threshold: float,
+    hidden: NDArray[np.bool_] | None = None,
+) -> Reference:
+    """What the untouched pixels of a frame have in common, from a lattice of some 5000 pixels.
 
     Parameters
     ----------
     color_change : (H, W, 3)
+    gradients : (H, W, 2), as the color model reads them
     threshold : color changes smaller than this mean: not touched
     hidden : (H, W), pixels that markers hide: never untouched
-
-    Returns
-    -------
-    untouched : (H, W) bool, at least 2 % of the pixels
-    findings : one, where fewer than 2 % of the pixels are under the threshold
     """
-    untouched = untouched_from_color_change(color_change, threshold) & ~hidden
+    common = _common_change(color_change)
+    step = max(1, round((gradients.shape[0] * gradients.shape[1] / SAMPLES) ** 0.5))
+    lattice = np.s_[::step, ::step]
+    untouched = _is_near(color_change[lattice], common, threshold)
+    if hidden is not None:
+        untouched &= ~hidden[lattice]
     share = np.count_nonzero(untouched) / untouched.size
     if share >= MIN_UNTOUCHED:
-        return untouched, ()
+        return Reference(common, threshold, _medians(gradients[lattice][untouched]), None, ())
     size = np.linalg.norm(color_change, axis=-1)
+    least = size <= np.quantile(size, MIN_UNTOUCHED)
     message = f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
-    return size <= np.quantile(size, MIN_UNTOUCHED), (Finding("few_untouched", message, share),)
-
-
-def remove_bias(gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> None:
-    """Subtract, in place, the untouched pixels' median slope, found on a lattice that is fine enough for it."""
-    step = max(1, round((untouched.size / BIAS_SAMPLES) ** 0.5))
-    slopes = gradients[::step, ::step][untouched[::step, ::step]]
-    if not len(slopes):
-        slopes = gradients[untouched]
-    for component, bias in enumerate(np.median(slopes, axis=0)):
-        gradients[..., component] -= bias
+    finding = Finding("few_untouched", message, share)
+    return Reference(common, threshold, _medians(gradients[least]), least, (finding,))
 
 
 def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
-    """Pixels (H, W) whose colour did not change: |change - its median over the frame| < threshold.
-
-    The median is taken on a coarse grid: an exposure step moves all pixels alike and touches none.
-    """
-    common = np.median(color_change[::8, ::8].reshape(-1, 3), axis=0).astype(np.float32)
-    inside: NDArray[np.bool_] = _within(color_change, common, float(threshold) ** 2)
-    return inside
+    """Pixels (H, W) whose colour did not change: |change - what most pixels have in common| < threshold."""
+    return _is_near(color_change, _common_change(color_change), threshold)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _within(change, center, square):  # type: ignore[no-untyped-def]
-    """Where the distance of a pixel's change to a center is less than the root of `square`."""
-    height, width, _ = change.shape
-    inside = np.empty((height, width), dtype=np.bool_)
-    limit = np.float32(square)
-    for y in range(height):
-        for x in range(width):
-            red = change[y, x, 0] - center[0]
-            green = change[y, x, 1] - center[1]
-            blue = change[y, x, 2] - center[2]
-            inside[y, x] = red * red + green * green + blue * blue < limit
-    return inside
+def _common_change(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+    coarse = color_change[::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
+    return _medians(coarse.reshape(-1, 3))
+
+
+def _is_near(
+    color_change: NDArray[np.float32], common: NDArray[np.float32], threshold: float
+) -> NDArray[np.bool_]:
+    away = color_change - common
+    near: NDArray[np.bool_] = np.einsum("...c,...c->...", away, away) < np.float32(threshold) ** 2
+    return near
+
+
+def _medians(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Median (C,) of each column of values (N, C), without sorting them."""
+    columns = np.ascontiguousarray(values.T)
+    middle = (len(values) - 1) // 2, len(values) // 2
+    columns.partition(middle, axis=1)
+    medians: NDArray[np.float32] = columns[:, list(middle)].mean(axis=1)
+    return medians

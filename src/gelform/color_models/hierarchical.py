@@ -14,17 +14,18 @@ from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import (
     HUBER_SLOPE,
+    monomial_parents,
     monomials,
     penalised_huber,
     position_powers,
 )
-from gelform.color_models.seam import Samples, Variant, check_image_shape
+from gelform.color_models.seam import PendingChange, Samples, Variant, check_image_shape
 
 NODE_PX = 16
 LIGHT_BLUR_PX = 8.0
@@ -38,6 +39,16 @@ MAX_SAMPLES = 20_000
 RIDGES = {3e-4: 95.0, 1e-4: 114.0}
 RIDGES_OF_FEW = {1e-3: 77.0, 3e-4: 95.0}
 ENOUGH_PRESSES = 18
+
+_hierarchical_gradients = Kernel(
+    "hierarchical_gradients",
+    "f32[h,w,3] change, f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,2] gradients",
+)
+_hierarchical_from_image = Kernel(
+    "hierarchical_from_image",
+    "u8[h,w,3]? image, f32[h,w,3]? light, f32[s] scale, f32[h,w,3] untouched, f32[h,w,3] gain, f32[k] taps, "
+    "f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,3] change, out f32[h,w,2] gradients",
+)
 
 
 @dataclass(frozen=True)
@@ -226,61 +237,26 @@ def _at_pixels(nodes: NDArray[Any], row: Any, v: Any, column: Any, u: Any) -> ND
 
 
 class PreparedHierarchical:
-    """The coefficients of each row of pixels at the nodes' columns; immutable, shared by threads."""
+    """The coefficients at the nodes, as the kernels take them; immutable, shared by threads."""
 
     def __init__(self, model: HierarchicalModel) -> None:
-        height = model.shape[0]
-        row, v, _, _ = _interpolation(np.zeros(height), np.arange(height), model.shape)
-        v = v[:, None, None, None]
-        rows = model.nodes[row] * (1 - v) + model.nodes[row + 1] * v
-        start, step = rows[:, :-1], np.diff(rows, axis=1)
-        table = np.stack([start, step], axis=-1)  # (rows, nodes before the last, terms, 2, 2)
-        self._table = np.ascontiguousarray(table.transpose(0, 2, 1, 3, 4), dtype=np.float32)
-        terms = monomials(3, model.degree)
-        index = {term: t for t, term in enumerate(terms)}
-        self._parents = np.array([[index.get(term[:-1], -1), term[-1]] for term in terms])
+        self._nodes = np.ascontiguousarray(model.nodes, dtype=np.float32)
+        self._parents = monomial_parents(monomials(3, model.degree))
+        _, columns, terms, _ = self._nodes.shape
+        self._work_size = 2 * columns * terms + 5 * -(-model.shape[1] // NODE_PX) * NODE_PX
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
-        _evaluate(color_change, self._table, self._parents, gradients)
+        work = np.empty(self._work_size, dtype=np.float32)
+        _hierarchical_gradients(color_change, self._nodes, self._parents, work, gradients)
         return gradients, None
 
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _evaluate(change, table, parents, out):  # type: ignore[no-untyped-def]
-    """Row by row: monomials of the colour, each times a coefficient that is linear between nodes, summed."""
-    height, width, _ = change.shape
-    cells = table.shape[2]
-    padded = cells * NODE_PX
-    color = np.zeros((3, padded), np.float32)
-    products = np.empty((parents.shape[0], padded), np.float32)
-    ramp = (np.arange(NODE_PX) / NODE_PX).astype(np.float32)
-    p = np.empty(padded, np.float32)
-    q = np.empty(padded, np.float32)
-    for y in range(height):
-        for k in range(min(width, padded)):
-            color[0, k], color[1, k], color[2, k] = change[y, k, 0], change[y, k, 1], change[y, k, 2]
-        p[:] = 0
-        q[:] = 0
-        for t in range(parents.shape[0]):
-            parent, channel = parents[t]
-            for k in range(padded):
-                products[t, k] = color[channel, k] if parent < 0 else products[parent, k] * color[channel, k]
-            _add_term(table[y, t], products[t], ramp, p, q)
-        for k in range(width):
-            out[y, k, 0] = p[k]
-            out[y, k, 1] = q[k]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _add_term(coefficients, m, ramp, p, q):  # type: ignore[no-untyped-def]
-    """p, q += m (start + u step): the pixels of a cell are a few vectors."""
-    for cell in range(coefficients.shape[0]):
-        p0, p1 = coefficients[cell, 0, 0], coefficients[cell, 0, 1]
-        q0, q1 = coefficients[cell, 1, 0], coefficients[cell, 1, 1]
-        begin = cell * NODE_PX
-        mc, pc, qc = m[begin : begin + NODE_PX], p[begin : begin + NODE_PX], q[begin : begin + NODE_PX]
-        for j in range(NODE_PX):
-            pc[j] += mc[j] * (p0 + ramp[j] * p1)
-            qc[j] += mc[j] * (q0 + ramp[j] * q1)
+    def gradients_in_one_pass(
+        self, pending: PendingChange, out: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], None]:
+        """The same of an image whose color change is still to be computed: that is written to `out` (H, W, 3)."""
+        gradients = np.empty((*out.shape[:2], 2), dtype=np.float32)
+        work = np.empty(pending.work_size + self._work_size, dtype=np.float32)
+        _hierarchical_from_image(*pending.arguments, self._nodes, self._parents, work, out, gradients)
+        return gradients, None

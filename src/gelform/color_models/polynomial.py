@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import (
     HUBER_SLOPE,
+    monomial_parents,
     monomials,
     polynomial_terms,
     position_powers,
@@ -28,6 +29,13 @@ MAX_POSITION_DEGREE = 5
 # Position degrees that calibration tries, and the training presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
 MIN_PRESSES_FOR_LARGEST = 18
+
+PIXELS = 16  # of a row, that the kernel takes at a time
+_polynomial_gradients = Kernel(
+    "polynomial_gradients",
+    "f32[h,w,3] change, f32[w] x, f32[h,2,t,c] table, i32[t] degrees, i32[t,2] parents, out f32[n] work, "
+    "out f32[h,w,2] gradients",
+)
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,7 @@ class PreparedPolynomial:
     def __init__(self, model: PolynomialModel) -> None:
         height, width = model.shape
         terms = monomials(3, len(model.position_degrees))
-        columns = 3 * (max(model.position_degrees) // 3 + 1)  # _add_powers takes three at a time
+        columns = max(model.position_degrees) + 1
         x, y = unit_position(np.arange(width), np.arange(height), model.shape)
         table = np.zeros((height, 2, len(terms), columns))
         row = 0
@@ -118,53 +126,15 @@ class PreparedPolynomial:
                 row += 1
         self._x = x.astype(np.float32)
         self._table = table.astype(np.float32)
-        self._degrees = np.array([model.position_degrees[len(t) - 1] for t in terms])
-        index = {term: t for t, term in enumerate(terms)}
-        self._parents = np.array([[index.get(term[:-1], -1), term[-1]] for term in terms])
+        self._degrees = np.array([model.position_degrees[len(t) - 1] for t in terms], dtype=np.int32)
+        self._parents = monomial_parents(terms)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
-        gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
-        _evaluate(color_change, self._x, self._table, self._degrees, self._parents, gradients)
+        height, width, _ = color_change.shape
+        gradients = np.empty((height, width, 2), dtype=np.float32)
+        work = np.empty(6 * (width + PIXELS), dtype=np.float32)
+        _polynomial_gradients(
+            color_change, self._x, self._table, self._degrees, self._parents, work, gradients
+        )
         return gradients, None
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _evaluate(change, x, table, degrees, parents, out):  # type: ignore[no-untyped-def]
-    """Row by row: monomials of the colour, each times a Horner polynomial in x, summed into both slopes."""
-    height, width, _ = change.shape
-    color = np.empty((3, width), np.float32)
-    products = np.empty((degrees.shape[0], width), np.float32)
-    p = np.empty(width, np.float32)
-    q = np.empty(width, np.float32)
-    for y in range(height):
-        for k in range(width):
-            color[0, k], color[1, k], color[2, k] = change[y, k, 0], change[y, k, 1], change[y, k, 2]
-            p[k] = 0
-            q[k] = 0
-        for t in range(degrees.shape[0]):
-            _multiply(products, parents[t, 0], color, parents[t, 1], t)
-            for a in range(0, degrees[t] + 1, 3):
-                _add_powers(table[y, 0, t], table[y, 1, t], a, x, products[t], p, q)
-        for k in range(width):
-            out[y, k, 0] = p[k]
-            out[y, k, 1] = q[k]
-
-
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _multiply(products, parent, color, channel, t):  # type: ignore[no-untyped-def]
-    """products[t] = products[parent] * color[channel], or the colour itself."""
-    for k in range(color.shape[1]):
-        products[t, k] = color[channel, k] if parent < 0 else products[parent, k] * color[channel, k]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _add_powers(cp, cq, start, x, m, p, q):  # type: ignore[no-untyped-def]
-    """p, q += m * x^start (c0 + c1 x + c2 x^2): three powers at a time keep the loop unrolled and vectorised."""
-    p0, p1, p2 = cp[start], cp[start + 1], cp[start + 2]
-    q0, q1, q2 = cq[start], cq[start + 1], cq[start + 2]
-    for k in range(x.shape[0]):
-        v = x[k]
-        base = m[k] if start == 0 else m[k] * v * v * v
-        p[k] += base * (p0 + v * (p1 + v * p2))
-        q[k] += base * (q0 + v * (q1 + v * q2))

@@ -43,6 +43,38 @@ class PreparedColorModel(Protocol):
         ...
 
 
+class PendingChange(Protocol):
+    """An image whose color change is still to be computed: a model with a kernel of its own may do both in one pass."""
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """Of the kernel `color_change`, up to its work array."""
+        ...
+
+    @property
+    def work_size(self) -> int:
+        """How many floats of work it needs."""
+        ...
+
+    def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Compute the color change into `out` (H, W, 3), and return it."""
+        ...
+
+
+def gradients_from_pending(
+    model: PreparedColorModel, pending: PendingChange, out: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Gradients and their deviation, as `gradients_from_color`; the color change is written to `out` (H, W, 3).
+
+    In one pass, where the prepared model has a `gradients_in_one_pass(pending, out)`; it need not have one.
+    """
+    in_one_pass = getattr(model, "gradients_in_one_pass", None)
+    if in_one_pass is not None:
+        gradients, sigma = in_one_pass(pending, out)
+        return gradients, sigma
+    return model.gradients_from_color(pending.write(out))
+
+
 @dataclass(frozen=True)
 class Variant:
     """One way to fit a color model that calibration tries.

@@ -5,74 +5,106 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
+from gelform.background.untouched import Reference, untouched_from_color_change
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 
-SATURATED_SIGMA = 1.0
+CLIPPED_SIGMA = 1.0
 TABLE = 64  # the law, tabulated for the frame's kernel
+_frame_sigma = Kernel(
+    "frame_sigma",
+    "u8[h,w,3]? image, f32[h,w,3]? light, f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, "
+    "f32[2] bias, f32[h,w] place, f32[t] law, f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, "
+    "out bool[h,w] untouched, out f32[h,w] sigma, out f32[h,w] confidence, f32 square, f32 steps, f32 grows, "
+    "f32 rest, f32 clean, f32 bins_per_change, f32 worth",
+)
+_solved_sigma = Kernel("solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor")
 
 
 class PreparedSigma:
     """Standard deviation and confidence of whole frames; immutable, shared by threads."""
 
     def __init__(self, sigma: SlopeSigma, shape: tuple[int, int], gamut: Gamut | None) -> None:
-        self.gamut = gamut
         grid = np.array(sigma.place)
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
         factor = factor_at(grid, *np.broadcast_arrays(x[None, :], y[:, None]))
         self._place = (factor**2).astype(np.float32)
-        self._step = np.float32(1.25 * max(sigma.slopes) / (TABLE - 2))
-        at = self._step * np.arange(TABLE)
+        step = np.float32(1.25 * max(sigma.slopes) / (TABLE - 2))
         knots = np.array(sigma.slopes), np.array(sigma.sigmas)
-        self._table = (law_at(at, *knots) ** 2).astype(np.float32)
-        self._grows = np.float32(knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else np.float32(0)
-        self._rest = np.float32(sigma.rest**2)
-        self._clean = np.float32(sigma.clean**2)
+        self._law = (law_at(step * np.arange(TABLE), *knots) ** 2).astype(np.float32)
+        grows = (knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else 0.0
+        self._numbers = (1 / step, grows, sigma.rest**2, sigma.clean**2)
+        self._gamut = self._gamut_low = None
+        self._gamut_numbers = (0.0, 0.0)
+        if gamut is not None:
+            self._gamut = np.ascontiguousarray(gamut.distance)
+            self._gamut_low = np.ascontiguousarray(gamut.low)
+            self._gamut_numbers = (1 / gamut.bin_width, gamut.bin_width * gamut.slope_per_change)
 
     def __call__(
         self,
-        gradients: NDArray[np.float32],
         image: NDArray[Any],
-        untouched: NDArray[np.bool_],
-        color_change: NDArray[np.float32] | None = None,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Standard deviation (H, W), alike for both components, and confidence (H, W) of a frame's slopes.
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        reference: Reference,
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]]:
+        """Which pixels are untouched, and standard deviation and confidence of the slopes.
 
         Untouched pixels have the deviation of rest. A pixel with a channel at 0 or 255 is clipped: its slope is
-        not known better than `SATURATED_SIGMA`. A colour beyond those of the training presses adds its distance
-        to them (`Gamut`).
+        not known better than 1. A colour beyond those of the training presses adds its distance to them (`Gamut`).
+
+        Parameters
+        ----------
+        image : (H, W, 3) uint8 or float32, 0-255
+        color_change : (H, W, 3)
+        gradients : (H, W, 2); the reference's bias is subtracted from them, in place
+        reference : what untouched pixels have in common
+        hidden : (H, W), pixels that markers hide: not untouched, of confidence 0
+
+        Returns
+        -------
+        untouched : (H, W) bool
+        sigma : (H, W) float32, alike for both components
+        confidence : (H, W) float32
         """
-        sigma = np.empty(gradients.shape[:2], dtype=np.float32)
-        confidence = np.empty(gradients.shape[:2], dtype=np.float32)
-        beyond = _NOTHING
-        if self.gamut is not None and color_change is not None:
-            beyond = self.gamut.distance_of(color_change)
-        _sigma_and_confidence(
-            gradients, image, untouched, beyond, self._place, self._table, self._step, self._grows,
-            self._rest, self._clean, sigma, confidence,
+        shape = gradients.shape[:2]
+        untouched = np.empty(shape, dtype=bool)
+        sigma, confidence = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+        image = np.ascontiguousarray(image)
+        either = (image, None) if image.dtype == np.uint8 else (None, image)
+        _frame_sigma(
+            *either, color_change, hidden, reference.given, reference.common_change, reference.bias,
+            self._place, self._law, self._gamut, self._gamut_low, gradients, untouched, sigma, confidence,
+            reference.threshold**2, *self._numbers, *self._gamut_numbers,
         )  # fmt: skip
-        return sigma, confidence
+        return untouched, sigma, confidence
 
 
 class UnknownSigma:
-    """Of an imported calibration: no deviation, and confidence 1 but where a pixel is clipped."""
+    """Of an imported calibration: no deviation, and confidence 1 but where a pixel is clipped or hidden."""
 
     def __call__(
         self,
-        gradients: NDArray[np.float32],
         image: NDArray[Any],
-        untouched: NDArray[np.bool_],
-        color_change: NDArray[np.float32] | None = None,
-    ) -> tuple[None, NDArray[np.float32]]:
-        """None, and 0 where a channel is at 0 or 255, else 1."""
-        clipped = (image.min(axis=-1) <= 0) | (image.max(axis=-1) >= 255)
-        return None, (~clipped).astype(np.float32)
-
-
-_NOTHING = np.zeros((0, 0), dtype=np.float32)
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        reference: Reference,
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> tuple[NDArray[np.bool_], None, NDArray[np.float32]]:
+        """As `PreparedSigma`, but None for the deviation."""
+        gradients -= reference.bias
+        unknown = (image.min(axis=-1) <= 0) | (image.max(axis=-1) >= 255)
+        untouched = reference.given
+        if untouched is None:
+            untouched = untouched_from_color_change(color_change, reference.threshold)
+            untouched &= True if hidden is None else ~hidden
+        if hidden is not None:
+            unknown |= hidden
+        return untouched, None, (~unknown).astype(np.float32)
 
 
 def with_model_sigma(
@@ -103,27 +135,35 @@ def with_model_sigma(
     return larger, np.minimum(confidence, limit)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _sigma_and_confidence(  # type: ignore[no-untyped-def]
-    gradients, image, untouched, beyond, place, table, step, grows, rest, clean, sigma, confidence
-):
-    height, width, _ = gradients.shape
-    clipped = np.float32(SATURATED_SIGMA**2)
-    last = table.shape[0] - 2
-    for y in range(height):
-        for x in range(width):
-            p, q = gradients[y, x, 0], gradients[y, x, 1]
-            square = p * p + q * q
-            at = np.sqrt(square) / step
-            index = min(int(at), last)
-            between = at - np.float32(index)
-            inside = table[index] + between * (table[index + 1] - table[index])
-            law = inside if at <= np.float32(last) else grows * square
-            variance = rest if untouched[y, x] else law * place[y, x]
-            if beyond.shape[0] > 0:
-                variance += beyond[y, x] * beyond[y, x]
-            darkest = min(image[y, x, 0], image[y, x, 1], image[y, x, 2])
-            brightest = max(image[y, x, 0], image[y, x, 1], image[y, x, 2])
-            variance = max(variance, clipped if (darkest <= 0) | (brightest >= 255) else variance)
-            sigma[y, x] = np.sqrt(variance)
-            confidence[y, x] = min(np.float32(1), clean / variance)
+def solved_sigma(
+    sigma: NDArray[np.float32] | None, hidden: NDArray[np.bool_] | None, factor: float
+) -> NDArray[np.float32] | None:
+    """Standard deviation (H, W, 2) of the slopes of the solved depth.
+
+    A surface cannot follow errors of slopes that have curl, and a slope that was read badly follows from its
+    neighbours: beside its own reading each is known by the two loops of four edges that it closes. The factor says
+    how much of the error that leaves, measured on held-out presses.
+
+    Parameters
+    ----------
+    sigma : (H, W, 2) of the slopes as they were read; None where nobody knows
+    hidden : (H, W), pixels whose slopes say nothing, whatever their sigma
+    factor : 0-1, `SlopeSigma.solved_factor`
+    """
+    if sigma is None:
+        return None
+    alike = sigma.strides[-1] == 0  # one map for both components, broadcast
+    maps = [
+        _solved_map(np.ascontiguousarray(sigma[..., c]), hidden, factor) for c in range(1 if alike else 2)
+    ]
+    return np.broadcast_to(maps[0][..., None], sigma.shape) if alike else np.stack(maps, axis=-1)
+
+
+def _solved_map(
+    sigma: NDArray[np.float32], hidden: NDArray[np.bool_] | None, factor: float
+) -> NDArray[np.float32]:
+    if hidden is not None:
+        sigma = np.where(hidden, np.maximum(sigma, np.float32(CLIPPED_SIGMA)), sigma)
+    solved = np.empty_like(sigma)
+    _solved_sigma(sigma, np.empty(sigma.shape[1] + 2, dtype=np.float32), solved, factor)
+    return solved

@@ -50,6 +50,7 @@ class SlopeSigma:
     rest : of untouched gel
     slopes, sigmas : a law in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
+    solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact; see `solved_factor`
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
     clean : what 95 % of the pixels in contact stay under: confidence is 1 up to it, since errors that are alike over
         many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
@@ -64,6 +65,7 @@ class SlopeSigma:
     correlation_px: float
     correlated_share: float = 1.0
     gain_sigma: float = 0.0
+    solved_factor: float = 1.0
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
 
     @classmethod
@@ -117,6 +119,16 @@ class SlopeSigma:
         """Standard deviation of scattered slopes |g| in contact, at places 0-1."""
         law = law_at(np.asarray(slopes), np.array(self.slopes), np.array(self.sigmas))
         return law * factor_at(np.array(self.place), x, y)
+
+
+def solved_factor(observed_errors: NDArray[Any], solved_errors: NDArray[Any]) -> float:
+    """How much of the error of slopes (N, 2) read in contacts is left in the slopes (N, 2) of the solved depth.
+
+    The ratio of the magnitudes that 68 % of either stay under, at most 1: a surface cannot follow errors that have
+    curl. Both are of the same pixels of held-out presses.
+    """
+    observed, solved = (float(np.quantile(np.abs(e), ONE_SIGMA)) for e in (observed_errors, solved_errors))
+    return min(solved / observed, 1.0) if observed > 0 else 1.0
 
 
 def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:

@@ -38,9 +38,11 @@ class FrameFaults:
         """Not one pixel is left to measure with."""
         return self.lost is not None and bool(self.lost.all())
 
-    def hidden(self, markers: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Pixels (H, W) that markers hide or that are lost."""
-        return markers if self.lost is None else markers | self.lost
+    def hidden(self, markers: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that markers hide or that are lost; None where there are neither."""
+        if self.lost is None or markers is None:
+            return markers if self.lost is None else self.lost
+        return markers | self.lost
 
     def seen(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """What is known (H, W), without what is lost."""

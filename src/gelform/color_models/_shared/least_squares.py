@@ -22,6 +22,12 @@ def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
     return terms
 
 
+def monomial_parents(terms: list[tuple[int, ...]]) -> NDArray[np.int32]:
+    """Which monomial, times which channel, each one is: (terms, 2), as the kernels take it; -1 stands for 1."""
+    number = {term: t for t, term in enumerate(terms)}
+    return np.array([[number.get(term[:-1], -1), term[-1]] for term in terms], dtype=np.int32)
+
+
 def position_powers(degree: int) -> list[tuple[int, int]]:
     """Exponents (i, j) of x^i y^j with i + j <= degree."""
     return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]

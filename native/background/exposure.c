@@ -1,0 +1,52 @@
+// Where log ratios of brightness crowd, in three channels at once.
+#include "../common.h"
+
+enum { BINS = 240, WINDOW = 6 };
+static const double SPAN = 1.2;  // logs are sought within +-SPAN
+
+// Middle of the window of bins that holds the most values of a channel.
+static double fullest(const float *logs, ptrdiff_t n) {
+  ptrdiff_t bins[BINS] = {0}, held = 0, most, first = 0;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    const double bin = (logs[3 * k] + SPAN) * BINS / (2 * SPAN);
+    bins[bin < 0 ? 0 : bin > BINS - 1 ? BINS - 1 : (ptrdiff_t)bin]++;
+  }
+  for (int k = 0; k < WINDOW; k++) held += bins[k];
+  most = held;
+  for (int k = 1; k <= BINS - WINDOW; k++) {
+    held += bins[k + WINDOW - 1] - bins[k - 1];
+    if (held > most) most = held, first = k;
+  }
+  return (first + WINDOW / 2.0) * 2 * SPAN / BINS - SPAN;
+}
+
+// Each value's distance from the centre, of its largest channel; how many are near, and the sum of those.
+static ptrdiff_t nearby(const float *logs, const double center[3], double half_width, double sums[3],
+                        double *restrict distances, ptrdiff_t n) {
+  ptrdiff_t inside = 0;
+  sums[0] = sums[1] = sums[2] = 0;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    const double a = logs[3 * k] - center[0], b = logs[3 * k + 1] - center[1], c = logs[3 * k + 2] - center[2];
+    const double ab = fabs(a) > fabs(b) ? fabs(a) : fabs(b);
+    distances[k] = ab > fabs(c) ? ab : fabs(c);
+    if (distances[k] >= half_width) continue;
+    inside++;
+    sums[0] += a, sums[1] += b, sums[2] += c;
+  }
+  return inside;
+}
+
+// Returns how many log ratios (n, 3) are within the last half width of the centre: each channel's fullest window first,
+// then round by round the mean of the values that are near in all channels.
+EXPORT int crowd_of_ratios(const float *logs, const double *half_widths, double *center, double *distances,
+                           ptrdiff_t n, ptrdiff_t rounds) {
+  ptrdiff_t inside = 0;
+  for (int c = 0; c < 3; c++) center[c] = fullest(logs + c, n);
+  for (ptrdiff_t round = 0; round < rounds; round++) {
+    double sums[3];
+    inside = nearby(logs, center, half_widths[round], sums, distances, n);
+    if (inside == 0) break;
+    for (int c = 0; c < 3; c++) center[c] += sums[c] / inside;
+  }
+  return (int)inside;
+}
