@@ -22,6 +22,7 @@ def assert_kernel_agrees(
 
     `reference` takes the same arguments and returns what the kernel writes into its `out` arrays, in their order (one
     array, or a tuple). An argument that is a function, `lambda: Handle(...)`, is called anew for each run.
+    An output named `work` is scratch memory and is not compared.
     `tolerance` is a fraction of the range of the reference's values.
     """
     expected = reference(*_fresh(arguments))
@@ -37,7 +38,11 @@ def assert_kernel_agrees(
 def _written(kernel: Kernel, arguments: tuple[Any, ...]) -> list[np.ndarray]:
     arguments = _fresh(arguments)
     kernel(*arguments)
-    return [argument for parameter, argument in zip(kernel.parameters, arguments) if parameter.role == "out"]
+    return [
+        argument
+        for parameter, argument in zip(kernel.parameters, arguments)
+        if parameter.role == "out" and parameter.name != "work"
+    ]
 
 
 def _fresh(arguments: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -7,8 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.gradients import curl_from_gradients, fill_unknown, gradients_from_depth, gradients_from_normals
+from gelform import gradients
+from gelform.gradients import (
+    curl_from_gradients,
+    fill_unknown,
+    gradients_from_depth,
+    gradients_from_normals,
+    slopes_of_solution,
+)
 from gelform.normals import normals_from_gradients
+from kernel_agreement import assert_kernel_agrees
 from scenes import PEAKS, polynomial, scene
 
 PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
@@ -110,3 +118,84 @@ class TestFill:
     def test_wrong_shape_is_refused(self):
         with pytest.raises(ValueError, match=r"Expected values of shape \(H, W, C\), got \(3, 4\)"):
             fill_unknown(np.zeros((3, 4)), np.ones((3, 4), dtype=bool))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (2, 2), (3, 40), (21, 33)])
+def test_the_kernel_of_a_solutions_slopes_agrees_with_numpy(shape):
+    depth = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+
+    def numpy_slopes(depth, out, per_x, per_y):
+        return gradients_from_depth(depth, mm_per_px=(1 / per_x, 1 / per_y))
+
+    out = np.empty((*shape, 2), np.float32)
+    assert_kernel_agrees(gradients._slopes_of_depth, numpy_slopes, depth, out, 1 / 0.0634, 1 / 0.08)
+    np.testing.assert_allclose(
+        slopes_of_solution(depth, (0.0634, 0.08)),
+        gradients_from_depth(depth, mm_per_px=(0.0634, 0.08)),
+        atol=1e-3,
+    )
+
+
+@pytest.mark.parametrize("shape", [(1, 2, 2), (2, 9, 40), (1, 33, 21)])
+def test_the_kernel_of_curl_agrees_with_numpy(shape):
+    rng = np.random.default_rng(0)
+    slopes = rng.normal(size=(*shape, 2)).astype(np.float32)
+    known = rng.uniform(size=shape) > 0.2
+
+    def numpy_squares(g, known, result):
+        turn = (g[:, 2:, 1:-1, 0] - g[:, :-2, 1:-1, 0]) - (g[:, 1:-1, 2:, 1] - g[:, 1:-1, :-2, 1])
+        inner = known[:, 1:-1, 1:-1]
+        return np.array([(0.25 * turn.astype(float) ** 2)[inner].sum(), inner.sum()])
+
+    assert_kernel_agrees(gradients._curl_squares, numpy_squares, slopes, known, np.empty(2))
+
+
+def mean_of_known_2x2(values, known, coarse, coarse_known):
+    rows, columns, channels = coarse.shape
+    padding = ((0, 2 * rows - known.shape[0]), (0, 2 * columns - known.shape[1]))
+    here = np.pad(known, padding)
+    kept = np.where(here[..., None], np.pad(values, (*padding, (0, 0))), 0)
+    count = here.reshape(rows, 2, columns, 2).sum(axis=(1, 3))
+    total = kept.reshape(rows, 2, columns, 2, channels).sum(axis=(1, 3))
+    return total / np.maximum(count, 1)[..., None], count > 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 12)])
+def test_the_kernel_of_coarser_levels_agrees_with_numpy(shape):
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(*shape, 3)).astype(np.float32)
+    coarse = (shape[0] + 1) // 2, (shape[1] + 1) // 2
+    assert_kernel_agrees(
+        gradients._coarser_known, mean_of_known_2x2, values, rng.uniform(size=shape) > 0.5,
+        np.empty((*coarse, 3), np.float32), np.empty(coarse, bool),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 12)])
+def test_the_kernel_of_filling_agrees_with_numpy(shape):
+    rng = np.random.default_rng(0)
+    coarse = rng.normal(size=((shape[0] + 1) // 2, (shape[1] + 1) // 2, 2)).astype(np.float32)
+    known = rng.uniform(size=shape) > 0.5
+
+    def weights(pixels, count):
+        """Of each coarse pixel for each pixel: 3/4 of the nearest, 1/4 of the next."""
+        table = np.zeros((pixels, count))
+        for pixel in range(pixels):
+            table[pixel, pixel // 2] += 0.75
+            table[pixel, min(max(pixel // 2 + 2 * (pixel % 2) - 1, 0), count - 1)] += 0.25
+        return table
+
+    def numpy_fill(coarse, values, known, sweeps):
+        rows, columns = weights(shape[0], coarse.shape[0]), weights(shape[1], coarse.shape[1])
+        fine = np.einsum("ia,jb,abc->ijc", rows, columns, coarse)
+        filled = np.where(known[..., None], values, fine)
+        holes = [tuple(hole) for hole in np.argwhere(~known)]
+        for sweep in range(sweeps):
+            for i, j in holes if sweep % 2 == 0 else holes[::-1]:
+                around = [(i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)]
+                near = [filled[a] for a in around if 0 <= a[0] < shape[0] and 0 <= a[1] < shape[1]]
+                filled[i, j] = np.mean(near, axis=0) if near else filled[i, j]
+        return filled
+
+    values = rng.normal(size=(*shape, 2)).astype(np.float32)
+    assert_kernel_agrees(gradients._fill_from_coarser, numpy_fill, coarse, values, known, 2)

@@ -56,11 +56,37 @@ def test_pure_function_of_the_image(calibration, press, simulated):
 def test_threads_share_one_reconstructor(calibration, simulated):
     reconstruct = gelform.Reconstructor(calibration)
     images = [p.image for p in simulated.presses[:6]]
-    alone = [reconstruct(image).depth_mm for image in images]
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda image: reconstruct(image).depth_mm, images * 3))
-    for i, depth in enumerate(together):
-        np.testing.assert_array_equal(depth, alone[i % len(images)])
+    alone = [maps_of(reconstruct(image)) for image in images]
+    with ThreadPoolExecutor(10) as pool:
+        together = list(pool.map(lambda image: maps_of(reconstruct(image)), images * 5))
+    for i, found in enumerate(together):
+        for name, map_bytes in found.items():
+            assert map_bytes == alone[i % len(images)][name], name
+
+
+def maps_of(result):
+    """Every map of a result, as bytes."""
+    names = ("depth_mm", "gradients", "gradients_sigma", "observed_gradients", "confidence")
+    return {name: np.ascontiguousarray(getattr(result, name)).tobytes() for name in names}
+
+
+def test_slopes_are_those_of_the_depth_and_better_than_those_read(calibration, sensor):
+    """A surface cannot follow errors that have curl. At the rim, where the slope jumps, differences of depth blur it."""
+    read, solved, within = [], [], []
+    for seed, center in enumerate([(1.0, -0.5), (-2.0, 1.0), (2.5, 1.5)]):
+        rng = np.random.default_rng(seed)
+        made = simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=center, rng=rng)
+        result = gelform.Reconstructor(calibration)(made.image)
+        of_depth = gelform.gradients_from_depth(result.depth_mm, mm_per_px=result.mm_per_px)
+        np.testing.assert_allclose(result.gradients, of_depth, atol=2e-4)
+        y, x = np.mgrid[: sensor.shape[0], : sensor.shape[1]]
+        inside = np.hypot(x - made.center_px[0], y - made.center_px[1]) < 0.85 * made.contact_radius_px
+        read.append(np.square(result.observed_gradients - made.gradients)[inside].mean())
+        solved.append(np.square(result.gradients - made.gradients)[inside].mean())
+        within.append((np.abs(result.gradients - made.gradients) < result.gradients_sigma)[inside].mean())
+    assert np.mean(solved) < 0.95 * np.mean(read)
+    assert 0.45 < np.mean(within) < 0.95
+    assert result.curl_rms > 0
 
 
 def test_image_is_not_written_to(calibration, press):

@@ -26,6 +26,7 @@ def result():
         depth_sigma_mm=None,
         gradients=rng.normal(0, 1, (*shape, 2)).astype(np.float32),
         gradients_sigma=rng.uniform(0, 1, (*shape, 2)).astype(np.float32),
+        observed_gradients=rng.normal(0, 1, (*shape, 2)).astype(np.float32),
         confidence=rng.uniform(0, 1, shape).astype(np.float32),
         contact=rng.uniform(0, 1, shape) > 0.5,
         known=np.ones(shape, dtype=bool),
@@ -58,7 +59,9 @@ def test_a_saved_result_comes_back_to_the_bit(tmp_path, result):
 
 
 def test_every_optional_part_comes_back(tmp_path, result):
-    bare = replace(result, gradients_sigma=None, mm_per_px=(0.06, 0.05), health=(), index=None)
+    bare = replace(
+        result, gradients_sigma=None, observed_gradients=None, mm_per_px=(0.06, 0.05), health=(), index=None
+    )
     full = replace(result, depth_sigma_mm=result.confidence * 0.1)
     for k, one in enumerate((bare, full)):
         save_result(one, tmp_path / f"{k}.npz")
@@ -93,6 +96,8 @@ def test_results_of_every_format_are_read(version):
     """Written by earlier releases: version 1 in mm, with fields that are gone; version 2 in pixels."""
     old = load_result(DATA / f"result-version-{version}.npz")
     assert (old.shape, old.zero, old.solver, old.index) == ((12, 16), "untouched", "multigrid", 3)
+    assert old.observed_gradients is None  # its gradients are those that were read
+    assert old.gradients.shape == (12, 16, 2)
     assert old.health == (Finding("exposure", "Exposure differs.", 1.05),)
     assert old.depth_px.max() == pytest.approx(3.83, rel=0.01)
     assert (old.mm_per_px, old.mm_per_px_sigma) == ((0.1, 0.001) if version == 1 else (None, None))

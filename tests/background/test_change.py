@@ -1,14 +1,17 @@
 """color_change: division and subtraction, their inverse; exposure, response and crosstalk undone."""
 
+import cv2
 import numpy as np
 import pytest
 
+from gelform.background import change
 from gelform.background.change import (
     ChangeSettings,
     PreparedBackground,
     color_change_from_image,
     image_from_color_change,
 )
+from kernel_agreement import assert_kernel_agrees
 from made.touched_images import SHAPE, scene, touched
 
 
@@ -62,8 +65,47 @@ def test_prepared_background_agrees_with_the_formula():
     rest, image = scene(), touched(scene(1))
     bare = PreparedBackground(rest, ChangeSettings())
     np.testing.assert_allclose(bare.change(image), (image - rest) / (rest + 10), atol=1e-6)
-    out = np.empty_like(rest)
-    assert bare.change(image.astype(np.uint8), out=out) is out
+    out = np.empty(rest.shape, dtype=np.float32)
+    assert bare.pending(image.astype(np.uint8)).write(out) is out
+    np.testing.assert_array_equal(out, bare.change(image.astype(np.uint8)))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 5), (40, 300)])
+@pytest.mark.parametrize("blur_px", [0.0, 0.4, 1.25, 3.0])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_the_kernel_agrees_with_numpy(shape, blur_px, dtype):
+    """Mirrored borders included, also where the blur is wider than the image."""
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (*shape, 3)).astype(dtype)
+    rest = rng.uniform(20, 200, (*shape, 3)).astype(np.float32)
+    pending = PreparedBackground(rest, ChangeSettings(blur_px=blur_px)).pending(image, None)
+    work, out = np.empty(pending.work_size, np.float32), np.empty((*shape, 3), np.float32)
+    assert_kernel_agrees(change._color_change, changed_and_blurred, *pending.arguments, work, out)
+
+
+def changed_and_blurred(image, light, scale, untouched, gain, taps, work, out):
+    """What the kernel should give, in float64."""
+    pixels = (light if image is None else image).astype(np.float64)
+    found = (pixels * scale.reshape(-1, 3) - untouched) * gain
+    radius = len(taps) - 1
+    for axis in (0, 1):
+        ends = [(radius, radius) if k == axis else (0, 0) for k in range(3)]
+        wide = (
+            np.pad(found, ends, mode="reflect") if found.shape[axis] > 1 else np.pad(found, ends, mode="edge")
+        )
+        parts = [np.take(wide, range(k, k + found.shape[axis]), axis=axis) for k in range(2 * radius + 1)]
+        found = sum(taps[abs(k - radius)] * part for k, part in enumerate(parts))
+    return found
+
+
+def test_the_blur_is_that_of_opencv():
+    image = np.random.default_rng(1).uniform(0, 255, (40, 60, 3)).astype(np.float32)
+    rest = np.full((40, 60, 3), 90, dtype=np.float32)
+    for blur_px in (0.5, 1.25, 2.6):
+        sharp = PreparedBackground(rest, ChangeSettings()).change(image)
+        expected = cv2.GaussianBlur(sharp, (0, 0), blur_px, borderType=cv2.BORDER_REFLECT_101)
+        found = PreparedBackground(rest, ChangeSettings(blur_px=blur_px)).change(image)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def light_and_image(crosstalk, response, seed=0):

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gelform.background import exposure
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.background.exposure import exposure_from_image
 from gelform.sensors.files import read_image
 from gelform.simulate import Ball, simulate_background, simulate_press
+from kernel_agreement import assert_kernel_agrees
 
 GAINS = st.tuples(*[st.floats(0.85, 1.2)] * 3)
 
@@ -96,3 +98,23 @@ def test_real_presses_give_their_gain_back(data):
         for gain in ((1.08, 1.08, 1.08), (0.93, 1.05, 1.0)):
             seen = exposure_from_image(times(image, gain), rest)
             assert np.abs(seen.gain / own.gain / gain - 1).max() < 0.003
+
+
+def crowd(logs, half_widths, center, distances):
+    """The fullest window of each channel, then the mean of what is near in all, round by round."""
+    bins = np.clip(((logs + 1.2) * 100).astype(int), 0, 239)
+    counts = [np.convolve(np.bincount(bins[:, c], minlength=240), np.ones(6), "valid") for c in range(3)]
+    found = np.array([(np.argmax(count) + 3) / 100 - 1.2 for count in counts])
+    for half_width in half_widths:
+        distance = np.abs(logs - found).max(axis=1)
+        found = found + (logs - found)[distance < half_width].mean(axis=0)
+    return found, distance
+
+
+@pytest.mark.parametrize("count", [7, 1200])
+def test_the_kernel_agrees_with_numpy(count):
+    rng = np.random.default_rng(count)
+    logs = rng.normal([0.05, -0.1, 0.02], 0.02, (count, 3)).astype(np.float32)
+    logs[: count // 3] += rng.uniform(-0.5, 0.5, (count // 3, 3)).astype(np.float32)
+    arguments = logs, exposure.HALF_WIDTHS_LOG, np.empty(3), np.empty(count)
+    assert_kernel_agrees(exposure._crowd_of_ratios, crowd, *arguments)

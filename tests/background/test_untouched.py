@@ -6,9 +6,8 @@ import pytest
 from gelform.background.change import color_change_from_image
 from gelform.background.untouched import (
     MIN_UNTOUCHED,
-    remove_bias,
+    reference_from_color_change,
     untouched_from_color_change,
-    untouched_pixels,
 )
 from made.touched_images import scene, touched
 
@@ -30,40 +29,45 @@ def change_where(share):
     return change
 
 
-def test_hidden_pixels_are_never_untouched():
-    hidden = np.zeros(SHAPE, dtype=bool)
-    hidden[30:, 40:] = True
-    untouched, findings = untouched_pixels(change_where(0.25), 0.1, hidden)
-    assert findings == ()
-    np.testing.assert_array_equal(untouched[10:], ~hidden[10:])
-    assert not untouched[:10].any()
+FLAT = np.zeros((*SHAPE, 2), dtype=np.float32)
+
+
+def test_the_common_change_is_that_of_most_pixels():
+    reference = reference_from_color_change(change_where(0.25) + np.float32(0.05), FLAT, 0.1)
+    np.testing.assert_allclose(reference.common_change, 0.05, atol=0.02)
+    assert reference.given is None
+    assert reference.findings == ()
 
 
 def test_where_everything_is_touched_the_least_changed_stand_in():
     ramp = np.linspace(-0.5, 0.5, SHAPE[1], dtype=np.float32)[None, :, None]
     change = np.broadcast_to(ramp, (*SHAPE, 3)) + np.float32(0.6)
-    untouched, (finding,) = untouched_pixels(change, 1e-6, np.zeros(SHAPE, dtype=bool))
+    reference = reference_from_color_change(change, FLAT, 1e-6)
+    (finding,) = reference.findings
     assert finding.name == "few_untouched"
     assert finding.figure < MIN_UNTOUCHED
-    assert untouched.mean() == pytest.approx(MIN_UNTOUCHED, abs=1 / SHAPE[1])
-    assert untouched[:, 0].all()  # 0.1 is the least change
+    assert reference.given.mean() == pytest.approx(MIN_UNTOUCHED, abs=1 / SHAPE[1])
+    assert reference.given[:, 0].all()  # 0.1 is the least change
 
 
-@pytest.mark.parametrize("shape", [(40, 60), (480, 640)])
-def test_the_bias_is_the_median_of_the_untouched_slopes(shape):
+def test_hidden_pixels_have_no_say():
+    """Everything but a corner is touched, and markers hide the corner."""
+    change = np.random.default_rng(2).uniform(-1, 1, (*SHAPE, 3)).astype(np.float32)
+    change[30:, 40:] = 0
+    hidden = np.zeros(SHAPE, dtype=bool)
+    assert reference_from_color_change(change, FLAT, 0.2, hidden).given is None
+    hidden[30:, 40:] = True
+    assert reference_from_color_change(change, FLAT, 0.2, hidden).given is not None
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (41, 61), (480, 640)])
+def test_the_bias_is_the_median_slope_of_the_untouched(shape):
     gradients = np.random.default_rng(1).normal(0, 0.02, (*shape, 2)).astype(np.float32)
     gradients += np.array([0.05, -0.03], dtype=np.float32)
-    untouched = np.ones(shape, dtype=bool)
-    untouched[: shape[0] // 3] = False
-    gradients[~untouched] += 2.0
-    remove_bias(gradients, untouched)
-    np.testing.assert_allclose(np.median(gradients[untouched], axis=0), 0, atol=2e-3)
-    np.testing.assert_allclose(np.median(gradients[~untouched], axis=0), 2, atol=3e-3)
-
-
-def test_a_bias_is_found_where_the_lattice_misses_the_untouched():
-    gradients = np.full((480, 640, 2), 0.4, dtype=np.float32)
-    untouched = np.zeros((480, 640), dtype=bool)
-    untouched[1, 1:5] = True
-    remove_bias(gradients, untouched)
-    np.testing.assert_array_equal(gradients, 0)
+    change = np.zeros((*shape, 3), dtype=np.float32)
+    touched_rows = shape[0] // 3
+    change[:touched_rows], gradients[:touched_rows] = 0.5, 2.0
+    bias = reference_from_color_change(change, gradients, 0.1).bias
+    np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), atol=2e-3)
+    if shape[0] * shape[1] < 5000:  # no lattice is needed
+        np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), rtol=1e-6)

@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.color_models import HierarchicalModel, PolynomialModel
+from gelform.background.change import ChangeSettings, PreparedBackground
+from gelform.color_models import HierarchicalModel, PolynomialModel, hierarchical
+from gelform.color_models._shared.least_squares import monomial_parents, monomials
+from gelform.color_models.hierarchical import _node_positions
+from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
 
@@ -83,3 +87,57 @@ def test_bad_settings_and_other_sizes_are_refused():
         HierarchicalModel.fit(samples, ridge=0)
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         HierarchicalModel.fit(samples).prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def kernel_arguments(shape, degree, seed=0):
+    """A colour change, coefficients at nodes and which monomial comes from which, as the kernels take them."""
+    rng = np.random.default_rng(seed)
+    terms = monomials(3, degree)
+    nodes = rng.normal(0, 1, (*(len(axis) for axis in _node_positions(shape)), len(terms), 2)).astype(
+        np.float32
+    )
+    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
+    work = np.empty(2 * nodes.shape[1] * len(terms) + 5 * (shape[1] + 15), dtype=np.float32)
+    return change, nodes, monomial_parents(terms), work, np.empty((*shape, 2), dtype=np.float32)
+
+
+def slopes(change, nodes, degree):
+    """Gradients by the model's own formula for scattered pixels."""
+    height, width, _ = change.shape
+    y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+    model = HierarchicalModel(nodes.astype(np.float64), degree, (height, width))
+    return model.gradients_at(change.reshape(-1, 3), x, y).reshape(height, width, 2)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 16), (17, 17), (33, 50), (40, 321)])
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_the_kernel_agrees_with_numpy(shape, degree):
+    """Sizes of which the last pixel lies on the last node included."""
+    arguments = kernel_arguments(shape, degree)
+    assert_kernel_agrees(
+        hierarchical._hierarchical_gradients,
+        lambda change, nodes, parents, work, out: slopes(change, nodes, degree),
+        *arguments,
+    )
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_one_pass_gives_what_two_give(dtype):
+    shape = (33, 50)
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 256, (*shape, 3)).astype(dtype)
+    rest = rng.uniform(50, 200, (*shape, 3)).astype(np.float32)
+    pending = PreparedBackground(rest, ChangeSettings(blur_px=1.25)).pending(image, None)
+    _, nodes, parents, work, out = kernel_arguments(shape, 3)
+    two = pending.write(np.empty((*shape, 3), np.float32))
+    assert_kernel_agrees(
+        hierarchical._hierarchical_from_image,
+        lambda *_: (two, slopes(two, nodes, 3)),
+        *pending.arguments, nodes, parents, np.empty(work.size + pending.work_size, np.float32), two.copy(), out,
+    )  # fmt: skip
+    ready = HierarchicalModel(nodes.astype(float), 3, shape).prepare(rest, shape)
+    change = np.empty((*shape, 3), np.float32)
+    np.testing.assert_array_equal(
+        ready.gradients_in_one_pass(pending, change)[0], ready.gradients_from_color(two)[0]
+    )
+    np.testing.assert_array_equal(change, two)

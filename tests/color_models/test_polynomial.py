@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from gelform.color_models import PolynomialModel, Samples
+from gelform.color_models import PolynomialModel, Samples, polynomial
 from gelform.color_models._shared.least_squares import term_count
+from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
 
@@ -48,3 +49,20 @@ def test_more_presses_carry_more_terms(presses, largest):
     assert variants[-1].settings == {"position_degrees": largest}
     in_auto = [v.settings["position_degrees"] for v in variants if v.in_auto]
     assert in_auto == ([(1,), largest] if presses >= 18 else [(1,)])
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 16), (21, 50)])
+@pytest.mark.parametrize("degrees", [(0,), (2, 1), (4, 3, 1)])
+def test_the_kernel_agrees_with_numpy(shape, degrees):
+    rng = np.random.default_rng(0)
+    model = PolynomialModel(rng.normal(size=(term_count(3, degrees), 2)), degrees, shape)
+    ready = model.prepare(np.zeros((*shape, 3)), shape)
+    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
+    y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
+    expected = model.gradients_at(change.reshape(-1, 3), x, y).reshape(*shape, 2)
+    assert_kernel_agrees(
+        polynomial._polynomial_gradients,
+        lambda *_: expected,
+        change, ready._x, ready._table, ready._degrees, ready._parents,
+        np.empty(6 * (shape[1] + 16), np.float32), np.empty((*shape, 2), np.float32),
+    )  # fmt: skip

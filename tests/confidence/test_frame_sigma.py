@@ -5,11 +5,21 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from gelform.background.untouched import Reference
 from gelform.color_models._shared.gamut import Gamut
-from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
+from gelform.confidence import frame_sigma
+from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, solved_sigma, with_model_sigma
 from gelform.confidence.slope_sigma import SlopeSigma
+from kernel_agreement import assert_kernel_agrees
 
 LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
+
+
+NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None, ())  # no pixel is untouched
+
+
+def grey(shape):
+    return np.full((*shape, 3), 9, np.uint8), np.zeros((*shape, 3), np.float32)
 
 
 def test_a_frame():
@@ -17,55 +27,137 @@ def test_a_frame():
     gradients[1, 1], gradients[1, 2] = (0.6, 0.8), (1.2, 1.6)
     image = np.full((4, 5, 3), 100, dtype=np.uint8)
     image[2, 2, 1], image[3, 3, 0] = 255, 0
-    untouched = np.zeros((4, 5), dtype=bool)
-    untouched[0, 4] = True
-    sigma, confidence = PreparedSigma(LAW, (4, 5), None)(gradients, image, untouched)
-    assert sigma.shape == confidence.shape == (4, 5)
-    assert sigma[0, 0] == pytest.approx(0.02)
-    assert sigma[0, 4] == pytest.approx(0.01)
-    assert sigma[1, 1] == pytest.approx(0.12, rel=1e-2)
-    assert sigma[1, 2] == pytest.approx(0.24, rel=1e-2)  # beyond the last knot in proportion
-    np.testing.assert_allclose(sigma[[2, 3], [2, 3]], 1.0)
-    assert confidence[0, 0] == 1
-    assert confidence[1, 1] == pytest.approx((0.03 / 0.12) ** 2, rel=2e-2)
-    assert confidence[2, 2] == pytest.approx(0.03**2, rel=1e-4)
+    given = np.zeros((4, 5), dtype=bool)
+    given[0, 4] = True
+    reference = NOTHING._replace(given=given)
+    for pixels in (image, image.astype(np.float32)):
+        untouched, sigma, confidence = PreparedSigma(LAW, (4, 5), None)(
+            pixels, np.zeros((4, 5, 3), np.float32), gradients, reference
+        )
+        np.testing.assert_array_equal(untouched, given)
+        assert sigma.shape == confidence.shape == (4, 5)
+        assert sigma[0, 0] == pytest.approx(0.02)
+        assert sigma[0, 4] == pytest.approx(0.01)
+        assert sigma[1, 1] == pytest.approx(0.12, rel=1e-2)
+        assert sigma[1, 2] == pytest.approx(0.24, rel=1e-2)  # beyond the last knot in proportion
+        np.testing.assert_allclose(sigma[[2, 3], [2, 3]], 1.0)
+        assert confidence[0, 0] == 1
+        assert confidence[1, 1] == pytest.approx((0.03 / 0.12) ** 2, rel=2e-2)
+        assert confidence[2, 2] == pytest.approx(0.03**2, rel=1e-4)
 
 
 def test_frames_and_scattered_pixels_agree():
     law = SlopeSigma.from_dict({**asdict(LAW), "place": [[1.0, 2.0, 0.5, 1.0]] * 2 + [[3.0, 1.0, 1.0, 1.0]]})
-    rng = np.random.default_rng(1)
-    gradients = rng.uniform(-0.5, 0.5, (30, 40, 2)).astype(np.float32)
-    frame, _ = PreparedSigma(law, (30, 40), None)(
-        gradients, np.full((30, 40, 3), 9, np.uint8), np.zeros((30, 40), dtype=bool)
-    )
+    gradients = np.random.default_rng(1).uniform(-0.5, 0.5, (30, 40, 2)).astype(np.float32)
+    size = np.linalg.norm(gradients, axis=-1)
+    _, frame, _ = PreparedSigma(law, (30, 40), None)(*grey((30, 40)), gradients, NOTHING)
     y, x = (np.mgrid[:30, :40] + 0.5) / np.array([30, 40])[:, None, None]
-    np.testing.assert_allclose(frame, law.of(np.linalg.norm(gradients, axis=-1), x, y), rtol=0.02)
+    np.testing.assert_allclose(frame, law.of(size, x, y), rtol=0.02)
+
+
+def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
+    gradients = np.full((3, 4, 2), 0.25, dtype=np.float32)
+    reference = NOTHING._replace(bias=np.array([0.25, 0.5], np.float32), threshold=0.1)
+    hidden = np.zeros((3, 4), dtype=bool)
+    hidden[1, 2] = True
+    for prepared in (PreparedSigma(LAW, (3, 4), None), UnknownSigma()):
+        found = gradients.copy()
+        untouched, _, confidence = prepared(*grey((3, 4)), found, reference, hidden)
+        np.testing.assert_array_equal(found, np.broadcast_to(np.float32([0, -0.25]), (3, 4, 2)))
+        np.testing.assert_array_equal(untouched, ~hidden)
+        np.testing.assert_array_equal(confidence == 0, hidden)
 
 
 def test_colours_beyond_the_training_presses_are_not_trusted():
-    rng = np.random.default_rng(2)
-    seen = rng.uniform(-0.3, 0.3, (20_000, 3)).astype(np.float32)
-    gamut = Gamut.fit(seen, 2 * seen[:, :2])
+    gamut = seen_gamut()
     change = np.zeros((2, 3, 3), dtype=np.float32)
     change[0, 1], change[0, 2], change[1, 0] = (0.25, 0, 0), (0.5, 0, 0), (5.0, 0, 0)
     away = gamut.distance_of(change)
-    assert away[0, 0] == away[0, 1] == 0
-    worth = gamut.slope_per_change
-    assert worth == pytest.approx(2 * np.sqrt(2 / 3), rel=0.02)
-    assert away[0, 2] == pytest.approx(0.2 * worth, abs=1.6 * gamut.bin_width * worth)
-    assert away[1, 0] == pytest.approx(4.7 * worth, rel=0.1)
-    args = np.zeros((2, 3, 2), np.float32), np.full((2, 3, 3), 9, np.uint8), np.zeros((2, 3), dtype=bool)
-    sigma, confidence = PreparedSigma(LAW, (2, 3), gamut)(*args, change)
-    assert sigma[0, 2] == pytest.approx(np.hypot(0.02, away[0, 2]), rel=1e-5)
+    _, sigma, confidence = PreparedSigma(LAW, (2, 3), gamut)(
+        grey((2, 3))[0], change, np.zeros((2, 3, 2), np.float32), NOTHING
+    )
+    np.testing.assert_allclose(sigma, np.hypot(0.02, away), rtol=1e-5)
     assert confidence[1, 0] < 1e-4 < 0.9 < confidence[0, 1]
 
 
-def test_without_a_law_only_clipped_pixels_lose_confidence():
-    image = np.full((2, 3, 3), 9, np.uint8)
-    image[0, 1, 2], image[1, 0, 0] = 255, 0
-    sigma, confidence = UnknownSigma()(np.zeros((2, 3, 2), np.float32), image, np.zeros((2, 3), dtype=bool))
-    assert sigma is None
-    np.testing.assert_array_equal(confidence, [[1, 0, 1], [0, 1, 1]])
+def seen_gamut():
+    seen = np.random.default_rng(2).uniform(-0.3, 0.3, (20_000, 3)).astype(np.float32)
+    return Gamut.fit(seen, 2 * seen[:, :2])
+
+
+def numpy_frame_sigma(
+    image, light, change, hidden, given, common, bias, place, law, gamut, low, gradients, untouched, sigma,
+    confidence, square, steps, grows, rest, clean, bins_per_change, worth,
+):  # fmt: skip
+    """What the kernel should give, in float64."""
+    near = ((change - common) ** 2).sum(axis=-1) < square
+    near = (near if given is None else given) & (True if hidden is None else ~hidden)
+    slopes = gradients.astype(float) - bias
+    size2 = (slopes**2).sum(axis=-1)
+    at = np.sqrt(size2) * steps
+    last = len(law) - 2
+    variance = np.where(at <= last, np.interp(at, np.arange(len(law)), law), grows * size2) * place
+    variance = np.where(near, rest, variance)
+    if gamut is not None:
+        bins = (change.astype(float) - low) * bins_per_change
+        inside = np.clip(bins, 0, len(gamut) - 1)
+        nearest = tuple(np.moveaxis((inside + 0.5).astype(int), -1, 0))
+        variance += (gamut[nearest] + worth * np.linalg.norm(bins - inside, axis=-1)) ** 2
+    pixels = light if image is None else image
+    clipped = (pixels.min(axis=-1) <= 0) | (pixels.max(axis=-1) >= 255)
+    variance = np.where(clipped, np.maximum(variance, 1), variance)
+    trusted = np.minimum(clean / variance, 1) * (1 if hidden is None else ~hidden)
+    return slopes, near, np.sqrt(variance), trusted
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 9), (24, 40)])
+@pytest.mark.parametrize("with_gamut", [True, False])
+@pytest.mark.parametrize("optional", ["nothing", "hidden", "given"])
+def test_the_kernel_agrees_with_numpy(shape, with_gamut, optional):
+    rng = np.random.default_rng(0)
+    prepared = PreparedSigma(LAW, shape, seen_gamut() if with_gamut else None)
+    image = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
+    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
+    mask = rng.uniform(size=shape) > 0.7
+    images = (image, None) if optional == "given" else (None, image.astype(np.float32))
+    assert_kernel_agrees(
+        frame_sigma._frame_sigma, numpy_frame_sigma, *images, change, mask if optional == "hidden" else None,
+        mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]), prepared._place,
+        prepared._law, prepared._gamut, prepared._gamut_low, rng.normal(0, 0.5, (*shape, 2)).astype(np.float32),
+        np.empty(shape, bool), np.empty(shape, np.float32), np.empty(shape, np.float32), 0.3**2,
+        *prepared._numbers, *prepared._gamut_numbers,
+    )  # fmt: skip
+
+
+def numpy_solved_sigma(sigma, work, solved, factor):
+    """Own variance v and the neighbours' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
+    v = np.pad(sigma.astype(float) ** 2, 1, mode="edge")
+    rows, columns = sigma.shape
+    around = sum(v[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) - v[1:-1, 1:-1]
+    own, others = v[1:-1, 1:-1], around / 8
+    return factor * np.sqrt((5 / 3) / (1 / own + (2 / 3) / others))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 7), (20, 33)])
+def test_the_kernel_of_solved_slopes_agrees_with_numpy(shape):
+    sigma = np.random.default_rng(1).uniform(0.01, 1, shape).astype(np.float32)
+    arguments = sigma, np.empty(shape[1] + 2, np.float32), np.empty(shape, np.float32), 0.9
+    assert_kernel_agrees(frame_sigma._solved_sigma, numpy_solved_sigma, *arguments)
+
+
+def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
+    sigma = np.full((9, 9), 0.05, np.float32)
+    sigma[4, 4] = 1.0
+    hidden = np.zeros((9, 9), dtype=bool)
+    hidden[1, 1] = True
+    both = np.broadcast_to(sigma[..., None], (9, 9, 2))
+    solved = solved_sigma(both, hidden, 0.8)
+    assert solved.shape == (9, 9, 2)
+    assert solved[7, 7, 0] == pytest.approx(0.04)
+    assert 0.04 < solved[4, 4, 0] < 0.1
+    assert 0.04 < solved[1, 1, 1] < 0.1
+    np.testing.assert_array_equal(solved_sigma(both.copy(), hidden, 0.8), solved)
+    assert solved_sigma(None, None, 0.8) is None
 
 
 def test_of_two_deviations_the_larger_counts():

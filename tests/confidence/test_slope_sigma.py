@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma
+from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
 
 LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
 
@@ -79,3 +79,10 @@ def test_the_first_format_is_read():
         np.hypot(0.02, 0.07), rel=0.02
     )
     assert SlopeSigma.from_dict(asdict(LAW)) == LAW
+
+
+def test_the_share_of_error_that_a_surface_keeps():
+    errors = np.random.default_rng(0).normal(0, 0.05, (4000, 2))
+    assert solved_factor(errors, 0.9 * errors) == pytest.approx(0.9)
+    assert solved_factor(errors, 1.2 * errors) == 1.0
+    assert solved_factor(0 * errors, errors) == 1.0

@@ -171,8 +171,9 @@ class PreparedBackground:
             light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(share) @ matrix)
             share = np.ones(3)
         scale = np.tile(share.astype(np.float32), light.shape[1])
-        light = np.ascontiguousarray(light)
-        either = (light, None) if light.dtype == np.uint8 else (None, light)
+        is_bytes = light.dtype == np.uint8
+        light = np.ascontiguousarray(light, dtype=np.uint8 if is_bytes else np.float32)
+        either = (light, None) if is_bytes else (None, light)
         return PendingChange((*either, scale, self._light, self._gain, self._taps))
 
 
