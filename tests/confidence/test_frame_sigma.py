@@ -91,7 +91,7 @@ def numpy_frame_sigma(
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     near = ((change - common) ** 2).sum(axis=-1) < square
-    near = (near if given is None else given) & (True if hidden is None else ~hidden)
+    near = given if given is not None else near & (True if hidden is None else ~hidden)
     slopes = gradients.astype(float) - bias
     size2 = (slopes**2).sum(axis=-1)
     at = np.sqrt(size2) * steps
