@@ -1,5 +1,10 @@
 """The conventions, all on one pressed sphere: axes, signs, units, dtypes."""
 
+import ast
+import inspect
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -86,3 +91,35 @@ def test_the_whole_path_keeps_them(calibration, sensor):
         assert getattr(result, name).dtype == np.dtype(dtype), name
     assert 0 <= result.confidence.min() <= result.confidence.max() <= 1
     assert result.mm_per_px == sensor.mm_per_px
+
+
+SOURCES = sorted(Path(gelform.__file__).parent.rglob("*.py"))
+FUNCTIONS = [name for name in gelform.__all__ if inspect.isfunction(getattr(gelform, name))]
+TOLD_BY_NAME = {"path", "presses", "scale", "scales", "name", "folder", "simulated", "progress", "overwrite"}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: "/".join(path.parts[-2:]))
+def test_the_first_line_of_a_docstring_is_a_sentence(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    said = [ast.get_docstring(node) for node in ast.walk(tree) if isinstance(node, documented)]
+    assert said[0], "a module says what it is"
+    broken = [
+        text.splitlines()[0] for text in said if text and not text.splitlines()[0].endswith((".", ":", "?"))
+    ]
+    assert not broken
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_public_function_says_what_it_takes_and_raises(name):
+    """But for what its name says, or another function's docstring that it points to."""
+    function = getattr(gelform, name)
+    said = inspect.getdoc(function) or ""
+    if re.search(r"see `\w+` for the arguments", said):
+        return
+    silent = [p for p in inspect.signature(function).parameters if not re.search(rf"\b{p}\b", said)]
+    assert set(silent) <= TOLD_BY_NAME
+    takes_arrays = any("Array" in str(p.annotation) for p in inspect.signature(function).parameters.values())
+    if takes_arrays:
+        assert re.search(r"\((\.\.\., )?[HWNh3]", said), "shapes"
+        assert "Raises" in said or "As for `" in said, "what it refuses"

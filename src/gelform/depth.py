@@ -147,10 +147,21 @@ def integrate(
 def edge_residuals(depth_mm: ArrayLike, gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> Pair:
     """Recovered minus given slope along each edge, mm/mm: which slopes no surface satisfies.
 
+    Parameters
+    ----------
+    depth_mm : (..., H, W), mm
+    gradients : (..., H, W, 2), mm/mm
+    mm_per_px : float or (x, y), mm
+
     Returns
     -------
     rx : (..., H, W-1) float32
     ry : (..., H-1, W) float32
+
+    Raises
+    ------
+    ValueError, TypeError
+        Depth or slopes of another shape or not finite, or a pitch that is not positive.
     """
     g = check_gradients(gradients)
     depth = check_map(depth_mm, "depth_mm", shape=(g.shape[-3], g.shape[-2]))

@@ -60,6 +60,11 @@ def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[flo
     Returns
     -------
     gradients : (..., H, W, 2) float32, mm/mm
+
+    Raises
+    ------
+    ValueError, TypeError
+        A depth of another shape or not finite, or a pitch that is not positive.
     """
     hx, hy = check_mm_per_px(mm_per_px)
     z = check_map(depth_mm, "depth_mm", dtype=np.float64)
@@ -85,6 +90,11 @@ def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[flo
     Returns
     -------
     curl : (..., H, W) float32, 1/mm
+
+    Raises
+    ------
+    ValueError, TypeError
+        Slopes of another shape or not finite, or a pitch that is not positive.
     """
     hx, hy = check_mm_per_px(mm_per_px)
     g = check_gradients(gradients, dtype=np.float64)
@@ -113,6 +123,11 @@ def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
     Returns
     -------
     filled : (H, W, C) float32
+
+    Raises
+    ------
+    ValueError, TypeError
+        Values of another shape or not finite, or a mask that is not boolean or knows no pixel.
     """
     array = np.asarray(values, dtype=np.float32)
     if array.ndim != 3:

@@ -130,6 +130,11 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
     -------
     Markers
         None on a gel without markers. Dots that form no regular grid (dust, random patterns) are no markers.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image or the background is no (H, W, 3) of numbers in 0-255, or they differ in size.
     """
     pixels = check_image(image)
     if background is None:

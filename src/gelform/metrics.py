@@ -91,6 +91,11 @@ def press_errors(
     gradients : (H, W, 2)
     circle_px : contact circle (centre x, centre y, radius), px
     ball_radius_mm, mm_per_px : known, never fitted
+
+    Raises
+    ------
+    ValueError
+        Fewer than 10 pixels of the contact lie inside the frame.
     """
     height, width = depth_mm.shape
     y, x = np.mgrid[:height, :width]

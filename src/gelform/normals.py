@@ -63,6 +63,11 @@ def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike 
     Returns
     -------
     image : (..., 3) float32, linear intensity
+
+    Raises
+    ------
+    ValueError, TypeError
+        Normals, lights or albedo of another shape, not finite, or normals that face away (n_z <= 0).
     """
     n = _unit(check_normals(normals))
     shading = np.maximum(n @ np.asarray(lights, dtype=np.float32).T, 0)
@@ -79,6 +84,11 @@ def normals_from_gradients(gradients: ArrayLike) -> NDArray[np.float32]:
     Returns
     -------
     normals : (..., H, W, 3) float32, unit length, n_z > 0
+
+    Raises
+    ------
+    ValueError, TypeError
+        Slopes of another shape, or not finite.
     """
     g = check_gradients(gradients)
     return _unit(np.concatenate([-g, np.ones_like(g[..., :1])], axis=-1))

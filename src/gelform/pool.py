@@ -18,7 +18,7 @@ class Pool(Generic[Work]):
 
     @contextmanager
     def one(self) -> Iterator[Work]:
-        """Work arrays that nobody else holds. (list.pop and list.append are atomic: no lock is needed.)"""
+        """Work arrays that nobody else holds. list.pop and list.append are atomic: no lock is needed."""
         try:
             work = self._free.pop()
         except IndexError:

@@ -177,6 +177,11 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
     Returns
     -------
     frame : view.frame_shape + (3,), dtype of the image
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image is not of the size that the view gives.
     """
     pixels = check_image(image, shape=view.shape)
     if view.is_identity:

@@ -121,6 +121,11 @@ def color_change_from_image(
     -------
     color_change : (H, W, 3) float32
         Of the images as they are: a difference in exposure is part of it (see `PreparedBackground`).
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image or the background is no (H, W, 3) of numbers in 0-255, or they differ in size.
     """
     reference = check_image(background, name="background")
     pressed = check_image(image, shape=reference.shape[:2])
@@ -216,6 +221,17 @@ def image_from_color_change(
     """The image (H, W, 3) float32, 0-255, of an unblurred color change: what the forward path inverts.
 
     Values are clipped to 0-255, as a camera would.
+
+    Parameters
+    ----------
+    color_change : (H, W, 3), as `color_change_from_image` gives it with the same settings
+    background : (H, W, 3), RGB, 0-255
+    settings : how the change was taken; (I - I0)/(I0 + 10) by default
+
+    Raises
+    ------
+    ValueError, TypeError
+        A change or background of another shape, or not finite.
     """
     settings = settings or ChangeSettings()
     untouched = check_image(background, name="background").astype(np.float32)

@@ -78,6 +78,11 @@ def exposure_from_image(image: NDArray[Any], background: NDArray[Any]) -> Exposu
     Exposure
         Only a gain is sought. A large contact does not pull it, but can leave too little to see it:
         `is_known` is then False, and the gain is not to be used.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The image or the background is no (H, W, 3) of numbers in 0-255, or they differ in size.
     """
     return exposure_from_blocks(block_means(image), block_means(background))
 

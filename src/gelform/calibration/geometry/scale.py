@@ -58,6 +58,11 @@ def scale_from_points(
     distance_mm : between them, on the gel
     sigma_px : standard deviation of each marked coordinate, px
     sigma_mm : standard deviation of the distance, mm
+
+    Raises
+    ------
+    ValueError
+        The points are nearer than 10 `sigma_px`, or a length is not positive.
     """
     distance_px = float(np.hypot(a_px[0] - b_px[0], a_px[1] - b_px[1]))
     if not (np.isfinite(distance_px) and distance_px > 10 * sigma_px):

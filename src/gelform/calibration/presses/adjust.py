@@ -32,6 +32,12 @@ def with_crosstalk(presses: Presses, crosstalk: Crosstalk) -> Presses:
 def with_view(presses: Presses, view: View, source: str) -> Presses:
     """The presses through a view that undoes the lens; labels move with their pixels.
 
+    Parameters
+    ----------
+    presses : as they were read, without a view
+    view : from the presses' frames to images
+    source : what told the view, for the report
+
     Raises
     ------
     DataError

@@ -64,6 +64,7 @@ def presses_from_frames(
     background : (H, W, 3) the untouched frame, 0-255, for a sequence without one
     crop : (left, top, width, height) in pixels of the frame
     name : what the presses are called
+    progress : called with (done, total, what)
 
     Raises
     ------
