@@ -48,8 +48,8 @@ def shadowed_from_surface(
     far = np.abs(places[:, None, :2] - np.array([(x[0], y[0]), (x[-1], y[-1])])).max(axis=1)
     # A light is behind the surface where `z + g . (light - place)` is over it: possible on steep pixels alone.
     needed = np.maximum(places[:, 2] - z.max(), 0) / np.linalg.norm(far, axis=1)
-    steep = np.einsum("ijk,ijk->ij", g, g) >= needed.min() ** 2
-    row, column = np.unravel_index(np.flatnonzero(steep), steep.shape)
+    steep = np.abs(g) >= needed.min() / np.sqrt(2)
+    row, column = np.nonzero(steep[..., 0] | steep[..., 1])
     to_x, to_y = places[:, 0, None] - x[column], places[:, 1, None] - y[row]
     reached = g[row, column, 0] * to_x + g[row, column, 1] * to_y
     lost[row, column] |= (places[:, 2, None] - z[row, column] <= reached).any(axis=0)
