@@ -14,6 +14,7 @@ from gelform.checks import (
     check_mm_per_px,
     check_normals,
     check_positive,
+    check_sensor_pitch,
 )
 
 IMAGE = np.full((4, 5, 3), 100, dtype=np.uint8)
@@ -123,8 +124,21 @@ def test_normals_face_the_camera():
 
 
 def test_positive_numbers():
-    assert check_positive("2", "size") == 2.0
+    assert check_positive(np.float32(2), "size") == 2.0
     with pytest.raises(ValueError, match="size > 0, got 0"):
         check_positive(0, "size")
     with pytest.raises(TypeError, match="size as a number"):
         check_positive("wide", "size")  # type: ignore[arg-type]
+    for value in ("2", True, np.True_):
+        with pytest.raises(TypeError, match="size as a number, got"):
+            check_positive(value, "size")
+
+
+def test_a_sensors_pitch_is_small():
+    assert check_sensor_pitch(0.0634) == 0.0634
+    with pytest.raises(
+        ValueError, match=r"up to 1 mm, got 15.8. If these are pixels per mm, give 1/15.8 = 0.06329"
+    ):
+        check_sensor_pitch(15.8)
+    with pytest.raises(ValueError, match=r"got 1e\+300.$"):
+        check_sensor_pitch(1e300)

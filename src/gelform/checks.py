@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+MAX_PITCH_MM = 1.0
+
 
 def check_image(
     image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image"
@@ -128,12 +130,29 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) ->
     return float(values[0]), float(values[-1])
 
 
+def check_sensor_pitch(mm_per_px: float) -> float:
+    """Return the pixel pitch of a sensor, mm: a number that a camera over a gel can have, up to 1 mm.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is no number, or too large: the message says what pixels per mm would be.
+    """
+    pitch = check_positive(mm_per_px, "mm_per_px")
+    if pitch > MAX_PITCH_MM:
+        hint = f" If these are pixels per mm, give 1/{pitch:g} = {1 / pitch:.4g}." if pitch < 1e4 else ""
+        raise ValueError(f"Expected mm_per_px up to {MAX_PITCH_MM:g} mm, got {pitch:g}.{hint}")
+    return pitch
+
+
 def check_positive(value: float, name: str) -> float:
-    """Return a finite number > 0 as float."""
+    """Return a finite number > 0 as float; texts and truth values are refused."""
     try:
         number = float(value)
     except (TypeError, ValueError):
         raise TypeError(f"Expected {name} as a number, got {value!r}.") from None
+    if isinstance(value, (str, bytes, bool, np.bool_)):
+        raise TypeError(f"Expected {name} as a number, got {value!r}.")
     if not np.isfinite(number) or number <= 0:
         raise ValueError(f"Expected {name} > 0, got {value}.")
     return number

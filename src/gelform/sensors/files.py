@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
+from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
 from gelform.view import View
 
@@ -131,7 +131,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
     sigma = settings.get("mm_per_px_sigma")
     return SensorSettings(
         **texts,
-        mm_per_px=check_positive(settings["mm_per_px"], "mm_per_px"),
+        mm_per_px=check_sensor_pitch(settings["mm_per_px"]),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
         response=check_positive(settings.get("response", 1.0), "response"),
         view=View.from_dict(settings.get("view", {})),

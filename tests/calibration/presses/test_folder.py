@@ -117,7 +117,7 @@ def test_progress_is_reported(copy):
 
 SPOILT = {
     "missing column": (lambda h, r: (["image", "diameter"], r), "columns image, ball_diameter_mm .* missing"),
-    "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball diameter in mm > 0 .* line 2"),
+    "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball_diameter_mm > 0, got 0.* line 2"),
     "diameter in words": (lambda h, r: (h, [[r[0][0], "small"], *r[1:]]), "as a number, got 'small'"),
     "diameter of nan": (lambda h, r: (h, [[r[0][0], "nan"], *r[1:]]), "finite number"),
     "negative diameter": (lambda h, r: (h, [[r[0][0], "-5"], *r[1:]]), "> 0"),
@@ -189,3 +189,24 @@ def test_unknown_sensor_lists_the_known(copy):
     (copy / "sensor.toml").unlink()
     with pytest.raises(gelform.SensorError, match="gelsight-mini, digit"):
         gelform.read_presses(copy, sensor="gelsite")
+
+
+@pytest.mark.parametrize("ball", [float("nan"), 300.0, 0.0, True, "6"])
+def test_a_ball_that_cannot_be_is_refused(folder, tmp_path, ball):
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    for path in (folder / "background.png", next((folder / "images").iterdir())):
+        (plain / path.name).write_bytes(path.read_bytes())
+    with pytest.raises((ValueError, TypeError), match="ball_diameter_mm"):
+        gelform.read_presses(plain, mm_per_px=0.1, ball_diameter_mm=ball)
+
+
+@pytest.mark.parametrize("pitch", [True, "0.1", 1e300])
+def test_a_scale_that_cannot_be_is_refused(folder, pitch):
+    with pytest.raises((ValueError, TypeError), match="mm_per_px"):
+        gelform.read_presses(folder, mm_per_px=pitch)
+
+
+def test_pixels_per_mm_get_a_hint(folder):
+    with pytest.raises(ValueError, match=r"give 1/15\.8 = 0\.06329"):
+        gelform.read_presses(folder, mm_per_px=15.8)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.presses.press_set import Listed, ReadOptions, Source
-from gelform.calibration.presses.tables import diameter, number, table_rows
+from gelform.calibration.presses.tables import check_ball_diameter, diameter, number, table_rows
 from gelform.checks import check_positive
 from gelform.errors import DataError
 from gelform.sensors.backgrounds import background_in, read_background
@@ -53,7 +53,8 @@ def py3dcal_source(folder: Path, options: ReadOptions) -> Source:
     """
     rest = read_background(options.background or _blank_in(folder / "blank_images"))
     facts = _py3dcal_facts(folder)
-    ball = options.ball_diameter_mm or 2 * facts["probe_radius_mm"]
+    asked = options.ball_diameter_mm
+    ball = check_ball_diameter(2 * facts["probe_radius_mm"] if asked is None else asked)
     rows = []
     for where, row in table_rows(folder / "annotations" / "annotations.csv", ("img_name", "x_px", "y_px")):
         center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))

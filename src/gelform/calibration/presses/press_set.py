@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.geometry.measured import Geometry
-from gelform.checks import check_positive
+from gelform.calibration.presses.tables import check_ball_diameter
+from gelform.checks import check_sensor_pitch
 from gelform.errors import DataError
 from gelform.frames import pixels_digest
 from gelform.sensors.files import SensorSettings, read_sensor_toml
@@ -118,7 +119,7 @@ class ReadOptions:
             profile = profile_named(self.sensor)
             settings = known or SensorSettings(profile.name, profile.mm_per_px, profile.mm_per_px_sigma)
         if self.mm_per_px is not None:
-            pitch = check_positive(self.mm_per_px, "mm_per_px")
+            pitch = check_sensor_pitch(self.mm_per_px)
             if settings is None:
                 return SensorSettings(place.resolve().stem, pitch)
             others = {name: value for name, value in settings.measured.items() if name != "scale"}
@@ -146,7 +147,7 @@ class ReadOptions:
                 f"{what}: which ball pressed? Give ball_diameter_mm= (--ball-diameter-mm), or write presses.csv "
                 "with the columns image,ball_diameter_mm."
             )
-        return check_positive(self.ball_diameter_mm, "ball_diameter_mm")
+        return check_ball_diameter(self.ball_diameter_mm)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gelform.checks import check_positive
 from gelform.errors import DataError
+
+MAX_BALL_MM = 200.0
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
@@ -17,7 +20,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
     Raises
     ------
     DataError
-        A column is missing, or the file is no text.
+        A column is missing, a row has more fields than there are columns, or the file is no text.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -29,6 +32,12 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
                     f"Expected the columns {', '.join(columns)} in {path}, got {there}: {', '.join(missing)} missing."
                 )
             for row in reader:
+                if None in row:
+                    raise DataError(
+                        f"Expected {len(reader.fieldnames or [])} fields, got "
+                        f"{len(row) - 1 + len(row[None])} ({path}, line {reader.line_num}). Was a decimal comma meant? "
+                        "Write 6.35, or quote texts that have commas."
+                    )
                 if any((value or "").strip() for value in row.values() if isinstance(value, str)):
                     where = f"{path}, line {reader.line_num}"
                     yield where, {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)}
@@ -37,10 +46,18 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
 
 
 def diameter(text: str, where: str) -> float:
-    """A ball's diameter in mm."""
-    value = number(text, "ball diameter", where)
-    if not 0 < value < 1000:
-        raise DataError(f"Expected a ball diameter in mm > 0 (and under 1000), got {text} ({where}).")
+    """A ball's diameter in mm, of a table."""
+    try:
+        return check_ball_diameter(number(text, "ball diameter", where))
+    except ValueError as problem:
+        raise DataError(f"{problem} ({where})") from None
+
+
+def check_ball_diameter(ball_diameter_mm: float) -> float:
+    """A ball's diameter in mm: over 0 and up to 200; TypeError or ValueError for others."""
+    value = check_positive(ball_diameter_mm, "ball_diameter_mm")
+    if value > MAX_BALL_MM:
+        raise ValueError(f"Expected ball_diameter_mm up to {MAX_BALL_MM:g} mm, got {value:g}.")
     return value
 
 
