@@ -95,9 +95,9 @@ def evaluate(
 
 def _check_size(presses: Presses, calibration: Calibration) -> None:
     """Images of the calibration's size, or frames of its view."""
-    sizes = [calibration.image_shape]
-    if calibration.view.frame_shape not in (None, *sizes):
-        sizes.append(calibration.view.frame_shape)
+    frame, sizes = calibration.view.frame_shape, [calibration.image_shape]
+    if frame is not None and frame not in sizes:
+        sizes.append(frame)
     if presses.image_shape not in sizes:
         named = " or ".join(f"{height}x{width}" for height, width in sizes)
         got = f"{presses.image_shape[0]}x{presses.image_shape[1]}"

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from gelform.cli.console import print_json
+from gelform.cli.facts_in_words import lines_of
 from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
@@ -34,10 +35,10 @@ def info(
     if as_json:
         print_json(facts)
         return
-    width = max(len(name) for name in facts)
-    for name, value in facts.items():
-        for line in value if name == "missing" else [value]:
-            typer.echo(f"{name.replace('_', ' '):<{width}}  {_said(value if name != 'missing' else line)}")
+    lines = lines_of(facts)
+    width = max(len(label) for label, _ in lines)
+    for label, text in lines:
+        typer.echo(f"{label:<{width}}  {text}")
 
 
 def _file(path: Path) -> dict[str, Any]:
@@ -163,11 +164,3 @@ def _presses(path: Path, layout: str | None) -> dict[str, Any]:
         "labelled": sum(press.label is not None for press in presses.presses),
         "missing": ["nothing: gelform calibrate can read it"],
     }
-
-
-def _said(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_said(one)}" for name, one in value.items()) or "-"
-    if isinstance(value, (list, tuple)):
-        return ", ".join(_said(one) for one in value) or "-"
-    return "-" if value in (None, "") else f"{value:.4g}" if isinstance(value, float) else str(value)
