@@ -70,3 +70,8 @@ def test_a_ball_outside_the_frame_has_no_cap(calibration, presses):
     result = Reconstructor(calibration).from_image(blank.image)
     one = sample_of(0, blank, circle, result, calibration.mm_per_px)
     assert one.cap_error_um.ndim == 2
+
+
+def test_the_share_of_error_in_solved_slopes_is_measured(calibration):
+    """Some of the errors of slopes have curl, which no surface follows; some are those of a surface."""
+    assert 0.3 < calibration.slope_sigma.solved_factor < 1

@@ -19,18 +19,19 @@ from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration.selection.select import Selection
-from gelform.calibration.selection.slope_errors import slope_sigma_from_folds
+from gelform.calibration.selection.slope_errors import ZONE, slope_sigma_from_folds
 from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration_file import Calibration
 from gelform.color_models import ColorModel
-from gelform.confidence import SlopeSigma
-from gelform.metrics import PressErrors, angle_deg, press_errors
+from gelform.confidence import SlopeSigma, solved_factor
+from gelform.metrics import PressErrors, angle_deg, press_errors, score_slopes
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 
 MAX_PIXELS = 2000
 CENTER_PIXELS = 1500
+SLOPE_STEP_PX = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +124,7 @@ def measure_held_out(
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
     samples: list[HeldOutSample] = []
+    slope_errors: list[list[NDArray[np.float64]]] = []
     found, folds = held_out.found, held_out.folds
     prepared, mm_per_px = held_out.presses[selection.chosen.change_offset], draft.known_mm_per_px
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
@@ -135,11 +137,31 @@ def measure_held_out(
             result = reconstruct.from_image(presses.presses[i].image)
             errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
             samples.append(sample_of(i, presses.presses[i], circle, result, mm_per_px))
+            slope_errors.append(_slope_errors(result, circle, suited[i].ball_radius_px))
         if candidate != selection.chosen:
             model = selection.chosen.fit([prepared[i] for i in fold.training], fold.contacts)
         models.append(model)
         progress(done + 1, len(folds), "measuring on held-out presses")
-    return HeldOut(errors, tuple(samples), slope_sigma_from_folds(models, folds, prepared, found))
+    sigma = slope_sigma_from_folds(models, folds, prepared, found)
+    observed, solved = (np.concatenate(parts) for parts in zip(*slope_errors))
+    return HeldOut(errors, tuple(samples), replace(sigma, solved_factor=solved_factor(observed, solved)))
+
+
+def _slope_errors(
+    result: Reconstruction, circle_px: tuple[float, float, float], ball_radius_px: float
+) -> list[NDArray[np.float64]]:
+    """Errors (N, 2) of the slopes that were read and of those of the solved depth, inside the contact.
+
+    Each has its own free centre, as everywhere.
+    """
+    x, y, radius = circle_px
+    height, width = result.shape
+    rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
+    inside = np.hypot(cols - x, rows - y) < ZONE * radius
+    rows, cols = rows[inside], cols[inside]
+    assert result.observed_gradients is not None
+    maps = result.observed_gradients, result.gradients
+    return [score_slopes(one[rows, cols], cols, rows, (x, y), ball_radius_px).errors for one in maps]
 
 
 def _free_circle(
