@@ -1,13 +1,12 @@
 """Photometric stereo with three near lights, on the ratio of the image to the untouched image.
 
-A light at S shines on a surface point X from the direction (S - X)/|S - X| with a strength that falls as
-|S - X|^-falloff, so `E = n . (S - X)/|S - X|^(1 + falloff)` (R. Mecca et al., Near field photometric stereo with
-point light sources, SIAM J. Imaging Sciences 7(4), 2014, eq. 3, at constant depth). Crosstalk mixes the lights
-into each channel; where all of them shine the channel is linear in n at every pixel, with a light matrix of its own.
+Each light shines by the law in `_shared/near_light_law.py`. Crosstalk mixes the lights into each channel; where all of
+them shine the channel is linear in the normal at every pixel, with a light matrix of its own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,6 +16,12 @@ from scipy.optimize import least_squares
 
 from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
+from gelform.color_models._shared.near_light_law import (
+    OFF_DIAGONAL,
+    Toward,
+    light_ratio,
+    light_ratio_derivatives,
+)
 from gelform.color_models.lambertian import (
     DARKEST_RATIO,
     MAX_SLOPE,
@@ -83,18 +88,16 @@ class NearLightModel:
         high = [*[FARTHEST, FARTHEST, HEIGHTS[1]] * 3, *([2.0] * 6 if crosstalk else [])]
         if not response:
             low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
-        x, y = unit_position(used.x_px, used.y_px, used.shape)
-        normals = np.concatenate([-used.gradients, np.ones((len(x), 1))], axis=1)
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        weight = np.sqrt(used.weight)[:, None]
-
-        def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            positions, mixture, exponent = _unpacked(values, crosstalk, response)
-            seen = _ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
-            return ((seen - used.color_change) * weight).ravel()
-
+        residuals, jacobian = _problem(used, crosstalk, response, falloff)
         fit = least_squares(
-            residuals, free, bounds=(low, high), loss="soft_l1", f_scale=0.05, x_scale="jac", max_nfev=60
+            residuals,
+            free,
+            jacobian,
+            bounds=(low, high),
+            loss="soft_l1",
+            f_scale=0.05,
+            x_scale="jac",
+            max_nfev=60,
         )
         positions, mixture, exponent = _unpacked(fit.x, crosstalk, response)
         return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
@@ -187,41 +190,43 @@ def _start(samples: Samples, channel: int, response: float) -> list[float]:
     ]
 
 
+def _problem(
+    samples: Samples, crosstalk: bool, response: float | None, falloff: float
+) -> tuple[
+    Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[NDArray[np.float64]], NDArray[np.float64]]
+]:
+    """What least squares makes small, of the vector that is fitted: residuals (3 N,) and their jacobian."""
+    x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
+    normals = np.concatenate([-samples.gradients, np.ones((len(x), 1))], axis=1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    weight = np.sqrt(samples.weight)[:, None]
+
+    def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        positions, mixture, exponent = _unpacked(values, crosstalk, response)
+        seen = light_ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
+        return ((seen - samples.color_change) * weight).ravel()
+
+    def jacobian(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        positions, mixture, exponent = _unpacked(values, crosstalk, response)
+        ratio, by_position, by_mixture = light_ratio_derivatives(normals, x, y, positions, mixture, falloff)
+        by_exponent = (ratio**exponent * np.log(ratio))[..., None]
+        by_ratio = (exponent * ratio ** (exponent - 1))[..., None]
+        parts = [by_ratio * by_position]
+        parts += [by_ratio * by_mixture] if crosstalk else []
+        parts += [] if response else [by_exponent]
+        return (np.concatenate(parts, axis=-1) * weight[..., None]).reshape(3 * len(x), -1)
+
+    return residuals, jacobian
+
+
 def _unpacked(
     values: NDArray[np.float64], crosstalk: bool, response: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Positions (3, 3), mixture (3, 3), response from the vector that is fitted."""
     mixture = np.eye(3)
     if crosstalk:
-        mixture[~np.eye(3, dtype=bool)] = values[9:15]
+        mixture[OFF_DIAGONAL] = values[9:15]
     return values[:9].reshape(3, 3), mixture, response or float(values[-1])
-
-
-def _toward(
-    x: NDArray[np.float64], y: NDArray[np.float64], positions: NDArray[np.float64], falloff: float
-) -> NDArray[np.float64]:
-    """`(S - X)/|S - X|^(1 + falloff)` of each light at each place, (N, 3 lights, 3), in strengths at the centre."""
-    place = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    way = positions - place[:, None]
-    distance = np.linalg.norm(way, axis=-1, keepdims=True)
-    middle = np.linalg.norm(positions, axis=-1, keepdims=True)
-    unit: NDArray[np.float64] = way / distance * (middle / distance) ** falloff
-    return unit
-
-
-def _ratio(
-    normals: NDArray[np.float64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    mixture: NDArray[np.float64],
-    falloff: float,
-) -> NDArray[np.float64]:
-    """Light of each channel over that at rest, (N, 3); a light behind the surface gives nothing."""
-    toward = _toward(x, y, positions, falloff)
-    lit = np.maximum(np.einsum("nlk,nk->nl", toward, normals), 0)
-    ratio: NDArray[np.float64] = np.maximum(lit @ mixture.T / (toward[..., 2] @ mixture.T), 1e-3)
-    return ratio
 
 
 def _scaled_lights(
@@ -231,7 +236,7 @@ def _scaled_lights(
     mixture: NDArray[np.float64],
     falloff: float,
 ) -> NDArray[np.float64]:
-    lights = np.einsum("cl,nlk->nck", mixture, _toward(x, y, positions, falloff))
+    lights = np.einsum("cl,nlk->nck", mixture, Toward.of(x, y, positions, falloff).light)
     scaled: NDArray[np.float64] = lights / lights[..., 2:]
     return scaled
 
