@@ -1,4 +1,4 @@
-"""How far off a color model is on one press: its normals, and the shape of the cap that they integrate to."""
+"""How far off a color model is on one press: the depth that it integrates to, and the normals of that depth."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.ball import ball_center
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.color_models import ColorModel
 from gelform.depth import depth_from_gradients
-from gelform.metrics import score_slopes
+from gelform.gradients import gradients_from_depth
+from gelform.metrics import angle_deg
 
 INSET_PX = 3.0  # of the contact's rim, at 240 rows: as `metrics.press_errors` has it
-SCORED_PIXELS = 500
-PATCH = 24  # samples across the contact that are integrated to score the depth
+PATCH = 24  # samples across the contact, whose slopes are integrated
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class PressScore:
 
     Attributes
     ----------
-    normal_deg : mean angle to the ball's normals, degrees
+    normal_deg : mean angle between the normals of the depth and the ball's, degrees
     cap_px : standard deviation of the depth minus the ball's cap, px
     """
 
@@ -33,29 +34,34 @@ class PressScore:
 
 
 def press_score(press: PreparedPress, found: ContactCircle, model: ColorModel) -> PressScore:
-    """Errors of a model inside a contact circle, 3 px off its rim."""
-    zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
-    rows, cols = press.pixels(found, zone, SCORED_PIXELS)
-    gradients = press.gradients(model, rows, cols)
-    score = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
-    return PressScore(score.normal_deg, _cap_error_px(press, found, model, score.center_px, rows, cols, zone))
+    """Errors of a model inside a contact circle, 3 px off its rim.
 
-
-def _cap_error_px(
-    press: PreparedPress,
-    found: ContactCircle,
-    model: ColorModel,
-    center: tuple[float, float],
-    rows: NDArray[np.intp],
-    cols: NDArray[np.intp],
-    zone: float,
-) -> float:
-    """Standard deviation of the depth, integrated over the contact's bounding box, minus the ball's cap."""
-    step = max(1, round(2 * zone * found.radius_px / PATCH))
-    y, x = np.mgrid[rows.min() : rows.max() + 1 : step, cols.min() : cols.max() + 1 : step]
+    The slopes on a lattice over the contact's box are integrated, as a frame's are. Both the depth and the ball's cap
+    are differenced on that lattice, so what its steps leave out cancels.
+    """
+    inside, x, y, step = _lattice(press, found)
     gradients = press.gradients(model, y.ravel(), x.ravel()).reshape(*y.shape, 2)
     depth = depth_from_gradients(gradients.astype(np.float32), mm_per_px=float(step), solver="dct")
+    slopes = gradients_from_depth(depth, mm_per_px=float(step))
+    start = found.x_px, found.y_px
+    center = ball_center(slopes[inside], x[inside], y[inside], start, press.ball_radius_px)
     square = (x - center[0]) ** 2 + (y - center[1]) ** 2
-    inside = (x - found.x_px) ** 2 + (y - found.y_px) ** 2 < (zone * found.radius_px) ** 2
     cap = np.sqrt(np.maximum(press.ball_radius_px**2 - square, 0))
-    return float(np.std((depth - cap)[inside]))
+    truth = gradients_from_depth(cap, mm_per_px=float(step))
+    normal_deg = float(angle_deg(slopes[inside], truth[inside]).mean())
+    return PressScore(normal_deg, float(np.std((depth - cap)[inside])))
+
+
+def _lattice(
+    press: PreparedPress, found: ContactCircle
+) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp], int]:
+    """Every step-th pixel of the contact's box and a step around it: whether it is scored, column x, row y, the step."""
+    zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
+    step = max(1, round(2 * zone * found.radius_px / PATCH))
+    scored = np.zeros(press.size.shape, dtype=bool)
+    rows, cols = press.pixels(found, zone)
+    scored[rows, cols] = True
+    (top, bottom), (left, right) = ((max(at.min() - step, 0), at.max() + step + 1) for at in (rows, cols))
+    inside = scored[top:bottom:step, left:right:step]
+    y, x = np.mgrid[: inside.shape[0], : inside.shape[1]] * step
+    return inside, x + left, y + top, step
