@@ -117,7 +117,7 @@ def _antisymmetry_center(change: NDArray[np.float32]) -> tuple[float, float, flo
     height, width = change.shape[:2]
     padded = (next_fast_len(2 * height, True), next_fast_len(2 * width, True))
     spectrum = rfft2(change, s=padded, axes=(0, 1))
-    odd = -irfft2(np.sum(spectrum**2, axis=-1), s=padded)[: 2 * height - 1, : 2 * width - 1]
+    odd = -irfft2(spectrum**2, s=padded, axes=(0, 1)).sum(axis=-1)[: 2 * height - 1, : 2 * width - 1]
     row, col = (int(i) for i in np.unravel_index(int(odd.argmax()), odd.shape))
     y = (row + _parabola_offset(odd[:, col], row)) / 2
     x = (col + _parabola_offset(odd[row], col)) / 2

@@ -88,21 +88,12 @@ def robust_ridge(
 ) -> NDArray[np.float64]:
     """Coefficients (terms, outputs) of a ridge regression, reweighted by Huber's loss of the residual's length.
 
-    The columns are scaled to unit size first, so the ridge means the same for every term.
+    The ridge is relative to the size of each column, so it means the same for every term.
     """
+    whole = _normal_equations(design, target, weight)
     total = float(weight.sum())
-    scale = np.sqrt(weight @ design**2 / total) + 1e-12
-    scaled = design / scale
-    current = weight
-    for _ in range(rounds):
-        root = np.sqrt(current)[:, None]
-        weighted = scaled * root
-        normal = weighted.T @ weighted  # of an array with itself: half the work
-        normal += ridge * total * np.eye(design.shape[1])
-        coefficients = np.linalg.solve(normal, weighted.T @ (root * target))
-        residual = np.linalg.norm(scaled @ coefficients - target, axis=1)
-        current = weight * np.minimum(1, huber / np.maximum(residual, 1e-12))
-    return coefficients / scale[:, None]
+    size = np.sqrt(np.diag(whole[0]) / total) + 1e-12
+    return _reweighted(design, target, weight, whole, np.diag(ridge * total * size**2), huber, rounds)
 
 
 def penalised_huber(
@@ -120,12 +111,42 @@ def penalised_huber(
     """
     prior = np.diag(penalties * float(weight.sum()))
     columns = np.asarray(design, dtype=np.float32)  # sums of squares; the ridge is far above their rounding
-    current = weight
-    for _ in range(rounds):
-        root = np.sqrt(current).astype(np.float32)[:, None]
-        scaled = columns * root
-        normal = (scaled.T @ scaled).astype(np.float64)  # of an array with itself: half the work
-        coefficients = np.linalg.solve(normal + prior, scaled.T @ (root * target))
-        residual = np.linalg.norm(columns @ coefficients.astype(np.float32) - target, axis=1)
-        current = weight * np.minimum(1, huber / np.maximum(residual, 1e-12))
+    whole = _normal_equations(columns, target, weight)
+    return _reweighted(columns, target, weight, whole, prior, huber, rounds)
+
+
+def _reweighted(
+    design: NDArray[Any],
+    target: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    whole: tuple[NDArray[np.float64], NDArray[np.float64]],
+    prior: NDArray[np.float64],
+    huber: float,
+    rounds: int,
+) -> NDArray[np.float64]:
+    """Coefficients (terms, outputs) that Huber's loss of the residual's length finds in so many rounds.
+
+    Only samples beyond `huber` count less than at first, so what they lose is subtracted from `whole`, the normal
+    equations of the first round.
+    """
+    normal, right = whole
+    for done in range(1, rounds + 1):
+        coefficients = np.linalg.solve(normal + prior, right)
+        if done == rounds:
+            break
+        residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
+        beyond = residual > huber
+        lost = weight[beyond] * (1 - huber / residual[beyond])
+        less = _normal_equations(design[beyond], target[beyond], lost)
+        normal, right = whole[0] - less[0], whole[1] - less[1]
     return np.asarray(coefficients, dtype=np.float64)
+
+
+def _normal_equations(
+    design: NDArray[Any], target: NDArray[np.float64], weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted sums of products: terms by terms, and terms by outputs."""
+    root = np.sqrt(weight).astype(design.dtype)[:, None]
+    weighted = design * root
+    normal = (weighted.T @ weighted).astype(np.float64)  # of an array with itself: half the work
+    return normal, weighted.T @ (root * target)
