@@ -45,9 +45,46 @@ static inline float dot(const float *a, const float *b, ptrdiff_t n) {
   return lanes_total(lanes);
 }
 
+// Before a loop: its iterations do not depend on each other, though the compiler cannot see it.
+#if defined(__clang__)
+#define INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")
+#elif defined(__GNUC__)
+#define INDEPENDENT _Pragma("GCC ivdep")
+#else
+#define INDEPENDENT
+#endif
+
 // Written as comparisons, which become one vector instruction each; fminf and fmaxf treat NaN specially and do not.
 static inline float smaller(float a, float b) { return a < b ? a : b; }
 static inline float larger(float a, float b) { return a > b ? a : b; }
+
+// The largest magnitude, in lanes as sums are; NaN is passed over.
+static inline float largest_magnitude(const float *restrict a, ptrdiff_t n) {
+  float lanes[LANES] = {0};
+  ptrdiff_t j = 0;
+  for (; j + LANES <= n; j += LANES)
+    for (int k = 0; k < LANES; k++) lanes[k] = larger(fabsf(a[j + k]), lanes[k]);
+  for (; j < n; j++) lanes[0] = larger(fabsf(a[j]), lanes[0]);
+  for (int k = 1; k < LANES; k++) lanes[0] = larger(lanes[k], lanes[0]);
+  return lanes[0];
+}
+
+struct range {
+  float low, high;
+};
+
+// The least and the largest value, of n > 0, in lanes as sums are.
+static inline struct range range_of(const float *restrict a, ptrdiff_t n) {
+  float low[LANES], high[LANES];
+  ptrdiff_t j = 0;
+  for (int k = 0; k < LANES; k++) low[k] = high[k] = a[0];
+  for (; j + LANES <= n; j += LANES)
+    for (int k = 0; k < LANES; k++) low[k] = smaller(a[j + k], low[k]), high[k] = larger(a[j + k], high[k]);
+  for (; j < n; j++) low[0] = smaller(a[j], low[0]), high[0] = larger(a[j], high[0]);
+  for (int k = 1; k < LANES; k++) low[0] = smaller(low[k], low[0]), high[0] = larger(high[k], high[0]);
+  return (struct range){low[0], high[0]};
+}
+
 static inline float clamp(float x, float low, float high) { return smaller(larger(x, low), high); }
 
 #endif
