@@ -69,6 +69,16 @@ static inline float largest_magnitude(const float *restrict a, ptrdiff_t n) {
   return lanes[0];
 }
 
+// 0 where every value is finite, else NaN: x * 0 is 0, but NaN for NaN and for infinity, and NaN survives a sum.
+static inline float times_zero(const float *restrict a, ptrdiff_t n) {
+  float lanes[LANES] = {0};
+  ptrdiff_t j = 0;
+  for (; j + LANES <= n; j += LANES)
+    for (int k = 0; k < LANES; k++) lanes[k] += a[j + k] * 0.0f;
+  for (; j < n; j++) lanes[0] += a[j] * 0.0f;
+  return lanes_total(lanes);
+}
+
 struct range {
   float low, high;
 };

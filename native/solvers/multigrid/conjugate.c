@@ -8,7 +8,18 @@ enum { PAST = 4 };  // iterations over which the recent rate is taken
 struct history {
   int done;
   double first, whole, past[PAST];
+  double least;  // estimate so far
 };
+
+// What float32 can tell from rounding. Without an anchor nothing holds the sum of the right side at 0; beyond this the
+// iteration would take what rounding leaves of it for an error, and chase it ever farther.
+static const double RESOLVED = 1e-6;
+
+static bool only_rounding_is_left(struct history *h, double estimate) {
+  const bool rising = h->done > 0 && h->least < RESOLVED && estimate > h->least;
+  if (h->done == 0 || estimate < h->least) h->least = estimate;
+  return rising;
+}
 
 // x^(1/n), x >= 0, by Newton's method: the libraries' pow differs between platforms, and would stop here or there.
 static double root(double x, int n) {
@@ -82,21 +93,29 @@ static void take_answer(struct multigrid *m) {
   m->search = taken;
 }
 
+// Depth in row `i`, counted from 1, of the frame.
+static void depth_row(const struct multigrid *m, ptrdiff_t i, float scale, bool moved, float *restrict depth) {
+  const struct level *l = m->levels;
+  const ptrdiff_t k = on_finest(i, m->height), w = m->width, last = on_finest(w, w);
+  const float *restrict answer = row(l->answer, l, k), *restrict found = row(m->depth, l, k);
+  if (moved)
+    for (ptrdiff_t j = 1; j < w; j++) depth[j - 1] = scale * (found[j] + answer[j]);
+  else
+    for (ptrdiff_t j = 1; j < w; j++) depth[j - 1] = scale * answer[j];
+  depth[w - 1] = scale * ((moved ? found[last] : 0) + answer[last]);
+}
+
 // Depth of what was found, scaled, added to where it started from; false if it is not finite.
 static bool write_depth(const struct multigrid *m, const float *start, float scale, bool moved, float *depth) {
-  const struct level *l = m->levels;
-  float sum_of_zeros = 0;
-  for (ptrdiff_t i = 1; i <= l->height; i++) {
-    const float *restrict answer = row(l->answer, l, i) + 1, *restrict found = row(m->depth, l, i) + 1;
-    const float *restrict from = start ? start + (i - 1) * l->width : NULL;
-    float *restrict out = depth + (i - 1) * l->width;
-    if (moved) for (ptrdiff_t j = 0; j < l->width; j++) out[j] = scale * (found[j] + answer[j]);
-    else for (ptrdiff_t j = 0; j < l->width; j++) out[j] = scale * answer[j];
-    if (from) for (ptrdiff_t j = 0; j < l->width; j++) out[j] += from[j];
-    const struct range range = range_of(out, l->width);
-    sum_of_zeros += 0 * range.low + 0 * range.high + 0 * sum(out, l->width);
+  const ptrdiff_t w = m->width;
+  float zero = 0;
+  for (ptrdiff_t i = 1; i <= m->height; i++, depth += w) {
+    depth_row(m, i, scale, moved, depth);
+    if (start)
+      for (ptrdiff_t j = 0; j < w; j++) depth[j] += start[(i - 1) * w + j];
+    zero += times_zero(depth, w);
   }
-  return sum_of_zeros == 0;
+  return zero == 0;
 }
 
 // The power of two that brings the right side near 1, so that no product over- or underflows; 1 for usual slopes.
@@ -116,7 +135,7 @@ static void scale_right_side(const struct level *l, float factor) {
 // the range of the first answer where that is 0.
 EXPORT int multigrid_solve(struct multigrid *grid, const float *start, float *depth, double whole, double tolerance, int32_t limit,
                            double *report, ptrdiff_t h, ptrdiff_t w) {
-  if (h != grid->levels->height || w != grid->levels->width) return WRONG_SIZE;
+  if (h != grid->height || w != grid->width) return WRONG_SIZE;
   const float scale = usual_scale(grid->largest);
   if (scale != 1) scale_right_side(grid->levels, 1 / scale);
   struct history history = {0};
@@ -126,7 +145,7 @@ EXPORT int multigrid_solve(struct multigrid *grid, const float *start, float *de
     const struct answer answer = cycle(grid, step);
     report[0] = history.done;
     report[1] = estimated_error(&history, (double)answer.high - answer.low, whole / scale);
-    if (!(report[1] > tolerance) || history.done >= limit) break;
+    if (!(report[1] > tolerance) || history.done >= limit || only_rounding_is_left(&history, report[1])) break;
     const bool first = history.done == 0;
     if (first) take_answer(grid);
     const double curvature = multiply_next(grid, (float)(answer.product / before), first);

@@ -13,8 +13,9 @@ static ptrdiff_t stride_of(ptrdiff_t width) {
 static ptrdiff_t plane_size(const struct level *l) { return (l->height + 3) * l->stride + 2 * ALIGNED; }
 
 static void set_sizes(struct multigrid *m, ptrdiff_t height, ptrdiff_t width) {
-  m->levels[0] = (struct level){.height = height, .width = width, .stride = stride_of(width)};
-  m->count = 1;
+  m->height = height, m->width = width, m->count = 1;
+  m->levels[0].height = on_finest(height, height), m->levels[0].width = on_finest(width, width);
+  m->levels[0].stride = stride_of(m->levels[0].width);
   for (const struct level *l = m->levels; l->height * l->width > COARSEST; l++, m->count++) {
     const ptrdiff_t h = (l->height + 1) / 2, w = (l->width + 1) / 2;
     m->levels[m->count] = (struct level){.height = h, .width = w, .stride = stride_of(w)};

@@ -3,12 +3,16 @@
 // A plane of a level holds its pixel (i, j), counted from 1, at `plane[i * stride + j]`, between zeros: one row and
 // column before, two rows and at least three columns after. So no loop asks where the border is. The coarse pixel (I, J)
 // is the fine pixel (2I - 1, 2J - 1).
+//
+// The finest level has an odd height and width, so that coarse pixels lie on every border of the frame: what happens along a
+// border without them is unknown to all coarser levels. A frame of even width gets one column more, before its last: each
+// edge across it is cut into two of twice the coupling, which changes nothing in the frame's own pixels. Likewise rows.
 #ifndef GELFORM_GRID_H
 #define GELFORM_GRID_H
 
 #include "../../common.h"
 
-enum { MAX_LEVELS = 24, COARSEST = 40, MAX_ISLANDS = 512, MAX_ISLAND_PIXELS = 4096 };
+enum { MAX_LEVELS = 24, COARSEST = 40, MAX_ISLANDS = 512, MAX_ISLAND_PIXELS = 8192 };
 
 // How much of each coarse pixel a fine pixel between is made of. LEFT and RIGHT belong to the fine pixel right of
 // (I, J), UP and DOWN to the one below it, the last four to the one in the middle of four.
@@ -33,10 +37,12 @@ struct islands {
   float residual[MAX_ISLANDS];
   struct island_pixel {
     int32_t row, column, island;
+    float share;  // how far it goes where the island moves by 1
   } pixel[MAX_ISLAND_PIXELS];  // from the top row to the bottom row
 };
 
 struct multigrid {
+  ptrdiff_t height, width;           // of the frame
   struct level levels[MAX_LEVELS];
   int count;
   bool built;                        // the coarse levels are those of the finest
@@ -53,6 +59,8 @@ struct multigrid {
 enum { CYCLE_LINES = 8, COARSEN_LINES = 40 };
 
 static inline float *row(float *plane, const struct level *l, ptrdiff_t i) { return plane + i * l->stride; }
+// Where row or column `k` of a frame of n, counted from 1, lies on the finest level.
+static inline ptrdiff_t on_finest(ptrdiff_t k, ptrdiff_t n) { return k == n ? n + 1 - n % 2 : k; }
 static inline const struct level *coarsest(const struct multigrid *m) { return &m->levels[m->count - 1]; }
 
 void coarsen(const struct multigrid *m, int level);
