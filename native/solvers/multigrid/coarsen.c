@@ -33,13 +33,16 @@ struct between {
   float weight_1, weight_2, lack, coupling, anchor_1, anchor_2;
 };
 
-// A pixel between two coarse pixels: couplings to both, collapsed diagonal couplings to their columns or rows, anchor.
-static inline struct between eliminate_side(float c1, float c2, float side1, float side2, float anchor) {
+// A pixel between two coarse pixels: couplings to both, collapsed diagonal couplings to their columns or rows, couplings
+// along the pixels between, and anchor. An anchor takes no more than its share of all that holds the pixel: one that is tied
+// weakly to both coarse pixels, and firmly to others between, would else be held at 0, and they with it.
+static inline struct between eliminate_side(float c1, float c2, float side1, float side2, float along, float anchor) {
   // Where columns hold together far more than rows, collapsed couplings can be negative, a little.
   float w1 = fabsf(c1 + side1), w2 = fabsf(c2 + side2);
-  const float scale = 1.0f / (w1 + w2 + anchor + TINY);
+  const float sum = w1 + w2, held = sum + (sum > 0 ? along : 0) + anchor + TINY;
+  const float lack = anchor / held, scale = (1 - lack) / (sum + TINY);
   w1 *= scale, w2 *= scale;
-  const float lack = anchor * scale, stiff = c1 + c2 + anchor, rest = anchor - stiff * lack;
+  const float stiff = c1 + c2 + anchor, rest = anchor - stiff * lack;
   const float coupling = c1 * w2 + c2 * w1 - w1 * w2 * stiff;
   return (struct between){w1, w2, lack, coupling, c1 * lack + w1 * rest, c2 * lack + w2 * rest};
 }
@@ -47,13 +50,14 @@ static inline struct between eliminate_side(float c1, float c2, float side1, flo
 // Pixels right of the coarse pixels (I, J), which lie in row `i` of the coarse level.
 static inline void across(const struct level *f, const struct level *c, ptrdiff_t i, bool diagonals, const struct sides *s) {
   const float *e = row(f->east, f, 2 * i - 1), *a = row(f->anchor, f, 2 * i - 1);
+  const float *s_low = row(f->south, f, 2 * i - 1), *s_up = s_low - f->stride;
   const float *se = diagonals ? row(f->southeast, f, 2 * i - 1) : e, *sw = diagonals ? row(f->southwest, f, 2 * i - 1) : e;
   const float *se_up = se - f->stride, *sw_up = sw - f->stride;
   float *left = row(c->weights[LEFT], c, i), *right = row(c->weights[RIGHT], c, i);
   const struct sides o = *s;
   INDEPENDENT for (ptrdiff_t j = 1; j <= c->width; j++) {
     const float side1 = diagonals ? se_up[2 * j - 1] + sw[2 * j] : 0, side2 = diagonals ? se[2 * j] + sw_up[2 * j + 1] : 0;
-    const struct between b = eliminate_side(e[2 * j - 1], e[2 * j], side1, side2, a[2 * j]);
+    const struct between b = eliminate_side(e[2 * j - 1], e[2 * j], side1, side2, s_low[2 * j] + s_up[2 * j], a[2 * j]);
     left[j] = b.weight_1, right[j] = b.weight_2;
     o.lack[j] = b.lack, o.coupling[j] = b.coupling, o.anchor_1[j] = b.anchor_1, o.anchor_2[j] = b.anchor_2;
   }
@@ -61,14 +65,15 @@ static inline void across(const struct level *f, const struct level *c, ptrdiff_
 
 // Pixels below the coarse pixels (I, J): also beyond the last, as right sides of the last blocks.
 static inline void down(const struct level *f, const struct level *c, ptrdiff_t i, bool diagonals, const struct sides *s) {
-  const float *s_low = row(f->south, f, 2 * i), *s_up = s_low - f->stride, *a = row(f->anchor, f, 2 * i);
+  const float *s_low = row(f->south, f, 2 * i), *s_up = s_low - f->stride, *e = row(f->east, f, 2 * i);
+  const float *a = row(f->anchor, f, 2 * i);
   const float *se = diagonals ? row(f->southeast, f, 2 * i) : a, *sw = diagonals ? row(f->southwest, f, 2 * i) : a;
   const float *se_up = se - f->stride, *sw_up = sw - f->stride;
   float *up = row(c->weights[UP], c, i), *low = row(c->weights[DOWN], c, i);
   const struct sides o = *s;
   INDEPENDENT for (ptrdiff_t j = 1; j <= c->width + 1; j++) {
     const float side1 = diagonals ? se_up[2 * j - 2] + sw_up[2 * j] : 0, side2 = diagonals ? se[2 * j - 1] + sw[2 * j - 1] : 0;
-    const struct between b = eliminate_side(s_up[2 * j - 1], s_low[2 * j - 1], side1, side2, a[2 * j - 1]);
+    const struct between b = eliminate_side(s_up[2 * j - 1], s_low[2 * j - 1], side1, side2, e[2 * j - 1] + e[2 * j - 2], a[2 * j - 1]);
     up[j] = b.weight_1, low[j] = b.weight_2;
     o.lack[j] = b.lack, o.coupling[j] = b.coupling, o.anchor_1[j] = b.anchor_1, o.anchor_2[j] = b.anchor_2;
   }
