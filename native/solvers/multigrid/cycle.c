@@ -66,8 +66,8 @@ static void interpolate_row(const struct level *c, ptrdiff_t i, float *restrict 
   if (i % 2) {
     const float *restrict l = c->weights[LEFT] + at, *restrict r = c->weights[RIGHT] + at;
     for (ptrdiff_t j = 1; j <= c->width; j++) {
-      guess[2 * j - 1] += x[j];
-      guess[2 * j] += l[j] * x[j] + r[j] * x[j + 1];
+      const float at = guess[2 * j - 1] + x[j], after = guess[2 * j] + (l[j] * x[j] + r[j] * x[j + 1]);
+      guess[2 * j - 1] = at, guess[2 * j] = after;
     }
     return;
   }
@@ -75,8 +75,9 @@ static void interpolate_row(const struct level *c, ptrdiff_t i, float *restrict 
   const float *restrict nw = c->weights[FROM_NW] + at, *restrict ne = c->weights[FROM_NE] + at;
   const float *restrict sw = c->weights[FROM_SW] + at, *restrict se = c->weights[FROM_SE] + at;
   for (ptrdiff_t j = 1; j <= c->width; j++) {
-    guess[2 * j - 1] += up[j] * x[j] + down[j] * y[j];
-    guess[2 * j] += (nw[j] * x[j] + ne[j] * x[j + 1]) + (sw[j] * y[j] + se[j] * y[j + 1]);
+    const float at = guess[2 * j - 1] + (up[j] * x[j] + down[j] * y[j]);
+    const float after = guess[2 * j] + ((nw[j] * x[j] + ne[j] * x[j + 1]) + (sw[j] * y[j] + se[j] * y[j + 1]));
+    guess[2 * j - 1] = at, guess[2 * j] = after;
   }
 }
 

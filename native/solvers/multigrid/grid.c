@@ -67,7 +67,7 @@ EXPORT void *multigrid_new(ptrdiff_t height, ptrdiff_t width) {
     multigrid_free(m);
     return NULL;
   }
-  const ptrdiff_t skipped = (ALIGNED - (uintptr_t)m->memory / sizeof(float) % ALIGNED) % ALIGNED;
+  const ptrdiff_t skipped = ALIGNED - 1 - (uintptr_t)m->memory / sizeof(float) % ALIGNED;
   share_out(m, m->memory + skipped);
   return m;
 }
