@@ -10,6 +10,8 @@ import pytest
 
 import gelform
 from gelform.depth import depth_from_gradients, edge_residuals, integrate
+from gelform.errors import ConvergenceError
+from gelform.solvers import SOLVERS
 from scenes import BALL, BUMP, CUT_BALL, MM_PER_PX, PLANE, SHAPE, SMALL_BALL, gaussian, polynomial, scene
 
 
@@ -231,3 +233,64 @@ def test_measured_groove_comes_back():
     gradients = gelform.gradients_from_depth(truth, mm_per_px=0.02746)
     depth = depth_from_gradients(gradients, mm_per_px=0.02746)
     assert np.std(depth - truth) < 1e-3 * np.ptp(truth)
+
+
+EXTREMES = {
+    "weights 1e-42": {"weights": np.float32(1e-42)},
+    "weights 3e38": {"weights": np.float32(3e38)},
+    "weights 1e-42 and an anchor": {"weights": np.float32(1e-42), "anchor": np.float32(1e-2)},
+    "anchor 3e38": {"anchor": np.float32(3e38)},
+    "anchor 1e-42": {"anchor": np.float32(1e-42)},
+    "weights 1 and 1e-42": {"weights": np.float32(1e-42), "one": True},
+    "slopes 3e38": {"slope": 3e38},
+    "slopes 1e30, weighted": {"slope": 1e30, "weights": np.float32(1)},
+    "slopes 1e-42, weighted": {"slope": 1e-42, "weights": np.float32(1)},
+}
+
+
+def extreme_frame(shape, slope=1.0, weights=None, anchor=None, one=False):
+    gradients = (slope * np.random.default_rng(0).uniform(-1, 1, (*shape, 2))).astype(np.float32)
+    maps = {"weights": weights, "anchor": anchor}
+    maps = {name: np.full(shape, value) for name, value in maps.items() if value is not None}
+    if one:
+        maps["weights"][shape[0] // 2, shape[1] // 2] = 1
+    return gradients, maps
+
+
+@pytest.mark.parametrize("title", EXTREMES)
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_extremes_end_in_finite_depth_or_a_named_error_and_poison_nothing(solver, title):
+    shape = (32, 24)
+    usual, _ = extreme_frame(shape)
+    weighted = {} if not SOLVERS[solver].takes_weights else {"weights": np.random.default_rng(1).uniform(0.1, 1, shape)}
+    before = depth_from_gradients(usual, mm_per_px=0.1, solver=solver, **weighted)
+    gradients, maps = extreme_frame(shape, **EXTREMES[title])
+    try:
+        depth = depth_from_gradients(gradients, mm_per_px=0.1, solver=solver, **maps)
+    except (ValueError, ConvergenceError) as error:
+        assert "Expected" in str(error)
+    else:
+        assert np.isfinite(depth).all()
+    after = depth_from_gradients(usual, mm_per_px=0.1, solver=solver, **weighted)
+    assert np.array_equal(before, after)
+
+
+def test_slopes_beyond_float32_are_named():
+    gradients, _ = extreme_frame((32, 24), slope=3e38)
+    for maps in ({}, {"weights": np.ones((32, 24))}):
+        with pytest.raises(ConvergenceError, match="Expected depth that float32 can hold"):
+            depth_from_gradients(gradients, mm_per_px=0.1, **maps)
+
+
+def test_an_anchor_beyond_float32_is_named():
+    gradients, maps = extreme_frame((32, 24), weights=np.float32(1e-42), anchor=np.float32(1e-2))
+    with pytest.raises(ValueError, match="Expected an anchor up to 1e\\+30 of the largest weight"):
+        depth_from_gradients(gradients, mm_per_px=0.1, **maps)
+
+
+def test_tiny_weights_count_as_any_others():
+    """Only ratios count: weights of 1e-42 poisoned every later call of that size."""
+    gradients, maps = extreme_frame((32, 24), weights=np.float32(1e-42))
+    tiny = depth_from_gradients(gradients, mm_per_px=0.1, **maps)
+    usual = depth_from_gradients(gradients, mm_per_px=0.1, weights=np.ones((32, 24)))
+    assert np.array_equal(tiny, usual)

@@ -18,12 +18,13 @@ class Pool(Generic[Work]):
 
     @contextmanager
     def one(self) -> Iterator[Work]:
-        """Work arrays that nobody else holds. list.pop and list.append are atomic: no lock is needed."""
+        """Work arrays that nobody else holds. list.pop and list.append are atomic: no lock is needed.
+
+        Where an exception leaves the block, they are forgotten: they may hold whatever made it fail.
+        """
         try:
             work = self._free.pop()
         except IndexError:
             work = self._make()
-        try:
-            yield work
-        finally:
-            self._free.append(work)
+        yield work
+        self._free.append(work)

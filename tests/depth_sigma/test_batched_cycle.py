@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gelform.depth_sigma.batched_cycle import solve_lanes
+from gelform.depth_sigma.probes import Hierarchy
 from gelform.solvers import SparseSolver
 from gelform.solvers.multigrid.cycle import RIGHT_SIDE
-from gelform.solvers.multigrid.solver import Hierarchy
 from gelform.solvers.system import load_right_side, problem_from_gradients
 
 

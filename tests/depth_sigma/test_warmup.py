@@ -47,7 +47,6 @@ def test_one_kernel_not_compiled_is_enough_to_tell(monkeypatch):
     """Among them those of `depth_sigma`, which may be missing where depth alone was asked for before."""
     warmup()
     assert {kernel.py_func.__name__ for kernel in SLOW} >= {
-        "solve",
         "build",
         "solve_lanes",
         "sigma_of_pixels",

@@ -19,9 +19,41 @@ from scipy.fft import dct
 
 from gelform.depth_sigma.batched_cycle import solve_lanes
 from gelform.pool import Pool
-from gelform.solvers.multigrid.cycle import EAST, KERNEL, SOUTH
-from gelform.solvers.multigrid.solver import Hierarchy
-from gelform.solvers.system import Problem
+from gelform.solvers.multigrid.cycle import EAST, KERNEL, PLANES, SOUTH
+from gelform.solvers.multigrid.hierarchy import LINES, N, build
+from gelform.solvers.system import Problem, load
+
+COARSEST = 40
+
+
+class Hierarchy:
+    """Work arrays for one frame at a time, and the couplings that they were last built for."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        levels = [(0, *shape)]
+        while levels[-1][1] * levels[-1][2] > COARSEST:
+            top, height, width = levels[-1]
+            levels.append((top + height + 3, (height + 1) // 2, (width + 1) // 2))
+        self.levels = np.array(levels, dtype=np.int64)
+        self.data = np.zeros((PLANES, levels[-1][0] + levels[-1][1] + 3, shape[1] + 3), dtype=np.float32)
+        self.dense = np.zeros((COARSEST, COARSEST), dtype=np.float32)
+        self._frame = slice(1, shape[0] + 1), slice(1, shape[1] + 1)
+        # Of a solve: lines of the frame's width, and the errors of the last four iterations.
+        self.scratch = np.zeros((3, shape[1] + 3), dtype=np.float32), np.zeros(4)
+        self._lines = np.zeros(LINES * N, dtype=np.float32)
+        self._elimination = np.zeros((COARSEST, 2 * COARSEST))
+        self._built = False
+
+    def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
+        """Take a frame; the coarse levels are computed anew only if its couplings differ from the last's."""
+        if load(self.data, problem, mm_per_px) or not self._built:
+            self.rebuild()
+
+    def rebuild(self) -> None:
+        """Compute the coarse levels from the finest."""
+        self._lines[:] = 0
+        build(self.data, self.levels, self.dense, self._lines, self._elimination)
+        self._built = True
 
 
 def white_draws(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:

@@ -12,12 +12,11 @@ from gelform.depth_sigma.batched_cycle import solve_lanes
 from gelform.depth_sigma.blocks import Cells, sigma_of_pixels
 from gelform.depth_sigma.probes import ProbeSolver, white_draws
 from gelform.solvers.dct import DctSolver
-from gelform.solvers.multigrid.conjugate import solve
 from gelform.solvers.multigrid.hierarchy import build
 from gelform.solvers.multigrid.solver import MultigridSolver
 
 # What takes longest to compile, of each part.
-SLOW = (solve, build, solve_lanes, sigma_of_pixels)
+SLOW = (build, solve_lanes, sigma_of_pixels)
 MESSAGE = "Compiling the depth solvers for this machine: some seconds, once."
 
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from gelform.pool import Pool
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.edges import Pair, differences, divergence, edges_from_gradients
-from gelform.solvers.multigrid.cycle import RIGHT_SIDE
-from gelform.solvers.multigrid.solver import Hierarchy
+from gelform.solvers.multigrid.grid import Grid
 from gelform.solvers.seam import Solution, Weights
-from gelform.solvers.system import FLOOR, Problem, load_couplings, problem_from_gradients
+from gelform.solvers.system import FLOOR, Problem, problem_from_gradients
 
 Loss = Callable[[NDArray[Any]], NDArray[Any]]
 
@@ -61,7 +60,7 @@ class RobustSolver:
         self.rounds = rounds
         self._weight = LOSSES[self.loss]
         self._uniform = DctSolver(shape, mm_per_px)
-        self._pool = Pool(lambda: Hierarchy(shape))
+        self._pool = Pool(lambda: Grid(shape))
 
     def __call__(
         self,
@@ -72,20 +71,20 @@ class RobustSolver:
     ) -> Solution:
         """Depth of one frame; given weights multiply those of the loss."""
         problem = _per_edge(problem_from_gradients(gradients, weights, mask, anchor))
-        with self._pool.one() as hierarchy:
+        with self._pool.one() as grid:
             if weights is None and mask is None and anchor is None:
                 depth, iterations, error = self._uniform(gradients).depth_mm, 0, 0.0
             else:
-                hierarchy.load(problem, self.mm_per_px)
-                depth, iterations, error = hierarchy.solve(TOLERANCE, 1000)
+                grid.load(problem, self.mm_per_px)
+                depth, iterations, error = grid.solve(TOLERANCE, 1000)
             for turn in range(self.rounds):
-                self._load_round(hierarchy, problem, depth)
+                self._load_round(grid, problem, depth)
                 tolerance = LAST_TOLERANCE if turn == self.rounds - 1 else TOLERANCE
-                depth, more, error = hierarchy.solve(tolerance, 1000, depth, float(np.ptp(depth)))
+                depth, more, error = grid.solve(tolerance, 1000, depth, float(np.ptp(depth)))
                 iterations += more
         return Solution(depth, problem.known, iterations, error)
 
-    def _load_round(self, hierarchy: Hierarchy, problem: Problem, depth: NDArray[np.float32]) -> None:
+    def _load_round(self, grid: Grid, problem: Problem, depth: NDArray[np.float32]) -> None:
         """New weights from the residuals of a depth; the right side is what it leaves unsatisfied."""
         assert problem.edges is not None
         assert problem.edge_weights is not None
@@ -95,12 +94,11 @@ class RobustSolver:
         weights = tuple(
             w * np.maximum(self._weight(r / usual), FLOOR) for w, r in zip(problem.edge_weights, residual)
         )
-        load_couplings(hierarchy.data, weights, problem.anchor, pitch)  # type: ignore[arg-type]
-        hierarchy.rebuild()
         flux = tuple(w * r for w, r in zip(weights, residual))
         right = divergence(flux, pitch) * np.float32(pitch[0] * pitch[1])  # type: ignore[arg-type]
-        height, width = self.shape
-        hierarchy.data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = right - problem.anchor * depth
+        stretched = weights[0] * (pitch[1] / pitch[0]), weights[1] * (pitch[0] / pitch[1])
+        system = *stretched, right - problem.anchor * depth, problem.anchor
+        grid.load_edges(*(np.ascontiguousarray(array, dtype=np.float32) for array in system))
 
 
 class HuberSolver(RobustSolver):

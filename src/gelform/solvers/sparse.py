@@ -8,9 +8,8 @@ import numpy as np
 import scipy  # its parts load at first use: a weighted solve needs none of them
 from numpy.typing import NDArray
 
-from gelform.solvers.multigrid.cycle import ANCHOR, EAST, RIGHT_SIDE, SOUTH
 from gelform.solvers.seam import Solution, Weights
-from gelform.solvers.system import Problem, load, problem_from_gradients
+from gelform.solvers.system import Problem, edge_system, problem_from_gradients
 
 
 class SparseSolver:
@@ -49,15 +48,13 @@ def normal_equations(
 ) -> tuple[scipy.sparse.csr_matrix, NDArray[np.float64]]:
     """Matrix (H*W, H*W) and right side of the least-squares problem, in float64."""
     height, width = problem.mask.shape
-    data = np.zeros((RIGHT_SIDE + 1, height + 3, width + 3))
-    load(data, problem, mm_per_px)
-    planes = [data[plane, 1 : height + 1, 1 : width + 1] for plane in (EAST, SOUTH, ANCHOR, RIGHT_SIDE)]
+    east, south, right = edge_system(problem, mm_per_px)
     pixel = np.arange(height * width).reshape(height, width)
     one = np.concatenate([pixel[:, :-1].ravel(), pixel[:-1].ravel()])
     other = np.concatenate([pixel[:, 1:].ravel(), pixel[1:].ravel()])
-    tie = np.concatenate([planes[0][:, :-1].ravel(), planes[1][:-1].ravel()])
+    tie = np.concatenate([east.ravel(), south.ravel()]).astype(np.float64)
     coupling = scipy.sparse.csr_matrix((tie, (one, other)), shape=(pixel.size, pixel.size))
     coupling = coupling + coupling.T
     coupling.eliminate_zeros()
-    diagonal: Any = np.asarray(coupling.sum(axis=1)).ravel() + planes[2].ravel()
-    return scipy.sparse.csr_matrix(scipy.sparse.diags(diagonal) - coupling), planes[3].ravel()
+    diagonal: Any = np.asarray(coupling.sum(axis=1)).ravel() + problem.anchor.ravel()
+    return scipy.sparse.csr_matrix(scipy.sparse.diags(diagonal) - coupling), right.ravel().astype(np.float64)

@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.gradients import fill_unknown
 from gelform.solvers.edges import Pair, divergence, edges_from_gradients
 from gelform.solvers.multigrid.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
@@ -24,6 +25,8 @@ from gelform.solvers.seam import Weights
 # Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
 # raised to it: smaller ones would isolate regions beyond what float32 resolves.
 FLOOR = 1e-3
+# What float32 holds beside weights of 1, with room for sums.
+_HIGHEST_ANCHOR = 1e30
 
 
 class Problem(NamedTuple):
@@ -41,6 +44,12 @@ class Problem(NamedTuple):
     known: NDArray[np.bool_]
 
 
+_scale_weights = Kernel(
+    "scale_weights",
+    "f32[h,w] weights, bool[h,w]? mask, f32 floor, out f32[h,w] confidence, out bool[h,w] trusted, out f64[2] found",
+)
+
+
 def problem_from_gradients(
     gradients: NDArray[Any], weights: Weights, mask: NDArray[np.bool_] | None, anchor: NDArray[Any] | None
 ) -> Problem:
@@ -49,27 +58,38 @@ def problem_from_gradients(
     Only the ratios of weights and anchor count: both are divided by the largest weight.
     """
     shape = gradients.shape[:2]
+    gradients = np.ascontiguousarray(gradients, dtype=np.float32)
     whole = mask is None
     mask = _constant(shape, True) if mask is None else mask
     if anchor is None:
         anchor = _constant(shape, 0.0)
-    elif not whole:
-        anchor = anchor * mask
+    else:
+        anchor = np.ascontiguousarray(anchor if whole else anchor * mask, dtype=np.float32)
     if isinstance(weights, tuple):
         return _problem_per_edge(gradients, weights, mask, anchor)
     if weights is None:
         return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask.copy())
-    largest = _largest(weights if whole else weights[mask])
-    trusted = weights >= FLOOR * largest
-    confidence = np.maximum(weights * np.float32(1 / largest), np.float32(FLOOR))
-    if not whole:
-        trusted, confidence = trusted & mask, confidence * mask
-    if np.count_nonzero(trusted) < (trusted.size if whole else np.count_nonzero(mask)):
+    confidence, trusted, found = np.empty(shape, np.float32), np.empty(shape, bool), np.empty(2)
+    pixels = np.ascontiguousarray(weights, dtype=np.float32)
+    _scale_weights(pixels, None if whole else mask, FLOOR, confidence, trusted, found)
+    largest, untrusted = _checked_largest(float(found[0])), int(found[1])
+    if untrusted:
         gradients = fill_unknown(gradients, trusted)
     known = trusted if anchor is _constant(shape, 0.0) else trusted | (anchor > 0)
-    if largest != 1:
-        anchor = anchor * np.float32(1 / largest)
-    return Problem(gradients, confidence, None, None, mask, anchor, known)
+    return Problem(gradients, confidence, None, None, mask, _relative(anchor, largest), known)
+
+
+def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32]:
+    """The anchor in units of the largest weight."""
+    if largest == 1 or anchor is _constant(anchor.shape, 0.0):
+        return anchor
+    highest = float(anchor.max()) / largest
+    if highest > _HIGHEST_ANCHOR:
+        raise ValueError(
+            f"Expected an anchor up to {_HIGHEST_ANCHOR:.0e} of the largest weight, {largest:.1e}, got {highest:.1e}. "
+            "Only the ratio of anchor and weights counts: check the scale of both."
+        )
+    return (anchor / largest).astype(np.float32)
 
 
 @lru_cache(maxsize=16, typed=True)
@@ -82,28 +102,47 @@ def _problem_per_edge(
     gradients: NDArray[Any], weights: Pair, mask: NDArray[np.bool_], anchor: NDArray[Any]
 ) -> Problem:
     inside = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
-    largest = _largest(np.concatenate([w[i] for w, i in zip(weights, inside)]))
+    inner = np.concatenate([w[i] for w, i in zip(weights, inside)])
+    largest = _checked_largest(float(inner.max()) if inner.size else 0.0)
     trusted = tuple((w >= FLOOR * largest) & i for w, i in zip(weights, inside))
     edges = edges_from_gradients(gradients)
     filled = tuple(e if t.all() else fill_unknown(e[..., None], t)[..., 0] for e, t in zip(edges, trusted))
-    scaled = tuple(np.maximum(w / largest, FLOOR) * i for w, i in zip(weights, inside))
+    scaled = tuple((np.maximum(w / largest, FLOOR) * i).astype(np.float32) for w, i in zip(weights, inside))
     known = anchor > 0
     known[:, 1:] |= trusted[0]
     known[:, :-1] |= trusted[0]
     known[1:] |= trusted[1]
     known[:-1] |= trusted[1]
-    anchor = anchor / np.float32(largest)
-    return Problem(None, None, filled, scaled, mask, anchor, known)  # type: ignore[arg-type]
+    return Problem(None, None, filled, scaled, mask, _relative(anchor, largest), known)  # type: ignore[arg-type]
 
 
-def _largest(weights: NDArray[Any]) -> float:
-    largest = float(weights.max()) if weights.size else 0.0
+def _checked_largest(largest: float) -> float:
     if largest == 0:
         raise ValueError(
             "Expected weights with at least one value > 0 inside the mask, got 0 everywhere: no slope says "
             "anything. Lower what is asked of a pixel to be trusted, or leave weights out."
         )
     return largest
+
+
+def edge_system(
+    problem: Problem, mm_per_px: tuple[float, float]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Couplings (H, W-1) and (H-1, W), and right side (H, W).
+
+    An edge between two pixels counts by the harmonic mean of their confidence: the variance of an averaged slope.
+    """
+    edges, weights = problem.edges, problem.edge_weights
+    if edges is None or weights is None:
+        assert problem.gradients is not None
+        assert problem.confidence is not None
+        c = problem.confidence.astype(np.float64)
+        pairs = (c[:, 1:], c[:, :-1]), (c[1:], c[:-1])
+        edges = edges_from_gradients(problem.gradients.astype(np.float64))
+        weights = tuple(2 * a * b / np.maximum(a + b, 1e-30) for a, b in pairs)  # type: ignore[assignment]
+    hx, hy = mm_per_px
+    flux = edges[0] * weights[0], edges[1] * weights[1]
+    return weights[0] * (hy / hx), weights[1] * (hx / hy), divergence(flux, mm_per_px) * (hx * hy)
 
 
 def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -> bool:
