@@ -24,7 +24,7 @@ from scipy.fft import dctn, idctn
 
 import gelform
 from gelform.solvers import SOLVERS, MultigridSolver, RobustSolver, SparseSolver
-from gelform.solvers.multigrid.solver import Hierarchy
+from gelform.solvers.multigrid.grid import Grid
 from gelform.solvers.system import problem_from_gradients
 from scenes import (
     BALL,
@@ -170,15 +170,15 @@ def timed_weighted(
     """Setup and solve of `multigrid`, its iterations, and its error against `sparse` where feasible."""
     gradients, weights, pitch, depth = frame_with_outliers(shape, kind)
     size = f"{shape[0]}x{shape[1]}"
-    hierarchy = Hierarchy(shape)
+    grid = Grid(shape)
     anchors = {"": None, ", anchored": np.where(depth < 0.05, 1e-2, 0).astype(np.float32)}
     for title, anchor in anchors.items():
         problem = problem_from_gradients(gradients, weights, None, anchor)
 
         def work(problem: Any = problem) -> Any:
-            hierarchy.load(problem, pitch)
-            hierarchy.rebuild()
-            return hierarchy.solve(4e-4, 1000)
+            grid.load(problem, pitch)
+            grid.build()
+            return grid.solve(4e-4, 1000)
 
         name = f"multigrid, {kind}{title}"
         table.setdefault(name, {})[size], ms = ratio(work, bare, max(5, repeats // 3))

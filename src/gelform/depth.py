@@ -11,11 +11,18 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel, is_finite
 from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
+from gelform.errors import ConvergenceError
 from gelform.gradients import curl_rms, fill_unknown
 from gelform.solvers import SOLVERS, Solution, Solver, Weights
 from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
 from gelform.zero import Level, Zero, fitted_surface, median_over, zero_depth, zero_region
+
+# So that no sum of their squares over a frame overflows in float32.
+HIGHEST_SLOPE = 1e15
+
+_magnitude = Kernel("magnitude_f32", "f32[...] values, out f32[1] largest")
 
 
 @dataclass(frozen=True)
@@ -181,6 +188,7 @@ def _checked(
 ) -> _Request:
     pitch = check_mm_per_px(mm_per_px)
     g = check_gradients(gradients)
+    _checked_slopes(g)
     shape = (g.shape[-3], g.shape[-2])
     if level not in (None, "slope", "plane", "quadratic"):
         raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
@@ -216,6 +224,16 @@ def _chosen(solver: str, *, uniform: bool) -> str:
     if checked_solver(solver) == "auto":
         return "dct" if uniform else "multigrid"
     return solver
+
+
+def _checked_slopes(gradients: NDArray[np.float32]) -> None:
+    largest = np.empty(1, dtype=np.float32)
+    _magnitude(gradients, largest)
+    if largest[0] > HIGHEST_SLOPE:
+        raise ValueError(
+            f"Expected slopes up to {HIGHEST_SLOPE:.0e} mm/mm, got {largest[0]:.1e}: what they add up to is beyond "
+            "float32. Mark such pixels with weights of 0 and put any small value there."
+        )
 
 
 def _checked_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
@@ -262,6 +280,11 @@ def _solved(request: _Request) -> Solution:
     for index in np.ndindex(g.shape[:-3]):
         weights = request.weights[index] if stacked else request.weights  # type: ignore[index,call-overload]
         frame = solver(g[index], weights, request.mask, request.anchor)
+        if not is_finite(frame.depth_mm):
+            raise ConvergenceError(
+                f"Expected finite depth, got infinity or NaN from solver {request.solver!r}. Slopes, weights, anchor "
+                "or mm_per_px differ by more than float32 holds: check their scales."
+            )
         frames.append(frame._replace(depth_mm=_placed(frame.depth_mm, request)))
     if g.ndim == 3:
         return frames[0]

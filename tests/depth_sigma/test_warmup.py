@@ -51,7 +51,7 @@ def test_one_kernel_not_compiled_is_enough_to_tell(monkeypatch):
         "solve_lanes",
         "sigma_of_pixels",
     }
-    monkeypatch.setattr("gelform.depth_sigma.warmup.SLOW", (*SLOW, never_called))
+    monkeypatch.setattr(sys.modules[warmup.__module__], "SLOW", (*SLOW, never_called))
     told = []
     warmup(told.append)
     assert told == [MESSAGE]

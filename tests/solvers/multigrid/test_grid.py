@@ -12,7 +12,7 @@ from gelform.solvers.multigrid import grid as native
 from gelform.solvers.multigrid.grid import Grid
 from gelform.solvers.system import edge_system, problem_from_gradients
 from kernel_agreement import usable_isas
-from scenes import PEAKS, confidence_from_valid, scene, with_liars, with_noise, with_patches
+from scenes import PEAKS, confidence_from_valid, scene, with_noise, with_outliers, with_patches
 
 SHAPES = [(11, 13), (12, 9), (10, 16), (1, 90), (8, 200)]
 PITCH = (0.1, 0.13)
@@ -215,7 +215,7 @@ def outliers(shape, corrupt):
     return wrong.gradients, weights, sample.mm_per_px, np.where(sample.depth_mm < 0.05, 1e-2, 0)
 
 
-@pytest.mark.parametrize("corrupt", [with_liars, with_patches])
+@pytest.mark.parametrize("corrupt", [with_outliers, with_patches])
 @pytest.mark.parametrize("anchored", [False, True])
 def test_no_local_mode_is_left_at_480x640(corrupt, anchored):
     """Borders without coarse pixels, islands and anchored narrows took 9 and 11 iterations here."""
@@ -227,7 +227,7 @@ def test_no_local_mode_is_left_at_480x640(corrupt, anchored):
 @pytest.mark.parametrize("anchored", [False, True])
 def test_past_convergence_rounding_is_not_chased(anchored):
     shape = (60, 80)
-    gradients, weights, pitch, anchor = outliers(shape, with_liars)
+    gradients, weights, pitch, anchor = outliers(shape, with_outliers)
     problem = problem_from_gradients(gradients, weights, None, anchor if anchored else None)
     grid, solve = Grid(shape), native._solve
     depths = []
@@ -241,14 +241,14 @@ def test_past_convergence_rounding_is_not_chased(anchored):
 
 
 def test_a_tolerance_beyond_float32_is_refused():
-    gradients, weights, pitch, _ = outliers((60, 80), with_liars)
+    gradients, weights, pitch, _ = outliers((60, 80), with_outliers)
     with pytest.raises(ConvergenceError, match="below 1e-6, where float32 ends"):
         MultigridSolver((60, 80), pitch, tolerance=1e-12, max_iterations=50)(gradients, weights)
 
 
 @pytest.mark.parametrize("size", [1e-30, 1e-12, 1e12, 1e25])
 def test_depth_is_proportional_to_slopes_of_any_size(size):
-    gradients, weights, pitch, anchor = outliers((60, 80), with_liars)
+    gradients, weights, pitch, anchor = outliers((60, 80), with_outliers)
     solve = MultigridSolver((60, 80), pitch)
     usual = solve(gradients, weights, None, anchor).depth_mm
     scaled = solve((gradients * size).astype(np.float32), weights, None, anchor).depth_mm / size
@@ -270,7 +270,7 @@ def test_instruction_sets_give_the_same_bits(shape):
 
 
 def test_agrees_with_elimination_at_full_size():
-    gradients, weights, pitch, anchor = outliers((240, 320), with_liars)
+    gradients, weights, pitch, anchor = outliers((240, 320), with_outliers)
     fast = MultigridSolver((240, 320), pitch)(gradients, weights, None, anchor).depth_mm
     slow = SparseSolver((240, 320), pitch)(gradients, weights, None, anchor).depth_mm
     assert np.abs(fast - slow).max() < 4e-4 * np.ptp(slow)

@@ -1,0 +1,57 @@
+"""The problem that all weighted solvers share: scaled weights, what is trusted, couplings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gelform.solvers import system
+from gelform.solvers.system import FLOOR, edge_system, problem_from_gradients
+from kernel_agreement import assert_kernel_agrees
+
+
+def scaled(weights, mask, floor, confidence, trusted, found):
+    """In numpy: what `scale_weights` writes."""
+    inside = np.ones(weights.shape, bool) if mask is None else mask
+    largest = weights[inside].max(initial=0)
+    if largest == 0:
+        return confidence * 0, trusted & False, np.array([0.0, 0.0])
+    share = np.where(inside, weights, 0) / largest
+    count = np.count_nonzero(inside & (share < np.float32(floor)))
+    return (
+        np.maximum(share, np.float32(floor)) * inside,
+        share >= np.float32(floor),
+        np.array([largest, count]),
+    )
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-42, 3e38])
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("shape", [(1, 1), (7, 33), (20, 48)])
+def test_weights_are_scaled_as_in_numpy(shape, masked, size):
+    rng = np.random.default_rng(1)
+    weights = (10 ** rng.uniform(-5, 0, shape) * size).astype(np.float32)
+    mask = rng.uniform(size=shape) > 0.4 if masked else None
+    outputs = np.zeros(shape, np.float32), np.zeros(shape, bool), np.zeros(2)
+    assert_kernel_agrees(system._scale_weights, scaled, weights, mask, FLOOR, *outputs)
+
+
+def test_weights_of_zero_leave_nothing_trusted():
+    weights, outputs = (
+        np.zeros((3, 4), np.float32),
+        (np.zeros((3, 4), np.float32), np.zeros((3, 4), bool), np.ones(2)),
+    )
+    assert_kernel_agrees(system._scale_weights, scaled, weights, None, FLOOR, *outputs)
+
+
+def test_edges_of_pixels_are_those_of_their_harmonic_means():
+    rng = np.random.default_rng(2)
+    gradients, confidence = rng.standard_normal((5, 6, 2)), rng.uniform(0.1, 1, (5, 6))
+    confidence[2, 3] = 1
+    pairs = (confidence[:, 1:], confidence[:, :-1]), (confidence[1:], confidence[:-1])
+    edges = tuple(2 * a * b / (a + b) for a, b in pairs)
+    by_pixel = edge_system(problem_from_gradients(gradients, confidence, None, None), (0.1, 0.13))
+    by_edge = edge_system(problem_from_gradients(gradients, edges, None, None), (0.1, 0.13))
+    largest = max(e.max() for e in edges)  # weights per edge are scaled by the largest of them
+    for one, other in zip(by_pixel, by_edge):
+        assert one == pytest.approx(other * largest, abs=1e-6)
