@@ -13,8 +13,14 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import json
+import subprocess
+import sys
+import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -23,15 +29,21 @@ import numpy as np
 import gelform
 from gelform.anchor import RestAnchor
 from gelform.background.change import PreparedBackground
-from gelform.background.untouched import untouched_from_color_change
+from gelform.background.untouched import reference_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
-from gelform.confidence import PreparedSigma
+from gelform.color_models.seam import gradients_from_pending
+from gelform.confidence import PreparedSigma, solved_sigma
 from gelform.contact import contact_from_depth
+from gelform.depth_sigma.sigma import DepthSigma
+from gelform.gradients import slopes_of_solution
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from gelform.view import View
 from report import dct_pair, median_ms, table, write
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
+PLAIN, EVERYTHING = "whole frame, dct, no sigma of depth", "whole frame, everything on"
+FIRST_FRAMES = 5
+PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
 
 
 def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndarray]:
@@ -50,55 +62,75 @@ def calibration_at(shape: tuple[int, int]) -> tuple[gelform.Calibration, np.ndar
     )
     background = cv2.resize(simulated.background, size, interpolation=cv2.INTER_CUBIC).astype(np.float32)
     folder = Presses("simulated", presses, background, small.mm_per_px / scale, None, "s", None, None, View())
-    calibration = gelform.calibrate(folder, color_model="polynomial")
+    calibration = gelform.calibrate(folder, color_model="hierarchical")
     press = simulate_press(small, Ball(3.0), depth_mm=0.6, rng=np.random.default_rng(1))
     return calibration, cv2.resize(press.image, size, interpolation=cv2.INTER_CUBIC)
 
 
-def with_full_polynomial(calibration: gelform.Calibration) -> gelform.Calibration:
-    """The same with the largest polynomial that calibration tries, whatever it chose for this sensor."""
-    from gelform.color_models import PolynomialModel
-    from gelform.color_models._shared.least_squares import monomials, position_powers
-
-    degrees = (4, 3, 1)
-    count = sum(len(position_powers(degrees[len(term) - 1])) for term in monomials(3, 3))
-    coefficients = np.random.default_rng(0).normal(0, 1e-3, (count, 2))
-    model = calibration.color_model
-    if isinstance(model, PolynomialModel) and len(model.coefficients) == count:
-        return calibration
-    return replace(calibration, color_model=PolynomialModel(coefficients, degrees, calibration.image_shape))
-
-
 def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Callable[[], Any]]:
-    """Each stage of a frame on its own, and the whole."""
+    """Each stage of a frame on its own; the whole without sigma and weights, and with everything."""
     reconstruct = gelform.Reconstructor(calibration)
-    background = reconstruct.background
-    rest = PreparedBackground(background, calibration.change)
-    model = calibration.color_model.prepare(background, calibration.image_shape)
-    exposure, _ = rest.compare(image)
-    change = rest.change(image, exposure)
-    gradients = model.gradients_from_color(change)[0]
-    untouched = untouched_from_color_change(change, calibration.untouched_change)
-    pitch = calibration.mm_per_px
-    depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, zero=untouched)
+    plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
+    prepared = PreparedBackground(calibration.background, calibration.change)
+    model = calibration.color_model.prepare(calibration.background, calibration.image_shape)
+    exposure, _ = prepared.compare(image)
+    change = np.empty((*calibration.image_shape, 3), dtype=np.float32)
+    gradients, _ = gradients_from_pending(model, prepared.pending(image, exposure), change)
+    threshold, pitch = calibration.untouched_change, calibration.known_mm_per_px
+    reference = reference_from_color_change(change, gradients, threshold)
     sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
+    untouched, deviation, confidence = sigma(image, change, gradients, reference)
+    unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # gradients have lost theirs above
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
-    _, confidence = sigma(gradients, image, untouched, change)
     hold = anchor(gradients, untouched)
+    how = {"weights": confidence, "anchor": hold}
+    depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **how)
+    both = np.broadcast_to(deviation[..., None], gradients.shape)
+    depth_sigma = DepthSigma(
+        calibration.image_shape,
+        mm_per_px=pitch,
+        correlation_px=calibration.slope_sigma.correlation_px,
+        correlated_share=calibration.slope_sigma.correlated_share,
+    )
     return {
-        "exposure, background check": lambda: rest.compare(image),
-        "color change": lambda: rest.change(image, exposure),
-        "color model (polynomial 4-3-1)": lambda: model.gradients_from_color(change),
-        "untouched pixels": lambda: untouched_from_color_change(change, calibration.untouched_change),
-        "sigma and confidence": lambda: sigma(gradients, image, untouched, change),
+        "exposure, background check": lambda: prepared.compare(image),
+        "color change, blur and color model": lambda: gradients_from_pending(
+            model, prepared.pending(image, exposure), change
+        ),
+        "what untouched pixels have in common": lambda: reference_from_color_change(
+            change, gradients, threshold
+        ),
+        "untouched, gamut, sigma, confidence": lambda: sigma(image, change, gradients, unbiased),
         "anchor at rest": lambda: anchor(gradients, untouched),
-        "depth (dct), for comparison": lambda: gelform.integrate(gradients, mm_per_px=pitch, zero=untouched),
-        "depth (weighted, anchored), residual": lambda: gelform.integrate(
-            gradients, mm_per_px=pitch, weights=confidence, anchor=hold
+        "depth (dct), residual, curl": lambda: gelform.integrate(
+            gradients, mm_per_px=pitch, zero=untouched, solver="dct"
+        ),
+        "depth (weighted, anchored), residual, curl": lambda: gelform.integrate(
+            gradients, mm_per_px=pitch, **how
+        ),
+        "sigma of depth": lambda: depth_sigma(both, **how),
+        "slopes of the depth and their sigma": lambda: (
+            slopes_of_solution(depth, (pitch, pitch)),
+            solved_sigma(both, None, 1.0),
         ),
         "contact": lambda: contact_from_depth(depth, mm_per_px=pitch),
-        "whole frame": lambda: reconstruct.from_image(image),
+        PLAIN: lambda: plain.from_image(image),
+        EVERYTHING: lambda: reconstruct.from_image(image),
     }
+
+
+def first_frame_s(calibration: gelform.Calibration, image: np.ndarray) -> float:
+    """Seconds from the start of a new Python process to its first result; the least of some."""
+    with tempfile.TemporaryDirectory() as folder:
+        calibration.save(Path(folder) / "cal.npz")
+        np.save(Path(folder) / "image.npy", image)
+        code = "import gelform, numpy; gelform.Reconstructor('cal.npz').from_image(numpy.load('image.npy'))"
+        seconds = []
+        for _ in range(FIRST_FRAMES):
+            started = time.perf_counter()
+            subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+            seconds.append(time.perf_counter() - started)
+    return min(seconds)
 
 
 def main() -> None:
@@ -106,17 +138,27 @@ def main() -> None:
     figures: dict[str, Any] = {}
     for shape in SIZES:
         calibration, image = calibration_at(shape)
-        calls = stages(with_full_polynomial(calibration), image)
+        calls = stages(calibration, image)
         pair, *times = median_ms([dct_pair(shape), *calls.values()], rounds=101, seconds=15)
         figures[f"{shape[0]}x{shape[1]}"] = {
             "D": pair,
             **{name: {"ms": ms, "D": ms / pair} for name, ms in zip(calls, times)},
         }
+        if shape == SIZES[0]:
+            first = first_frame_s(calibration, image)
     names = list(next(iter(figures.values())))[1:]
     rows: list[list[Any]] = [["bare DCT pair D", *(f"{f['D']:.2f} ms" for f in figures.values())]]
     rows += [[n, *(f"{f[n]['D']:.1f} D ({f[n]['ms']:.2f} ms)" for f in figures.values())] for n in names]
     print(table(["stage", *figures], rows))
-    write("speed", {"sizes": figures})
+    peer = next(iter(PEERS["frame_speed"].values()))["D"]
+    small = figures["240x320"]
+    over = {name: peer / small[name]["D"] for name in (PLAIN, EVERYTHING)}
+    print(
+        f"gs_sdk's get_surface_info: {peer} D; "
+        + ", ".join(f"{k}: {v:.1f} times faster" for k, v in over.items())
+    )
+    print(f"first frame of a new process: {first:.2f} s")
+    write("speed", {"sizes": figures, "times_faster_than_gs_sdk": over, "first_frame_s": first})
 
 
 if __name__ == "__main__":
