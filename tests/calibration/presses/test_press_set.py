@@ -1,0 +1,71 @@
+"""A set of presses: which scale and view it gets from what was asked, beside the data and known by name."""
+
+import numpy as np
+import pytest
+
+from gelform.calibration.presses.press_set import Listed, ReadOptions, press_from_frame
+from gelform.errors import DataError
+from gelform.sensors.files import SensorSettings
+from gelform.sensors.profiles import PROFILES
+from gelform.view import View
+
+MINI = PROFILES["gelsight-mini"]
+
+
+@pytest.fixture
+def beside(tmp_path):
+    (tmp_path / "sensor.toml").write_text(
+        'name = "mine"\nmm_per_px = 0.07\nmm_per_px_sigma = 0.001\n[measured]\nscale = "a punch"\nlens = "a grid"\n'
+    )
+    return tmp_path
+
+
+def test_the_scale_that_is_given_goes_first(beside):
+    asked = ReadOptions(mm_per_px=0.05).settings(beside)
+    assert (asked.name, asked.mm_per_px, asked.mm_per_px_sigma) == ("mine", 0.05, None)
+    assert asked.measured == {"lens": "a grid"}, "what measured the other scale is not this one's source"
+
+
+def test_then_what_lies_beside_the_data_then_what_they_know_then_the_profile(beside, tmp_path):
+    known = SensorSettings("known", 0.06)
+    assert ReadOptions(sensor="gelsight-mini").settings(beside, known).mm_per_px == 0.07
+    (tmp_path / "other").mkdir()
+    assert ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other", known) == known
+    by_profile = ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other")
+    assert (by_profile.name, by_profile.mm_per_px) == (MINI.name, MINI.mm_per_px)
+
+
+def test_no_scale_is_refused_with_what_to_do(tmp_path):
+    with pytest.raises(DataError, match=r"No scale for .*--mm-per-px.*gelform scale"):
+        ReadOptions().settings(tmp_path)
+
+
+def test_the_view_that_is_asked_for_goes_first():
+    own = SensorSettings("mine", 0.07, view=View((480, 640), flip="x"))
+    frame = (480, 640)
+    assert ReadOptions(crop=(1, 2, 30, 40)).view(own, frame) == View(frame, (1, 2, 30, 40))
+    assert ReadOptions(sensor="gelsight-mini").view(own, frame) == own.view
+    plain = SensorSettings("mine", 0.07)
+    assert ReadOptions().view(plain, frame).is_identity
+    assert ReadOptions(sensor="gelsight-mini").view(plain, frame) == MINI.view(frame)
+
+
+def test_a_ball_has_to_be_known():
+    assert ReadOptions(ball_diameter_mm=6.35).ball("x") == 6.35
+    with pytest.raises(DataError, match=r"x: which ball pressed\?.*--ball-diameter-mm"):
+        ReadOptions().ball("x")
+
+
+def test_a_press_is_its_frame_through_the_view():
+    frame = np.random.default_rng(0).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+    press = press_from_frame(Listed("a.png", 6.0), frame, View((4, 6), flip="x"))
+    np.testing.assert_array_equal(press.image, frame[:, ::-1])
+    again = press_from_frame(Listed("b.png", 6.0), frame[:, ::-1], View())
+    assert press.digest == again.digest != press_from_frame(Listed("a.png", 6.0), frame, View()).digest
+
+
+def test_a_subset_is_of_the_same_sensor(presses):
+    some = presses.subset([2, 0])
+    assert [press.name for press in some.presses] == [presses.presses[2].name, presses.presses[0].name]
+    assert some.image_shape == presses.image_shape
+    assert some.background is presses.background

@@ -1,0 +1,40 @@
+"""What a calibration run found, as its report lists it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gelform.calibration.report.record import summary
+from gelform.metrics import PressErrors
+
+
+def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calibration):
+    rows = calibration.report.presses
+    assert [row.name for row in rows] == [press.name for press in presses.presses]
+    assert any(row.accepted for row in rows)
+    for row in rows:
+        assert row.accepted == (row.reason is None) == (row.errors is not None)
+        assert (row.center_sigma_px is not None) == row.accepted
+
+
+def test_one_candidate_is_chosen_and_none_has_no_error(calibration):
+    tried = calibration.report.candidates
+    assert sum(one["chosen"] for one in tried) == 1
+    assert all(one["normal_free_deg"] > 0 for one in tried)
+
+
+def test_it_is_json_without_the_samples(calibration):
+    content = json.loads(json.dumps(calibration.report.to_dict()))
+    assert "samples" not in content
+    assert "start" not in content
+    assert content["held_out"]["presses"] == sum(row.accepted for row in calibration.report.presses)
+
+
+def test_the_summary_is_of_all_presses():
+    names = PressErrors.__dataclass_fields__
+    errors = [PressErrors(**dict.fromkeys(names, value)) for value in (1.0, 2.0, 6.0)]
+    said = summary(errors)
+    assert said["presses"] == 3
+    assert said["normal_free_deg"] == pytest.approx(3.0)
+    assert np.isfinite(list(said.values())).all()

@@ -1,0 +1,80 @@
+"""An imported network: what it is fed, how its answer is read, and that no change is no slope."""
+
+import numpy as np
+import pytest
+
+from gelform.color_models._shared.layers import Layers
+from gelform.color_models.network import NetworkModel
+
+SHAPE = (6, 8)
+BACKGROUND = np.random.default_rng(0).uniform(60, 160, (*SHAPE, 3)).astype(np.float32)
+
+
+def linear(weight):
+    """A network of one layer: its outputs are weight @ inputs."""
+    return Layers((np.asarray(weight, dtype=np.float32),), (np.zeros(2, dtype=np.float32),))
+
+
+def model(weight, position="xy", answer="angles"):
+    return NetworkModel(linear(weight), BACKGROUND, position, answer)
+
+
+def gradients(one, change):
+    return one.prepare(BACKGROUND, SHAPE).gradients_from_color(change.astype(np.float32))[0]
+
+
+def test_no_change_is_no_slope():
+    weight = np.random.default_rng(1).normal(0, 0.3, (2, 5))
+    for answer in ("angles", "normals"):
+        assert np.abs(gradients(model(weight, answer=answer), np.zeros((*SHAPE, 3)))).max() == 0
+
+
+def test_it_is_fed_blue_green_red():
+    """The first input is blue: its weight alone answers to a change of blue alone."""
+    change = np.zeros((*SHAPE, 3))
+    change[..., 2] = 0.1
+    first, third = np.zeros((2, 5)), np.zeros((2, 5))
+    first[0, 0] = third[0, 2] = 1
+    assert np.abs(gradients(model(first), change)[..., 0]).min() > 0.05
+    assert np.abs(gradients(model(third), change)).max() == 0
+
+
+def test_angles_go_down_where_pressed_and_normals_point_along_them():
+    change = np.full((*SHAPE, 3), 0.1)
+    weight = np.zeros((2, 5))
+    weight[0, 0] = 0.5
+    rest = 0.5 * BACKGROUND[..., 2] / 255
+    angles = -np.tan(rest + 0.05) + np.tan(rest)
+    np.testing.assert_allclose(gradients(model(weight), change)[..., 0], angles, atol=1e-5)
+
+    def slope(n):
+        return -n / np.sqrt(1 - n**2)
+
+    found = gradients(model(weight, answer="normals"), change)[..., 0]
+    np.testing.assert_allclose(found, slope(rest + 0.05) - slope(rest), atol=1e-5)
+
+
+@pytest.mark.parametrize("position", ["xy", "yx", "zeros"])
+def test_scattered_pixels_answer_as_the_frame_does(position):
+    one = model(np.random.default_rng(2).normal(0, 0.3, (2, 5)), position)
+    change = np.random.default_rng(3).normal(0, 0.1, (*SHAPE, 3)).astype(np.float32)
+    rows, columns = np.array([0, 2, 5]), np.array([7, 1, 3])
+    found = one.gradients_at(change[rows, columns], columns, rows)
+    np.testing.assert_allclose(found, gradients(one, change)[rows, columns], atol=1e-6)
+
+
+def test_the_file_of_it_answers_the_same():
+    one = model(np.random.default_rng(4).normal(0, 0.3, (2, 5)), "yx", "normals")
+    again = NetworkModel.from_arrays(*one.to_arrays())
+    change = np.random.default_rng(5).normal(0, 0.1, (*SHAPE, 3))
+    np.testing.assert_array_equal(gradients(one, change), gradients(again, change))
+
+
+def test_what_it_is_not_is_refused():
+    three = Layers((np.zeros((2, 3), dtype=np.float32),), (np.zeros(2, dtype=np.float32),))
+    with pytest.raises(ValueError, match="5 inputs and 2 outputs, got 3 and 2"):
+        NetworkModel(three, BACKGROUND, "xy", "angles")
+    with pytest.raises(ValueError, match="Expected position"):
+        model(np.zeros((2, 5)), "there")
+    with pytest.raises(ValueError, match="6x8"):
+        model(np.zeros((2, 5))).prepare(np.zeros((4, 4, 3)), (4, 4))
