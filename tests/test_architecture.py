@@ -50,7 +50,20 @@ NEIGHBOURS = {
 INNER_LIBRARIES = {"numpy", "scipy", "numba", "cv2", "gelform"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "reconstruction", "npz_files", "_native"}
-MAX_LINES, MAX_FILES = 400, 14
+MAX_LINES, MAX_FILES = 300, 12
+LONGER = {  # still to be parted
+    "solvers/multigrid/hierarchy.py": 365,
+    "depth.py": 340,
+    "calibration/presses/stills.py": 303,
+}
+# What is tested through the solvers that it serves, all of them against one truth.
+TESTED_TOGETHER = {
+    "solvers/edges.py": "solvers/test_dct.py",
+    "solvers/sparse.py": "solvers/test_seam.py",
+    "solvers/multigrid/hierarchy.py": "solvers/multigrid/test_weighted.py",
+    "solvers/multigrid/cycle.py": "solvers/multigrid/test_weighted.py",
+    "solvers/multigrid/solver.py": "solvers/multigrid/test_weighted.py",
+}
 PUBLIC = {
     alias.name: f"gelform.{node.module}"
     for node in ast.parse((SOURCE / "__init__.pyi").read_text(encoding="utf-8")).body
@@ -163,7 +176,8 @@ def test_no_cycles_among_modules():
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_files_stay_short(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= MAX_LINES
+    limit = LONGER.get(path.relative_to(SOURCE).as_posix(), MAX_LINES)
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= limit
 
 
 def test_folders_stay_small():
@@ -171,6 +185,20 @@ def test_folders_stay_small():
     folders = {path.parent for path in MODULES} - {SOURCE}
     crowded = {str(f.relative_to(SOURCE)): n for f in folders if (n := len(list(f.glob("*.py")))) > MAX_FILES}
     assert not crowded
+
+
+def test_every_module_has_a_test_file_of_its_name():
+    """In the same folder below tests/; `_private` ones without the underscore."""
+    missing = []
+    for path in MODULES:
+        module = path.relative_to(SOURCE)
+        own = TESTS / module.parent / f"test_{module.stem.lstrip('_')}.py"
+        together = TESTED_TOGETHER.get(module.as_posix())
+        if path.stem not in ("__init__", "__main__") and not (
+            own.exists() or (together and (TESTS / together).exists())
+        ):
+            missing.append(module.as_posix())
+    assert not missing
 
 
 def test_no_rooms_that_say_nothing():
