@@ -68,17 +68,30 @@ def _noise_mm(depth: NDArray[Any]) -> float:
     """Standard deviation of the untouched gel: the median of its negative depths, as of half a Gaussian."""
     sample = depth.ravel()[:: max(1, depth.size // NOISE_SAMPLES)]
     below = sample[sample < 0]
-    return 1.4826 * float(np.median(-below)) if below.size else 0.0
+    if not below.size:
+        return 0.0
+    middle = (below.size - 1) // 2, below.size // 2
+    below.partition(middle)
+    return -1.4826 * float(below[list(middle)].mean())
 
 
 def _patches(depth: NDArray[Any], threshold: float, rim_fraction: float, min_px: float) -> NDArray[np.bool_]:
-    deep = (depth > threshold).view(np.uint8)
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(deep, connectivity=8)
     contact = np.zeros(depth.shape, dtype=bool)
+    deep = (depth > threshold).view(np.uint8)
+    left, top, width, height = cv2.boundingRect(deep)
+    if width == 0:
+        return contact
+    whole = (
+        slice(top, top + height),
+        slice(left, left + width),
+    )  # labels are looked for where there is anything
+    found = contact[whole]
+    depth = depth[whole]
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(deep[whole], connectivity=8)
     for label in range(1, count):
         left, top, width, height, area = boxes[label]
         if area >= min_px:
             box = slice(top, top + height), slice(left, left + width)
             patch = np.where(labels[box] == label, depth[box], 0)
-            contact[box] |= patch > max(threshold, rim_fraction * float(patch.max()))
+            found[box] |= patch > max(threshold, rim_fraction * float(patch.max()))
     return contact
