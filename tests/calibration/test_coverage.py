@@ -97,6 +97,19 @@ def test_all_in_one_corner():
     assert one_part(lattice(4, 5), SHAPE) is None
 
 
+def test_presses_that_reach_over_the_image_are_in_no_part():
+    """Twelve presses in three rows of four, whose contacts span three quarters of the height."""
+    circles = [(x, y, 28.0) for x in (45, 120, 200, 275) for y in (57, 120, 182)]
+    assert one_part(circles, SHAPE) is None
+    (note,) = coverage_notes(circles, SHAPE)
+    assert note.startswith("8 more presses are advised (12 of 20 fit)")
+
+
+def test_a_note_never_lists_nothing():
+    """Large contacts in a part may show all directions of all tiles: then no place is named."""
+    assert "next at ." not in " ".join(coverage_notes([(160.0, 120.0, 75.0)] * 4, SHAPE))
+
+
 def test_too_few_presses_are_counted_and_placed():
     circles = lattice(3, 4)
     del circles[4]

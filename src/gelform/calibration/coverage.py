@@ -23,7 +23,7 @@ STEP = 2
 ENOUGH = 0.0007  # of the image's pixels
 ADVISED_PRESSES = 20
 NAMED_PLACES = 5
-CORNER_SHARE = 0.55
+PART_SHARE = 0.65
 
 Circle = tuple[float, float, float]
 
@@ -198,7 +198,7 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
     if part is not None:
         return (
             f"All {len(circles)} presses lie in the {part} of the image. Elsewhere colours mean other slopes, and depth "
-            f"there is a guess. Press all over the gel, next at {_listed(press_next(coverage))}.",
+            f"there is a guess. Press all over the gel{_next_at(coverage)}.",
         )
     missing = ADVISED_PRESSES - len(circles)
     if missing > 0:
@@ -217,20 +217,27 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
 
 
 def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
-    """The part of the image that holds all presses, where they span about half of it or less; else None."""
+    """The part of the image that holds all contacts, where they span about half of it or less; else None."""
     if len(circles) < 3:
         return None
-    x, y = np.array([circle[:2] for circle in circles]).T
-    spans_x, spans_y = np.ptp(x) > CORNER_SHARE * shape[1], np.ptp(y) > CORNER_SHARE * shape[0]
+    x, y, radius = np.array(circles).T
+    low_x, low_y = max(0, (x - radius).min()), max(0, (y - radius).min())
+    high_x, high_y = min(shape[1], (x + radius).max()), min(shape[0], (y + radius).max())
+    spans_x, spans_y = high_x - low_x > PART_SHARE * shape[1], high_y - low_y > PART_SHARE * shape[0]
     if spans_x and spans_y:
         return None
-    middle_x, middle_y = (x.min() + x.max()) / 2, (y.min() + y.max()) / 2
+    middle_x, middle_y = (low_x + high_x) / 2, (low_y + high_y) / 2
     name = name_of_place(
         shape[1] / 2 if spans_x else float(middle_x), shape[0] / 2 if spans_y else float(middle_y), shape
     )
     if name == "middle" and (spans_x or spans_y):
         return "middle row" if spans_x else "middle column"
     return name
+
+
+def _next_at(coverage: Coverage) -> str:
+    places = press_next(coverage)
+    return f", next at {_listed(places)}" if places else ""
 
 
 def _listed(places: Sequence[Place]) -> str:

@@ -88,7 +88,7 @@ def refine(
             contacts[i] = recentered(presses[i], contacts[i], found[i], model)
         misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
         late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        if round_ + 1 == WHOLE_ROUNDS:  # everyone is heard before anyone is left out
+        if round_ + 1 == WHOLE_ROUNDS:  # presses cut by the border join; only then are misfits left out
             fit_on = candidates
         elif round_ + 1 > WHOLE_ROUNDS:
             fit_on = [i for i in candidates if i not in late] or candidates

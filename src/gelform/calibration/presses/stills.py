@@ -64,8 +64,7 @@ class Thumbnails:
 
     def levels(self) -> NDArray[np.float32]:
         """(n, h, w, 3) grey levels."""
-        levels: NDArray[np.float32] = np.asarray(self._small, dtype=np.float32) / np.float32(_SCALE)
-        return levels
+        return np.asarray(np.asarray(self._small, dtype=np.float32) / np.float32(_SCALE))
 
 
 @dataclass(frozen=True)
@@ -167,8 +166,7 @@ def untouched(levels: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArr
 
 def _visits(state: NDArray[np.bool_]) -> int:
     """How many times a state is entered; a single odd frame is no leave."""
-    times = np.flatnonzero(state)
-    return int(1 + np.count_nonzero(np.diff(times) > 3))
+    return int(1 + np.count_nonzero(np.diff(np.flatnonzero(state)) > 3))
 
 
 def _roughness(levels: NDArray[np.float32]) -> float:
@@ -278,9 +276,8 @@ def _stretch(
 ) -> Stretch:
     if stills:
         return Stretch(start, stop, stills, None)
-    firm = np.flatnonzero(touch[start:stop] > 0.5 * touch[start:stop].max()) + start
-    path = np.array([center_of(levels[k], rest) for k in firm])
-    moved = float(np.hypot(*(path.max(axis=0) - path.min(axis=0))))
+    firm = start + np.flatnonzero(touch[start:stop] > 0.5 * touch[start:stop].max())
+    moved = float(np.hypot(*np.ptp([center_of(levels[k], rest) for k in firm], axis=0)))
     if len(firm) >= 3 and moved > MOVED_PX:
         reason = f"the contact moved by {moved * factor:.0f} px without resting: it slid or rolled"
     elif stop - start <= MIN_STILL:

@@ -91,7 +91,7 @@ def square_error_by_direction(
 def stated_sigma(
     reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
 ) -> NDArray[np.float32]:
-    """(N, 2) standard deviation that users of the calibration are told for the pixels of a sample."""
+    """(N, 2) standard deviation of the slopes that a Reconstructor states at the pixels of a sample."""
     sigma = reconstruct.from_image(image).gradients_sigma
     if sigma is None:
         raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
