@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import gelform
 from gelform.background.change import PreparedBackground
 from gelform.calibration.circles.prepare import (
     USUAL_OFFSET,
@@ -49,3 +50,15 @@ def test_a_circle_for_each_press_and_progress_for_each(few):
     found = find_contacts(prepare(few, USUAL_OFFSET), progress=lambda *call: calls.append(call[:2]))
     assert len(found) == 2
     assert calls == [(1, 2), (2, 2)]
+
+
+def test_nothing_is_divided_by_a_background_of_0(few):
+    black = few.background.copy()
+    black[0, 0] = 0
+    assert set(prepared_by_offset(replace(few, background=black), prepare(few), [0.0])) == {USUAL_OFFSET}
+
+
+def test_the_press_that_is_of_another_sensor_is_named(few):
+    turned = replace(few.presses[1], image=np.ascontiguousarray(few.presses[1].image[::-1, ::-1]))
+    with pytest.raises(gelform.CalibrationError, match=few.presses[1].name):
+        prepare(replace(few, presses=(few.presses[0], turned)))

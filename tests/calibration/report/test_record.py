@@ -38,3 +38,11 @@ def test_the_summary_is_of_all_presses():
     assert said["presses"] == 3
     assert said["normal_free_deg"] == pytest.approx(3.0)
     assert np.isfinite(list(said.values())).all()
+
+
+def test_the_notes_say_how_often_folds_agreed_and_whence_the_scale_is(calibration):
+    report = calibration.report
+    held_out, *others = report.notes
+    assert f"{report.held_out['presses']:.0f} presses in 5 folds" in held_out
+    assert " of 5 folds chose" in held_out
+    assert any("Scale from the number given" in note for note in others)
