@@ -117,3 +117,13 @@ def test_scale_and_crosstalk_are_recorded(presses):
     assert "Scale from two points; its standard deviation is 0.001 mm/px" in notes
     assert "Crosstalk is undone before the color model: crosstalk up to 20.0 %" in notes
     assert "absorbed" in " ".join(presses.geometry.notes(1.0, None))
+
+
+def test_a_path_is_read_and_nothing_else_is_taken(folder):
+    assert with_scale(str(folder), Scale(0.1, 0.001, "x")).mm_per_px == 0.1
+    with pytest.raises(TypeError, match="Expected presses"):
+        with_scale(None, Scale(0.1, 0.001, "x"))
+    with pytest.raises(TypeError, match="Expected presses"):
+        with_crosstalk([1], Crosstalk(((1.0,) * 3,) * 3, ((0.0,) * 3,) * 3))
+    with pytest.raises(TypeError, match="Expected presses"):
+        with_view(3, View(), "x")

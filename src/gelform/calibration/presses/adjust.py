@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from os import PathLike
 
 import numpy as np
 
 from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
-from gelform.calibration.presses.folder import Press, Presses
+from gelform.calibration.presses.folder import Press, Presses, as_presses
 from gelform.errors import DataError
 from gelform.frames import pixels_digest
 from gelform.view import View, image_from_frame, image_px_from_frame_px
 
 
-def with_scale(presses: Presses, scale: Scale) -> Presses:
-    """The presses at a measured scale."""
+def with_scale(presses: Presses | str | PathLike[str], scale: Scale) -> Presses:
+    """The presses, or those of a path, at a measured scale."""
+    presses = as_presses(presses)
     return replace(
         presses,
         mm_per_px=scale.mm_per_px,
@@ -24,12 +26,13 @@ def with_scale(presses: Presses, scale: Scale) -> Presses:
     )
 
 
-def with_crosstalk(presses: Presses, crosstalk: Crosstalk) -> Presses:
+def with_crosstalk(presses: Presses | str | PathLike[str], crosstalk: Crosstalk) -> Presses:
     """The presses of channels whose crosstalk is known: the calibration undoes it before its color model."""
+    presses = as_presses(presses)
     return replace(presses, geometry=replace(presses.geometry, crosstalk=crosstalk))
 
 
-def with_view(presses: Presses, view: View, source: str) -> Presses:
+def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -> Presses:
     """The presses through a view that undoes the lens; labels move with their pixels.
 
     Parameters
@@ -43,6 +46,7 @@ def with_view(presses: Presses, view: View, source: str) -> Presses:
     DataError
         The presses have a view of their own already, or are of another size than the view's frames.
     """
+    presses = as_presses(presses)
     if not presses.view.is_identity:
         raise DataError(
             "Expected presses without a view where the lens is undone, got a [view] or --crop: undo it on whole "
