@@ -7,14 +7,18 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gelform.checks import (
+    as_array,
     check_gradients,
     check_image,
     check_map,
     check_mask,
     check_mm_per_px,
     check_normals,
+    check_path,
     check_positive,
     check_sensor_pitch,
+    check_values,
+    check_within,
 )
 
 IMAGE = np.full((4, 5, 3), 100, dtype=np.uint8)
@@ -142,3 +146,44 @@ def test_a_sensors_pitch_is_small():
         check_sensor_pitch(15.8)
     with pytest.raises(ValueError, match=r"got 1e\+300.$"):
         check_sensor_pitch(1e300)
+
+
+def test_ranges_and_what_is_no_number():
+    assert check_within(3, "size", 0, 5) == 3.0
+    with pytest.raises(ValueError, match="size between 0 and 5, got 6"):
+        check_within(6, "size", 0, 5)
+    with pytest.raises(ValueError, match="size between 0 and 5, got nan"):
+        check_within(float("nan"), "size", 0, 5)
+    for odd in ("3", True, [3], None, [[1, 2], [3]], 1j):
+        with pytest.raises(TypeError, match="size as a number"):
+            check_within(odd, "size", 0, 5)
+
+
+def test_arrays_that_are_none():
+    with pytest.raises(ValueError, match="size as an array, got a list of unequal parts"):
+        as_array([[1, 2], [3]], "size")
+    with pytest.raises(ValueError, match="size without masked values"):
+        as_array(np.ma.masked_array([1.0, 2.0], mask=[True, False]), "size")
+    assert as_array(np.ma.masked_array([1.0, 2.0]), "size").tolist() == [1.0, 2.0]
+
+
+def test_values_by_their_trailing_axes():
+    assert check_values(np.ones((4, 5, 3)), "light", (3,)).dtype == np.float32
+    with pytest.raises(ValueError, match=r"light of shape \(..., 3\), got \(4, 5\)"):
+        check_values(np.ones((4, 5)), "light", (3,))
+    with pytest.raises(ValueError, match="1 values that are NaN or infinite"):
+        check_values([1e300, 1.0, 1.0], "light", (3,))
+    with pytest.raises(TypeError, match="light as numbers, got complex128"):
+        check_values([1j, 0, 0], "light", (3,))
+
+
+@pytest.mark.parametrize("path", ["", "a\0b", "x" * 300, "a/" * 3000])
+def test_paths_that_no_file_has(path):
+    with pytest.raises(ValueError, match="which no file can be called"):
+        check_path(path)
+
+
+@pytest.mark.parametrize("path", [None, 3, b"x", ["x"]])
+def test_what_is_no_path(path):
+    with pytest.raises(TypeError, match="as text or a Path"):
+        check_path(path)

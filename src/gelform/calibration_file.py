@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.background.change import ChangeSettings
 from gelform.background.check import background_digest
+from gelform.checks import check_image, check_mm_per_px, check_positive, check_values, check_within
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.color_models._shared.gamut import Gamut
@@ -188,11 +189,47 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
     )
     try:
+        _check_contents(arrays, meta)
         return _from_contents(arrays, meta)
-    except (KeyError, TypeError, ValueError) as problem:
-        raise CalibrationError(
-            f"{path} is damaged: {type(problem).__name__}: {problem}. Restore a copy or calibrate again."
-        ) from problem
+    except KeyError as problem:
+        raise CalibrationError(f"{path} is damaged: {problem} is missing. {_REMEDY}") from problem
+    except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as problem:
+        raise CalibrationError(f"{path} is damaged: {_own_words(problem)} {_REMEDY}") from problem
+
+
+def _own_words(problem: Exception) -> str:
+    """What a check of ours says; of any other error, that the content does not fit together."""
+    said = str(problem)
+    return said if said.startswith("Expected") else "what it holds does not make a calibration."
+
+
+def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
+    """Refuse settings and arrays of the wrong kind; the models and records look at their own."""
+    for names, kinds in _KINDS:
+        for name in names:
+            if not isinstance(meta[name], kinds):
+                raise TypeError(f"Expected {name} of another type, got {type(meta[name]).__name__}.")
+    if meta["mm_per_px"] is not None:
+        check_mm_per_px(check_positive(meta["mm_per_px"], "mm_per_px"))
+    if meta["mm_per_px_sigma"] is not None:
+        check_within(meta["mm_per_px_sigma"], "mm_per_px_sigma", 0, 1e3)
+    check_within(meta["untouched_change"], "untouched_change", 0, 1e3)
+    shape = tuple(meta["image_shape"])
+    if len(shape) != 2 or not all(type(size) is int and size > 0 for size in shape):
+        raise ValueError(f"Expected image_shape as two whole numbers, got {meta['image_shape']}.")
+    check_image(arrays["background"], shape=shape, name="background")
+    if check_values(arrays["background_noise"], "background_noise", (3,)).ndim != 1:
+        raise ValueError("Expected background_noise of shape (3,).")
+
+
+_REMEDY = "Restore a copy or calibrate again."
+_KINDS: tuple[tuple[tuple[str, ...], Any], ...] = (
+    (("sensor_name", "color_model", "library_version", "created_utc"), str),
+    (("serial", "gel_id"), (str, type(None))),
+    (("view", "change", "model_settings", "held_out", "settings"), dict),
+    (("image_shape", "training_digests"), list),
+    (("slope_sigma", "forward_settings"), (dict, type(None))),
+)
 
 
 def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibration:

@@ -2,13 +2,74 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from numbers import Real
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MAX_PITCH_MM = 1.0
+MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1.0
+MM_PER_PX = 1e-6, 1e3  # what square sums of float32 can hold, and far beyond any sensor
+LARGEST = 1e18  # squares of it, and sums of those, fit into float32
+MAX_PATH, MAX_NAME = 4096, 255
+
+
+def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
+    """The values as an array, whatever its type; refused where they are no rectangle of values, or partly masked.
+
+    Raises
+    ------
+    ValueError
+        Rows of different lengths, or masked values: what is unknown is said by a mask of its own.
+    """
+    if np.ma.is_masked(values):
+        raise ValueError(
+            f"Expected {name} without masked values. Give numbers everywhere and say where with mask=."
+        )
+    try:
+        return np.asarray(values)
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(
+            f"Expected {name} as an array, got a {type(values).__name__} of unequal parts."
+        ) from None
+
+
+def check_values(
+    values: ArrayLike, name: str, trailing: tuple[int, ...] = (), dtype: Any = np.float32
+) -> NDArray[Any]:
+    """Return finite numbers (..., *trailing), such as lights (3, 3) or color changes (..., 3)."""
+    array = as_array(values, name)
+    if (
+        array.ndim < len(trailing)
+        or array.shape[array.ndim - len(trailing) :] != trailing
+        or 0 in array.shape
+    ):
+        wanted = ", ".join(("...", *map(str, trailing)))
+        raise ValueError(f"Expected {name} of shape ({wanted}), got {array.shape}.")
+    return check_finite(_as_float(array, name, dtype), name)
+
+
+def check_path(path: Any, what: str = "a path") -> Path:
+    """Return a path that a file system can have.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No text, or text that is no path: empty, too long, or with a zero byte.
+    """
+    if not isinstance(path, (str, PathLike)):
+        raise TypeError(f"Expected {what} as text or a Path, got {type(path).__name__}.")
+    text = os.fspath(path)
+    if not isinstance(text, str):
+        raise TypeError(f"Expected {what} as text or a Path, got {type(text).__name__}.")
+    longest = max(map(len, text.split(os.sep)))
+    if not text or "\0" in text or len(text) > MAX_PATH or longest > MAX_NAME:
+        raise ValueError(f"Expected {what}, got {text[:60]!r}, which no file can be called.")
+    return Path(text)
 
 
 def check_image(
@@ -23,7 +84,7 @@ def check_image(
     ValueError
         Wrong shape, a grey image, a value that is not finite or outside 0-255, or floats that look like 0-1.
     """
-    array = np.asarray(image)
+    array = as_array(image, name)
     if array.ndim == 2:
         raise ValueError(
             f"Expected {name} of shape (H, W, 3) in RGB, got a grey image of shape {array.shape}. "
@@ -58,7 +119,7 @@ def check_gradients(
     gradients: ArrayLike, *, shape: tuple[int, int] | None = None, dtype: Any = np.float32
 ) -> NDArray[Any]:
     """Return finite gradients (..., H, W, 2) as float32; `shape` is the expected (H, W)."""
-    array = np.asarray(gradients)
+    array = as_array(gradients, "gradients")
     wanted = f"({shape[0]}, {shape[1]}, 2)" if shape is not None else "(H, W, 2)"
     bad_shape = array.ndim < 3 or array.shape[-1] != 2 or 0 in array.shape
     if bad_shape or (shape is not None and array.shape[-3:-1] != tuple(shape)):
@@ -72,7 +133,7 @@ def check_gradients(
 
 def check_normals(normals: ArrayLike) -> NDArray[Any]:
     """Return finite normals (..., 3) with n_z > 0 as float32; their length need not be 1."""
-    array = np.asarray(normals)
+    array = as_array(normals, "normals")
     if array.ndim < 1 or array.shape[-1] != 3:
         raise ValueError(f"Expected normals of shape (..., 3), got {array.shape}.")
     array = check_finite(_as_float(array, "normals"), "normals")
@@ -93,7 +154,7 @@ def check_map(
     dtype: Any = np.float32,
 ) -> NDArray[Any]:
     """Return a finite map (..., H, W), such as a depth or weights, as float32."""
-    array = np.asarray(values)
+    array = as_array(values, name)
     if array.ndim < 2 or 0 in array.shape or (shape is not None and array.shape[-2:] != tuple(shape)):
         wanted = f"({shape[0]}, {shape[1]})" if shape is not None else "(H, W)"
         raise ValueError(f"Expected {name} of shape {wanted}, got {array.shape}.")
@@ -105,7 +166,7 @@ def check_map(
 
 def check_mask(mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask") -> NDArray[np.bool_]:
     """Return a boolean mask (H, W) with at least one True pixel."""
-    array = np.asarray(mask)
+    array = as_array(mask, name)
     if array.dtype != np.bool_:
         raise TypeError(f"Expected {name} as bool, got {array.dtype}. Convert it: {name} > 0.")
     if array.shape != tuple(shape):
@@ -121,12 +182,16 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) ->
         raise ValueError("Expected mm_per_px, got None. Give the pixel pitch in mm, for example 0.0634.")
     try:
         values = np.atleast_1d(np.asarray(mm_per_px, dtype=np.float64))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise TypeError(f"Expected mm_per_px as a number or (x, y), got {mm_per_px!r}.") from None
     if values.shape not in ((1,), (2,)):
         raise ValueError(f"Expected mm_per_px as a number or (x, y), got shape {values.shape}.")
     if not np.all(np.isfinite(values)) or float(values.min()) <= 0:
         raise ValueError(f"Expected mm_per_px > 0 (mm per pixel, not pixels per mm), got {mm_per_px}.")
+    if not (MM_PER_PX[0] <= float(values.min()) and float(values.max()) <= MM_PER_PX[1]):
+        raise ValueError(
+            f"Expected mm_per_px between {MM_PER_PX[0]:g} and {MM_PER_PX[1]:g}, got {mm_per_px}."
+        )
     return float(values[0]), float(values[-1])
 
 
@@ -142,29 +207,44 @@ def check_sensor_pitch(mm_per_px: float) -> float:
     if pitch > MAX_PITCH_MM:
         hint = f" If these are pixels per mm, give 1/{pitch:g} = {1 / pitch:.4g}." if pitch < 1e4 else ""
         raise ValueError(f"Expected mm_per_px up to {MAX_PITCH_MM:g} mm, got {pitch:g}.{hint}")
+    if pitch < MIN_PITCH_MM:
+        raise ValueError(f"Expected mm_per_px of at least {MIN_PITCH_MM:g} mm, got {pitch:g}. Is it in mm?")
     return pitch
 
 
 def check_positive(value: float, name: str) -> float:
-    """Return a finite number > 0 as float; texts and truth values are refused."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"Expected {name} as a number, got {value!r}.") from None
-    if isinstance(value, (str, bytes, bool, np.bool_)):
-        raise TypeError(f"Expected {name} as a number, got {value!r}.")
+    """Return a finite number > 0 as float; text and truth values are none."""
+    number = check_number(value, name)
     if not np.isfinite(number) or number <= 0:
         raise ValueError(f"Expected {name} > 0, got {value}.")
     return number
 
 
+def check_number(value: float, name: str) -> float:
+    """Return a number as float, whatever its size; text and truth values are none."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError(f"Expected {name} as a number, got {value!r:.60}.")
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf")
+
+
+def check_within(value: float, name: str, low: float, high: float) -> float:
+    """Return a number between two others as float."""
+    number = check_number(value, name)
+    if not low <= number <= high:
+        raise ValueError(f"Expected {name} between {low:g} and {high:g}, got {value}.")
+    return number
+
+
 def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return the array if every value is finite: NaN is refused at the door, always."""
+    """Return the array if every value is finite, and its square too: NaN is refused at the door, always."""
     # NaN comes through both; two passes are quicker than one that asks each value.
-    if array.size and not (np.isfinite(array.min()) and np.isfinite(array.max())):
-        bad = int(np.count_nonzero(~np.isfinite(array)))
+    if array.size and not (float(array.min()) >= -LARGEST and float(array.max()) <= LARGEST):
+        bad = int(np.count_nonzero(~(np.abs(array.astype(np.float64)) <= LARGEST)))
         raise ValueError(
-            f"Expected finite {name}, got {bad} values that are NaN or infinite. "
+            f"Expected finite {name}, got {bad} values that are NaN or infinite (or beyond {LARGEST:g}). "
             "Put any finite value there and say where with mask=."
         )
     return array
@@ -175,7 +255,10 @@ def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArra
         np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
     ):
         raise TypeError(f"Expected {name} as numbers, got {array.dtype}.")
-    return np.ascontiguousarray(array, dtype=dtype)
+    with np.errstate(
+        over="ignore", under="ignore"
+    ):  # what does not fit becomes infinite, and is refused as that
+        return np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
 
 
 def _size(array: NDArray[Any]) -> str:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_map, check_mm_per_px, check_positive
+from gelform.checks import LARGEST, check_map, check_mm_per_px, check_number, check_positive
 
 NOISE_SAMPLES = 5_000
 
@@ -54,13 +54,21 @@ def contact_from_depth(
     depth = check_map(depth_mm, "depth_mm")
     if depth.ndim != 2:
         raise ValueError(f"Expected depth_mm of one frame, (H, W), got {depth.shape}.")
+    for name, value in (
+        ("rim_fraction", rim_fraction),
+        ("noise_factor", noise_factor),
+        ("min_area_mm2", min_area_mm2),
+    ):
+        check_number(value, name)
     if not (0 <= rim_fraction < 1 and noise_factor >= 0 and min_area_mm2 >= 0):
         raise ValueError(
             f"Expected rim_fraction of 0 to below 1, noise_factor >= 0 and min_area_mm2 >= 0, got {rim_fraction}, "
             f"{noise_factor} and {min_area_mm2}."
         )
     pitch_x, pitch_y = check_mm_per_px(mm_per_px)
-    threshold = max(check_positive(min_depth_mm, "min_depth_mm"), noise_factor * _noise_mm(depth))
+    threshold = max(
+        min(check_positive(min_depth_mm, "min_depth_mm"), LARGEST), noise_factor * _noise_mm(depth)
+    )
     return _patches(depth, threshold, rim_fraction, min_area_mm2 / (pitch_x * pitch_y))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel, is_finite
-from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
+from gelform.checks import as_array, check_gradients, check_map, check_mask, check_mm_per_px
 from gelform.errors import ConvergenceError
 from gelform.gradients import curl_rms, fill_unknown
 from gelform.solvers import SOLVERS, Solution, Solver, Weights
@@ -210,7 +210,7 @@ def _checked(
 
 def checked_solver(solver: str) -> str:
     """The solver's name, where it is "auto" or in `SOLVERS`."""
-    if solver != "auto" and solver not in SOLVERS:
+    if solver != "auto" and (not isinstance(solver, str) or solver not in SOLVERS):
         raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
     return solver
 
@@ -260,10 +260,13 @@ def _checked_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
 
 def checked_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
     """An anchor map (H, W) of a map or a number."""
-    array = np.asarray(anchor)
-    return check_map(
+    array = as_array(anchor, "anchor")
+    array = check_map(
         np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True
     )
+    if array.ndim != 2:
+        raise ValueError(f"Expected anchor as a number or of shape {shape}, got {array.shape}.")
+    return array
 
 
 @lru_cache(maxsize=8)

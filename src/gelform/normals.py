@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_finite, check_gradients, check_normals
+from gelform.checks import check_gradients, check_normals, check_values
 from gelform.color_models.lambertian import inverse_lights
 
 
@@ -38,10 +38,7 @@ def normals_from_image(
     R. J. Woodham, Photometric method for determining surface orientation from multiple images,
     Optical Engineering 19(1), 1980, eq. 7.
     """
-    intensity = np.asarray(image, dtype=np.float32)
-    if intensity.ndim < 1 or intensity.shape[-1] != 3:
-        raise ValueError(f"Expected image of shape (..., 3), got {intensity.shape}.")
-    g = check_finite(intensity, "image") @ inverse_lights(lights).astype(np.float32).T
+    g = check_values(image, "image", (3,)) @ inverse_lights(lights).astype(np.float32).T
     albedo = np.linalg.norm(g, axis=-1)
     lit = albedo > 0
     up = np.array([0, 0, 1], dtype=np.float32)
@@ -70,8 +67,8 @@ def image_from_normals(normals: ArrayLike, lights: ArrayLike, albedo: ArrayLike 
         Normals, lights or albedo of another shape, not finite, or normals that face away (n_z <= 0).
     """
     n = _unit(check_normals(normals))
-    shading = np.maximum(n @ np.asarray(lights, dtype=np.float32).T, 0)
-    return (np.asarray(albedo, dtype=np.float32)[..., None] * shading).astype(np.float32)
+    shading = np.maximum(n @ check_lights(lights).T, 0)
+    return (_albedo(albedo, n.shape[:-1])[..., None] * shading).astype(np.float32)
 
 
 def normals_from_gradients(gradients: ArrayLike) -> NDArray[np.float32]:
@@ -115,8 +112,9 @@ def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike 
     ValueError
         Fewer than three lit pixels in a channel, or normals that do not span three dimensions.
     """
-    intensity = np.asarray(image, dtype=np.float64).reshape(-1, 3)
-    scaled = (np.asarray(albedo, dtype=np.float64)[..., None] * check_normals(normals)).reshape(-1, 3)
+    intensity = check_values(image, "image", (3,), np.float64).reshape(-1, 3)
+    facing = check_normals(normals)
+    scaled = (_albedo(albedo, facing.shape[:-1])[..., None] * facing).reshape(-1, 3)
     if scaled.shape != intensity.shape:
         raise ValueError(
             f"Expected image and normals of one shape, got {np.shape(image)} and {np.shape(normals)}."
@@ -131,6 +129,22 @@ def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike 
             )
         lights[channel] = np.linalg.lstsq(scaled[lit], intensity[lit, channel], rcond=None)[0]
     return lights
+
+
+def check_lights(lights: ArrayLike) -> NDArray[Any]:
+    """Lights (3, 3), finite: row c is the direction towards the light of channel c times its strength."""
+    array = check_values(lights, "lights", (3, 3))
+    if array.ndim != 2:
+        raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {array.shape}.")
+    return array
+
+
+def _albedo(albedo: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """A scalar, or a map of the image's shape."""
+    array = check_values(albedo, "albedo", dtype=np.float64)
+    if array.shape not in ((), shape):
+        raise ValueError(f"Expected albedo as a number or of shape {shape}, got {array.shape}.")
+    return array
 
 
 def _unit(vectors: NDArray[Any]) -> NDArray[np.float32]:

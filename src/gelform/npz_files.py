@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_path
 from gelform.errors import DataError, GelformError
 
 MAX_BYTES = 1 << 30
@@ -50,7 +51,7 @@ def written_file(
     error
         The file is already there and `overwrite` is False, or its folder is missing, not writable or full.
     """
-    path = Path(path)
+    path = check_path(path)
     check_free(path, overwrite=overwrite, error=error)
     temporary = path.parent / f".gelform-{secrets.token_hex(6)}.tmp"
     try:
@@ -70,7 +71,7 @@ def check_free(
     path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
 ) -> None:
     """Refuse a name that a file already has (unless `overwrite`), or whose folder is not there."""
-    path = Path(path)
+    path = check_path(path)
     if path.is_dir():
         raise error(f"Expected a file name to write to, got the folder {path}. Add a name: {path / 'name'}.")
     if path.exists() and not overwrite:
@@ -148,7 +149,7 @@ def read_npz(
         The file is missing, no file of this kind, truncated, altered, too large, or of a newer format (the
         message names the version of gelform to install).
     """
-    path = Path(path)
+    path = check_path(path)
     if not path.is_file():
         raise error(f"No file {path}: expected a {kind}.")
     try:
@@ -173,7 +174,7 @@ def read_npz(
 
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
     """What a file says it is (its `format`), or None where it is no such file; nothing else is read."""
-    if not Path(path).is_file():  # opening a pipe would wait for ever
+    if not check_path(path).is_file():  # opening a pipe would wait for ever
         return None
     try:
         with zipfile.ZipFile(path) as archive:

@@ -219,7 +219,7 @@ class Reconstructor:
         try:
             return check_image(image, shape=self.calibration.image_shape, name=name)
         except ValueError as problem:
-            shape, frame_shape = np.shape(image)[:2], self.calibration.view.frame_shape
+            shape, frame_shape = getattr(image, "shape", ())[:2], self.calibration.view.frame_shape
             if shape != frame_shape or shape == self.calibration.image_shape:
                 raise
             hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.change import Finding
-from gelform.checks import check_mm_per_px
+from gelform.checks import check_finite, check_map, check_mm_per_px, check_number, check_within
 from gelform.errors import DataError, GelformError
 from gelform.normals import normals_from_gradients
 from gelform.npz_files import read_npz, write_npz
@@ -191,6 +191,7 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
     DataError
         The file is already there and `overwrite` is False, or it cannot be written.
     """
+    check_map(result.depth, "depth")  # NaN is no depth
     arrays = {name: getattr(result, name) for name in _MAPS if getattr(result, name) is not None}
     if result.mm_per_px is None:
         arrays["depth_px"] = result.depth
@@ -213,6 +214,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
     )
     try:
+        _check_contents(arrays, meta)
         scaled = "depth_px" not in arrays
         settings = {name: meta[name] for name in _META}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
@@ -223,14 +225,38 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
             **maps,
             **settings,
         )
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DataError(
-            f"{path} is damaged: {type(problem).__name__}: {problem}. Reconstruct again."
-        ) from problem
+    except KeyError as problem:
+        raise DataError(f"{path} is damaged: {problem} is missing. Reconstruct again.") from problem
+    except (TypeError, ValueError) as problem:
+        said = (
+            str(problem) if str(problem).startswith("Expected") else "what it holds does not make a result."
+        )
+        raise DataError(f"{path} is damaged: {said} Reconstruct again.") from problem
+
+
+def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
+    """Refuse NaN, arrays of other types and settings of the wrong kind; the record looks at shapes itself."""
+    for name, array in arrays.items():
+        wanted = np.bool_ if name in ("contact", "known") else np.floating
+        if not np.issubdtype(array.dtype, wanted):
+            raise TypeError(f"Expected {name} of another type, got {array.dtype}.")
+        check_finite(array, name)
+    for name in ("zero", "solver", "calibration_digest"):
+        if not isinstance(meta[name], str):
+            raise TypeError(f"Expected {name} as text, got {type(meta[name]).__name__}.")
+    check_within(meta["curl_rms"], "curl_rms", 0, np.inf)
+    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns"):
+        if meta[name] is not None:
+            check_number(meta[name], name)
+    for finding in meta["health"]:
+        if not isinstance(finding["name"], str) or not isinstance(finding["message"], str):
+            raise TypeError("Expected findings with a name and a message.")
+        check_number(finding["figure"], "figure")
 
 
 def _pitch(stored: NDArray[Any]) -> float | tuple[float, float]:
-    return float(stored.item()) if stored.ndim == 0 else tuple(stored.tolist())
+    x, y = check_mm_per_px(stored)
+    return x if stored.ndim == 0 else (x, y)
 
 
 _META = (

@@ -27,6 +27,7 @@ from gelform.resample import (
     remapped,
 )
 
+MAX_PIXELS = 200e6
 FLIPS = ("none", "x", "y", "xy")
 
 
@@ -143,6 +144,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     ValueError, TypeError
         Another size, or no RGB image (see `checks.check_image`).
     """
+    if not isinstance(view, View):
+        raise TypeError(f"Expected a View, such as calibration.view or View(), got {type(view).__name__}.")
     pixels = check_image(frame, name="frame")
     shape = (pixels.shape[0], pixels.shape[1])
     if view.frame_shape not in (None, shape):
@@ -265,6 +268,8 @@ def _size_of(value: Any, name: str) -> tuple[int, int] | None:
     numbers = _numbers(value, 2, f"{name} as (height, width)")
     if min(numbers) < 1 or any(number != int(number) for number in numbers):
         raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
+    if numbers[0] * numbers[1] > MAX_PIXELS:
+        raise ValueError(f"Expected {name} of at most {MAX_PIXELS / 1e6:g} million pixels, got {value}.")
     return int(numbers[0]), int(numbers[1])
 
 

@@ -2,13 +2,6 @@
 
 from hostile.outcome import counts
 
-collect_ignore = [
-    "test_arrays.py",
-    "test_files.py",
-    "test_frames.py",
-    "test_tables.py",
-]  # until what they found is mended
-
 
 def pytest_terminal_summary(terminalreporter):
     if counts:

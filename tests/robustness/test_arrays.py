@@ -25,11 +25,16 @@ MASK = DEPTH > 0
 WEIGHTS = np.where(MASK, 1.0, 0.5).astype(np.float32)
 PITCH = {"mm_per_px": MM_PER_PX}
 
+
+def gain(image: Any, background: Any) -> np.ndarray:
+    return gelform.exposure_from_image(image, background).believed_gain
+
+
 DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "image_from_frame": (gelform.image_from_frame, {"frame": IMAGE, "view": gelform.View()}),
     "color_change_from_image": (gelform.color_change_from_image, {"image": IMAGE, "background": REST}),
     "image_from_color_change": (gelform.image_from_color_change, {"color_change": CHANGE, "background": REST}),
-    "exposure_from_image": (gelform.exposure_from_image, {"image": IMAGE, "background": REST}),
+    "exposure_from_image": (gain, {"image": IMAGE, "background": REST}),
     "background_from_frames": (gelform.background_from_frames, {"frames": [IMAGE, IMAGE, IMAGE]}),
     "markers_from_image": (gelform.markers_from_image, {"image": IMAGE, "background": REST}),
     "normals_from_image": (gelform.normals_from_image, {"image": NORMALS @ LIGHTS.T, "lights": LIGHTS}),
@@ -77,6 +82,8 @@ def difference(door: str, got: Any, argument: str, odd: Any) -> str | None:
     if right is None or numbers is None or right.shape != numbers.shape or not np.allclose(right, numbers):
         return None
     for one, other in zip(values_of(got), values_of(function(**arguments))):
+        if not one.size and one.shape == other.shape:
+            continue
         if one.shape != other.shape or not np.allclose(one, other, atol=2e-2 * max(1.0, np.abs(other).max())):
             return "the same numbers give another result"
     return None
@@ -86,7 +93,7 @@ def difference(door: str, got: Any, argument: str, odd: Any) -> str | None:
 def test_odd_arguments(door):
     function, arguments = DOORS[door]
 
-    @cases(75)
+    @cases(38)
     @given(argument=st.sampled_from(sorted(arguments)), which=st.integers(0, 80))
     def of_any_kind(argument, which):
         value = arguments[argument]
@@ -130,7 +137,7 @@ SETTINGS = {
 def test_odd_settings(door):
     function, names = SETTINGS[door]
 
-    @cases(100)
+    @cases(50)
     @given(name=st.sampled_from(names), which=st.integers(0, len(ODD_VALUES) + 2))
     def of_any_kind(name, which):
         odd = (*ODD_VALUES, 1e9, 3e38, float("nan"))[which]

@@ -43,7 +43,7 @@ def read_with(file, content):
 def test_damaged_bytes(files, kind):
     file = files[kind]
 
-    @cases(90)
+    @cases(45)
     @given(damages=byte_damages())
     def of_any_kind(damages):
         content = damaged(file.content, damages)
@@ -80,7 +80,7 @@ def test_a_sealed_file_that_holds_something_else(files, kind, part):
     nested = [(name, key) for name in names if part == "meta" and isinstance(contents["meta"][name], dict)
               for key in contents["meta"][name]]  # fmt: skip
 
-    @cases(250)
+    @cases(125)
     @given(place=st.sampled_from([*names, *nested]), which=st.integers(-1, 60))
     def of_any_kind(place, which):
         arrays, meta = unsealed(file.content)
@@ -95,7 +95,7 @@ def test_a_sealed_file_that_holds_something_else(files, kind, part):
             changed[key] = odd[which % len(odd)]
         try:
             content = sealed(arrays, meta)
-        except (TypeError, ValueError):
+        except Exception:
             return  # no file can hold this
         judge(f"{kind} sealed with {place} = odd {which}", lambda: used(read_with(file, content)))
 

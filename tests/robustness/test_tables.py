@@ -35,7 +35,7 @@ def presses(tmp_path_factory):
     return real_files(tmp_path_factory.mktemp("files"))["presses.csv"]
 
 
-@cases(300)
+@cases(150)
 @given(
     row=st.integers(0, 3), column=st.integers(0, 6), entry=st.sampled_from(ENTRIES), ending=st.sampled_from("\n\r")
 )  # fmt: skip
@@ -72,7 +72,7 @@ def test_an_odd_entry_of_presses_csv(presses, row, column, entry, ending):
         presses.path.write_bytes(presses.content)
 
 
-@cases(400)
+@cases(200)
 @given(key=st.sampled_from(KEYS), value=st.sampled_from(VALUES), beside=st.booleans())
 def test_an_odd_setting_of_sensor_toml(tmp_path_factory, key, value, beside):
     path = tmp_path_factory.getbasetemp() / "sensor.toml"
@@ -93,7 +93,7 @@ def test_an_odd_setting_of_sensor_toml(tmp_path_factory, key, value, beside):
     judge(f"sensor.toml {key} = {value[:30]}, beside {beside}", lambda: read_sensor_toml(path), right)
 
 
-@cases(120)
+@cases(60)
 @given(
     name=st.sampled_from(["mm_per_px", "ball_diameter_mm", "crop", "sensor", "background"]),
     value=st.sampled_from(
@@ -108,7 +108,7 @@ def test_odd_arguments_of_read_presses(presses, name, value):
     )
 
 
-@cases(80)
+@cases(40)
 @given(
     door=st.sampled_from(["read_presses", "read_image", "load_calibration", "load_result", "read_background"]),
     path=st.sampled_from(

@@ -128,5 +128,5 @@ def test_wrong_sensor_toml(tmp_path, text, said):
 
 def test_bytes_that_are_no_text(tmp_path):
     (tmp_path / "sensor.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match="no TOML"):
+    with pytest.raises(DataError, match="no text in UTF-8"):
         read_sensor_toml(tmp_path / "sensor.toml")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,6 +96,8 @@ def _kept(
     """Every k-th frame, k doubled whenever there would be more than `max_bytes` of them."""
     kept: list[tuple[str, NDArray[Any]]] = []
     stride = 1
+    if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
+        raise TypeError(f"Expected frames as several images (H, W, 3), got {type(frames).__name__}.")
     for number, frame in enumerate(frames):
         if number % stride:
             continue

@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.background.check import Finding, compared
 from gelform.background.exposure import Exposure, block_means
-from gelform.checks import check_image
+from gelform.checks import check_image, check_values, check_within
 
 MAX_CONDITION = 30.0
+MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0
+RESPONSES = 0.05, 20.0
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(
     "color_change",
@@ -47,10 +49,9 @@ class ChangeSettings:
     def __post_init__(self) -> None:
         if self.method not in ("divide", "subtract"):
             raise ValueError(f"Expected method 'divide' or 'subtract', got {self.method!r}.")
-        if not (self.offset >= 0 and self.blur_px >= 0):
-            raise ValueError(f"Expected offset and blur_px >= 0, got {self.offset} and {self.blur_px}.")
-        if not 0 < self.response < np.inf:
-            raise ValueError(f"Expected response > 0, got {self.response}.")
+        check_within(self.offset, "offset", 0, MAX_OFFSET)
+        check_within(self.blur_px, "blur_px", 0, MAX_BLUR_PX)
+        check_within(self.response, "response", *RESPONSES)
         if self.crosstalk is not None:
             object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
 
@@ -61,8 +62,8 @@ class ChangeSettings:
 
 
 def _checked_crosstalk(crosstalk: Any) -> Matrix:
-    matrix = np.asarray(crosstalk, dtype=np.float64)
-    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
+    matrix = check_values(crosstalk, "crosstalk", (3, 3), np.float64)
+    if matrix.ndim != 2:
         raise ValueError(f"Expected crosstalk as 3x3 finite numbers, got {crosstalk}.")
     condition = float(np.linalg.cond(matrix))
     if not condition < MAX_CONDITION:
@@ -235,8 +236,13 @@ def image_from_color_change(
     """
     settings = settings or ChangeSettings()
     untouched = check_image(background, name="background").astype(np.float32)
+    change = check_values(color_change, "color_change", (3,))
+    if change.shape != untouched.shape:
+        raise ValueError(
+            f"Expected color_change of the background's shape {untouched.shape}, got {change.shape}."
+        )
     gain = gain_from_background(untouched, settings)
-    light = light_from_image(untouched, settings) + np.asarray(color_change, dtype=np.float32) / gain
+    light = light_from_image(untouched, settings) + change / gain
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)

@@ -12,9 +12,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
+from gelform.checks import check_image
 
 BLOCKS = 1200
 DARK, BRIGHT = 6.0, 250.0  # mean levels of a block between which its ratio tells the gain
@@ -66,7 +67,7 @@ class Exposure:
         return np.asarray(self.gain**part, dtype=np.float64)
 
 
-def exposure_from_image(image: NDArray[Any], background: NDArray[Any]) -> Exposure:
+def exposure_from_image(image: ArrayLike, background: ArrayLike) -> Exposure:
     """Gain of each channel between an image and the untouched image, from what a touch left alone.
 
     Parameters
@@ -84,7 +85,9 @@ def exposure_from_image(image: NDArray[Any], background: NDArray[Any]) -> Exposu
     ValueError, TypeError
         The image or the background is no (H, W, 3) of numbers in 0-255, or they differ in size.
     """
-    return exposure_from_blocks(block_means(image), block_means(background))
+    untouched = check_image(background, name="background")
+    pressed = check_image(image, shape=untouched.shape[:2])
+    return exposure_from_blocks(block_means(pressed), block_means(untouched))
 
 
 def block_means(image: NDArray[Any]) -> NDArray[np.float32]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
+from gelform.checks import LARGEST, check_values
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples, Variant
 
@@ -26,11 +27,9 @@ RESPONSES = (0.3, 1.6)
 
 def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
     """Inverse of the light matrix, refused where the lights are coplanar or nearly so."""
-    matrix = np.asarray(lights, dtype=np.float64)
-    if matrix.shape != (3, 3):
+    matrix = check_values(lights, "lights", (3, 3), np.float64)
+    if matrix.ndim != 2:
         raise ValueError(f"Expected lights of shape (3, 3), one row per channel, got {matrix.shape}.")
-    if not np.all(np.isfinite(matrix)):
-        raise ValueError("Expected finite lights, got NaN or infinity.")
     condition = float(np.linalg.cond(matrix))
     if not condition < MAX_CONDITION:
         raise ValueError(
@@ -38,7 +37,10 @@ def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
             f"{condition:.3g} (limit {MAX_CONDITION:g}): the lights are coplanar or two are the same. "
             "Light the gel from three different sides."
         )
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    if np.abs(inverse).max() > LARGEST:
+        raise ValueError(f"Expected lights that are not all dark, got {np.abs(matrix).max():.3g} at most.")
+    return inverse
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_values, check_within
+
 SLOPE_BINS = 10
 PLACES = (3, 4)  # rows, columns
 ONE_SIGMA = 0.6827
@@ -15,6 +17,14 @@ MIN_IN_BIN = 50
 GOOD = 0.95
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
 ROUNDS = 3
+
+_RANGES = (
+    ("rest", 1e-9, 1e3),
+    ("clean", 1e-9, 1e3),
+    ("correlation_px", 1e-6, 1e4),
+    ("correlated_share", 0, 1),
+    ("gain_sigma", 0, 10),
+)
 
 
 @dataclass(frozen=True)
@@ -67,6 +77,20 @@ class SlopeSigma:
     gain_sigma: float = 0.0
     solved_factor: float = 1.0
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
+
+    def __post_init__(self) -> None:
+        for name, low, high in _RANGES:
+            check_within(getattr(self, name), name, low, high)
+        slopes, sigmas, place = (check_values(getattr(self, n), n) for n in ("slopes", "sigmas", "place"))
+        if not (
+            slopes.ndim == 1
+            and slopes.shape == sigmas.shape
+            and sigmas.min() > 0
+            and np.all(np.diff(slopes) >= 0)
+        ):
+            raise ValueError("Expected slopes that grow and as many sigmas > 0, got others.")
+        if not (place.ndim == 2 and place.min() > 0):
+            raise ValueError("Expected place as rows of factors > 0, got others.")
 
     @classmethod
     def fit(

@@ -15,7 +15,7 @@ from gelform import __version__
 from gelform.background.average import noise_from_image
 from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration
-from gelform.checks import check_image, check_positive
+from gelform.checks import check_image, check_sensor_pitch
 from gelform.color_models import ColorModel
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
 from gelform.importers.tables import read_lut
@@ -79,7 +79,7 @@ def import_calibration(
         gel_id=None,
         view=View(),
         image_shape=(image.shape[0], image.shape[1]),
-        mm_per_px=None if mm_per_px is None else check_positive(mm_per_px, "mm_per_px"),
+        mm_per_px=None if mm_per_px is None else check_sensor_pitch(mm_per_px),
         mm_per_px_sigma=None,
         background=image,
         background_noise=noise_from_image(image),

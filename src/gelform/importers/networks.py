@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_path
 from gelform.color_models import NetworkModel
 from gelform.color_models._shared.layers import Layers
 from gelform.errors import DataError
@@ -45,7 +45,7 @@ def read_gsrobotics_web(
     path: str | PathLike[str], background: NDArray[np.float32], *, position: str
 ) -> NetworkModel:
     """The browser port's weights: 8834 little-endian float32, W1 (64, 5) by rows, b1, ... W4 (2, 64), b4."""
-    path = Path(path)
+    path = check_path(path)
     wanted = sum(n_in * n_out + n_out for n_in, n_out in pairwise(WEB_SIZES))
     if not path.is_file():
         raise DataError(f"No file {path}: expected {wanted} numbers, little-endian float32.")

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelform.checks import check_positive
+from gelform.checks import check_path, check_positive
 from gelform.errors import DataError
 from gelform.simulate import HeightMap, Mesh
 
@@ -33,7 +33,7 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
     ImportError
         trimesh is not installed: `pip install "gelform[mesh]"`.
     """
-    path = Path(path)
+    path = check_path(path)
     scale = check_positive(mm_per_unit, "mm_per_unit")
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise DataError(f"Expected a mesh as {', '.join(MESH_SUFFIXES)}, got {path.name}.")
@@ -63,7 +63,7 @@ def read_height_image(path: str | PathLike[str], *, mm_per_px: float, height_mm:
     DataError
         No such file, no image, or one in colour.
     """
-    path = Path(path)
+    path = check_path(path)
     _check_file(path, "a grey image", MAX_IMAGE_BYTES)
     grey = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if grey is None:

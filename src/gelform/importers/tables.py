@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_path
 from gelform.color_models.lookup import LookupModel
 from gelform.errors import DataError
 
@@ -36,7 +37,7 @@ def read_lut(
     """
     if depth_sign not in (1, -1):
         raise ValueError(f"Expected depth_sign 1 or -1, got {depth_sign}.")
-    slopes = depth_sign * _array(Path(path)).transpose(2, 1, 0, 3)  # to red, green, blue
+    slopes = depth_sign * _array(check_path(path)).transpose(2, 1, 0, 3)  # to red, green, blue
     unknown = np.zeros((*slopes.shape[:3], 1))
     bins = slopes.shape[0]
     step = np.full(3, RANGE_LEVELS / bins)

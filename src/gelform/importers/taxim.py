@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_path
 from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError
 
@@ -31,7 +32,7 @@ def read_taxim(path: str | PathLike[str], background: NDArray[np.float32]) -> Sl
     DataError
         No such file, another one, a damaged one, or a background of other proportions.
     """
-    path = Path(path)
+    path = check_path(path)
     arrays = _arrays(path)
     missing = {"bins", "grad_r", "grad_g", "grad_b"} - arrays.keys()
     if missing:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
+from gelform.checks import check_path, check_positive
 from gelform.errors import DataError
 
 HEIGHT, WIDTH = 480, 640
@@ -133,7 +132,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     DataError
         No such file, one without its tables, damaged, too large, or of another form.
     """
-    path = Path(path)
+    path = check_path(path)
     if not path.is_file():
         raise DataError(f"No file {path}: expected Taxim's tables (polycalib.npz).")
     if path.stat().st_size > MAX_BYTES:

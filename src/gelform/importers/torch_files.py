@@ -17,6 +17,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_path
 from gelform.errors import DataError
 
 MAX_BYTES = 64 * 2**20
@@ -68,7 +69,7 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
         No such file, an old torch file that is no zip, one that holds anything but tensors in dicts (a pickled
         module, say: it could run code), a damaged one, or one that declares more than 64 MB.
     """
-    path = Path(path)
+    path = check_path(path)
     if not path.is_file():
         raise DataError(f"No file {path}: expected weights saved by torch (.pth, .pt).")
     try:

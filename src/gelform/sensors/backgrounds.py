@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from gelform.background.average import Background, background_from_frames
+from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 
@@ -56,9 +58,11 @@ def background_in(folder: Path, stem: str = "background") -> Path:
 
 def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """Every image that is meant, folders opened, in the order of their names."""
-    given = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    if not isinstance(paths, (str, PathLike, Sequence)) or isinstance(paths, bytes):
+        raise TypeError(f"Expected the path of an image or a folder, or several, got {type(paths).__name__}.")
+    given = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     files: list[Path] = []
-    for path in map(Path, given):
+    for path in map(check_path, given):
         inside = (
             sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
             if path.is_dir()

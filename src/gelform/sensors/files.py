@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive, check_sensor_pitch
+from gelform.checks import check_path, check_positive, check_sensor_pitch, check_within
 from gelform.errors import DataError
 from gelform.view import View
 
@@ -72,7 +72,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         The file is missing, unreadable, truncated or damaged, grey, 16-bit, or has an alpha channel; the
         message says which and what to do.
     """
-    path = Path(path)
+    path = check_path(path)
     content = _content(path)
     pixels = _decoded(content, path)
     if pixels.dtype != np.uint8:
@@ -103,12 +103,20 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
     DataError
         The file is missing or no TOML, lacks a key, has one that is unknown, or a value that cannot be.
     """
-    path = Path(path)
+    path = check_path(path)
     try:
         settings = tomllib.loads(_content(path).decode("utf-8"))
         return _sensor_settings(settings)
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
+    except UnicodeDecodeError as problem:
+        raise DataError(
+            f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
+        ) from problem
+    except tomllib.TOMLDecodeError as problem:
         raise DataError(f"{path} is no TOML file: {problem}.") from problem
+    except RecursionError:
+        raise DataError(
+            f"{path} holds tables inside tables beyond reason: no settings of a sensor."
+        ) from None
     except (ValueError, TypeError) as problem:
         raise DataError(f"{path}: {problem}") from problem
 
@@ -133,7 +141,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         **texts,
         mm_per_px=check_sensor_pitch(settings["mm_per_px"]),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
-        response=check_positive(settings.get("response", 1.0), "response"),
+        response=check_within(settings.get("response", 1.0), "response", 0.05, 20),
         view=View.from_dict(settings.get("view", {})),
         measured=_measured(settings.get("measured", {})),
     )

@@ -132,7 +132,7 @@ PROFILES = {name: known.profile for name, known in SENSORS.items() if known.prof
 
 def profile_named(name: str) -> SensorProfile:
     """The profile of that name; SensorError, naming those that are known, where there is none."""
-    if name not in PROFILES:
+    if not isinstance(name, str) or name not in PROFILES:
         raise SensorError(
             f"Expected a sensor profile among {', '.join(PROFILES)}, got {name!r}. "
             "For another sensor give the scale (mm_per_px), or a folder with a sensor.toml."

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.frames import Frame
 
@@ -43,7 +44,7 @@ class Video:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = check_path(path)
         capture = self._opened()
         width, height, rate, count = (
             capture.get(which)

@@ -26,6 +26,7 @@ from gelform.calibration.presses.press_set import (
 )
 from gelform.calibration.presses.tables import diameter, number, table_rows
 from gelform.calibration.presses.video import presses_from_video
+from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
 from gelform.sensors.backgrounds import background_in, read_background
@@ -68,8 +69,9 @@ def read_presses(
         a ball diameter is not a number > 0, or a video shows no untouched gel or no press (see
         `presses_from_frames`). The message says what was expected and what to do.
     """
-    place = Path(path)
-    options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, Path(background) if background else None, crop)
+    place = check_path(path)
+    rest = None if background is None else check_path(background, "background as a path")
+    options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, rest, crop)
     kind = kind_of_presses(place)
     if kind == VIDEO:
         return presses_from_video(place, options, progress)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.presses.press_set import Listed, ReadOptions, Source
 from gelform.calibration.presses.tables import check_ball_diameter, diameter, number, table_rows
-from gelform.checks import check_positive
+from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
 from gelform.sensors.backgrounds import background_in, read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
@@ -40,9 +41,18 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
     try:
         with np.load(path, allow_pickle=False) as label:
             x, y = (float(v) for v in np.ravel(label["center"]))
-            return x, y, float(label["radius"])
-    except (KeyError, ValueError, OSError) as problem:
-        raise DataError(f"Expected center and radius in {path}, got: {problem}.") from problem
+            circle = x, y, float(label["radius"])
+            if not np.isfinite(circle).all():
+                raise ValueError(circle)
+            return circle
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DataError(
+            f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
+        ) from problem
+    except (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as problem:
+        raise DataError(
+            f"{path} is truncated or damaged. Copy it again, or label the press again."
+        ) from problem
 
 
 def py3dcal_source(folder: Path, options: ReadOptions) -> Source:
@@ -59,7 +69,7 @@ def py3dcal_source(folder: Path, options: ReadOptions) -> Source:
     for where, row in table_rows(folder / "annotations" / "annotations.csv", ("img_name", "x_px", "y_px")):
         center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))
         rows.append(Listed(f"probe_images/{row['img_name']}", ball, center_px=center))
-    known = SensorSettings(folder.resolve().name, 1 / facts["px_per_mm"])
+    known = SensorSettings(folder.resolve().name, check_sensor_pitch(1 / facts["px_per_mm"]))
     return Source(rest, rows, lambda k: read_image(folder / rows[k].name), known)
 
 

@@ -41,8 +41,14 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
                 if any((value or "").strip() for value in row.values() if isinstance(value, str)):
                     where = f"{path}, line {reader.line_num}"
                     yield where, {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)}
-    except (UnicodeDecodeError, csv.Error) as problem:
+    except UnicodeDecodeError as problem:
+        raise DataError(
+            f"{path} is no table of text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
+        ) from problem
+    except csv.Error as problem:
         raise DataError(f"{path} is no table of comma-separated text: {problem}.") from problem
+    except OSError as problem:
+        raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
 
 
 def diameter(text: str, where: str) -> float:
