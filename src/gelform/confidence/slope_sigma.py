@@ -24,6 +24,7 @@ _RANGES = (
     ("correlation_px", 1e-6, 1e4),
     ("correlated_share", 0, 1),
     ("gain_sigma", 0, 10),
+    ("solved_factor", 1e-3, 1e3),
 )
 
 

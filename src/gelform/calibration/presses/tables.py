@@ -11,7 +11,7 @@ import numpy as np
 from gelform.checks import check_positive
 from gelform.errors import DataError
 
-MAX_BALL_MM = 200.0
+MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
@@ -60,10 +60,12 @@ def diameter(text: str, where: str) -> float:
 
 
 def check_ball_diameter(ball_diameter_mm: float) -> float:
-    """A ball's diameter in mm: over 0 and up to 200; TypeError or ValueError for others."""
+    """A ball's diameter in mm: 0.1 to 200; TypeError or ValueError for others."""
     value = check_positive(ball_diameter_mm, "ball_diameter_mm")
     if value > MAX_BALL_MM:
         raise ValueError(f"Expected ball_diameter_mm up to {MAX_BALL_MM:g} mm, got {value:g}.")
+    if value < MIN_BALL_MM:
+        raise ValueError(f"Expected ball_diameter_mm of at least {MIN_BALL_MM:g} mm, got {value:g}. Is it in mm?")
     return value
 
 
