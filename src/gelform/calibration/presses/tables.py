@@ -65,7 +65,9 @@ def check_ball_diameter(ball_diameter_mm: float) -> float:
     if value > MAX_BALL_MM:
         raise ValueError(f"Expected ball_diameter_mm up to {MAX_BALL_MM:g} mm, got {value:g}.")
     if value < MIN_BALL_MM:
-        raise ValueError(f"Expected ball_diameter_mm of at least {MIN_BALL_MM:g} mm, got {value:g}. Is it in mm?")
+        raise ValueError(
+            f"Expected ball_diameter_mm of at least {MIN_BALL_MM:g} mm, got {value:g}. Is it in mm?"
+        )
     return value
 
 
