@@ -18,14 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
 from gelform.lens import Lens
-from gelform.resample import (
-    averaged,
-    box_centres,
-    maps_of_positions,
-    pixel_maps,
-    pixel_positions,
-    remapped,
-)
+from gelform.resample import averaged, box_centres, maps_of_positions, pixel_maps, pixel_positions, remapped
 
 MAX_PIXELS = 200e6
 FLIPS = ("none", "x", "y", "xy")
@@ -145,7 +138,7 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
         Another size, or no RGB image (see `checks.check_image`).
     """
     if not isinstance(view, View):
-        raise TypeError(f"Expected a View, such as calibration.view or View(), got {type(view).__name__}.")
+        raise TypeError(f"Expected a View, such as calibration.view, got {type(view).__name__}.")
     pixels = check_image(frame, name="frame")
     shape = (pixels.shape[0], pixels.shape[1])
     if view.frame_shape not in (None, shape):
@@ -266,10 +259,8 @@ def _size_of(value: Any, name: str) -> tuple[int, int] | None:
     if value is None:
         return None
     numbers = _numbers(value, 2, f"{name} as (height, width)")
-    if min(numbers) < 1 or any(number != int(number) for number in numbers):
+    if min(numbers) < 1 or numbers[0] * numbers[1] > MAX_PIXELS or any(n != int(n) for n in numbers):
         raise ValueError(f"Expected {name} as two whole numbers of pixels, got {value}.")
-    if numbers[0] * numbers[1] > MAX_PIXELS:
-        raise ValueError(f"Expected {name} of at most {MAX_PIXELS / 1e6:g} million pixels, got {value}.")
     return int(numbers[0]), int(numbers[1])
 
 
@@ -279,11 +270,10 @@ def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, fl
     left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
     if left < 0 or top < 0 or width <= 0 or height <= 0:
         raise ValueError(
-            f"Expected crop (left, top, width, height) with left, top >= 0 and a size > 0, got {value}."
+            f"Expected crop (left, top, width, height), left, top >= 0, a size > 0, got {value}."
         )
-    if frame_shape is not None and (
-        left + width > frame_shape[1] + 1e-6 or top + height > frame_shape[0] + 1e-6
-    ):
+    height_available, width_available = (np.inf, np.inf) if frame_shape is None else frame_shape
+    if left + width > width_available + 1e-6 or top + height > height_available + 1e-6:
         raise ValueError(
             f"Expected a crop within the frame of {_text(frame_shape)} px (height x width), got one ending "
             f"at column {left + width:g} and row {top + height:g}. A crop is (left, top, width, height)."
