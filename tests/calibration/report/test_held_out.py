@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.report.held_out import sample_of
+from gelform.calibration.circles.prepare import find_contacts, prepare
+from gelform.calibration.report.held_out import measure_held_out, sample_of
+from gelform.calibration.selection.candidates import Candidate
+from gelform.calibration.selection.folds import make_folds
+from gelform.calibration.selection.select import Selection
+from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.reconstruct import Reconstructor
 
 
@@ -31,7 +36,24 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
 
     monkeypatch.setattr(Reconstructor, "from_image", counted)
     report = gelform.calibrate(presses, color_model="lambertian").report
-    assert len(seen) == len(set(seen)) == sum(row.accepted for row in report.presses)
+    assert len(set(seen)) == sum(row.accepted for row in report.presses)
+    assert all(seen.count(one) <= 2 for one in seen)  # twice where a fold chose otherwise
+
+
+def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(presses, calibration):
+    """Where a fold chose otherwise the procedure's errors are of that, the saved model's of its own settings."""
+    prepared = prepare(presses)
+    found = find_contacts(prepared)
+    held_out = HeldOutPresses({10.0: prepared}, found, make_folds(prepared, found, range(len(prepared))), [])
+    plain, other = (Candidate("polynomial", 0.8, (("position_degrees", d),)) for d in ((2, 1), (1,)))
+    folds = len(held_out.folds)
+    always, once = (
+        measure_held_out(calibration, presses, held_out, Selection(plain, by_fold, ()))
+        for by_fold in ((plain,) * folds, (other,) + (plain,) * (folds - 1))
+    )
+    assert always.saved_errors == always.errors == once.saved_errors
+    differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
+    assert differing == set(held_out.folds[0].held_out)
 
 
 def test_samples_are_not_in_the_json_record(calibration):

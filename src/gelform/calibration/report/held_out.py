@@ -6,7 +6,7 @@ the run, unsaved; the report's statistics are binned from them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,8 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Press, Presses
+from gelform.calibration.selection.candidates import Candidate
+from gelform.calibration.selection.folds import Fold
 from gelform.calibration.selection.select import Selection
 from gelform.calibration.selection.slope_errors import ZONE, slope_sigma_from_folds
 from gelform.calibration.selection.trials import HeldOutPresses
@@ -93,12 +95,14 @@ class HeldOut:
 
     Attributes
     ----------
-    errors : index of the press -> its errors through the whole path
+    errors : index of the press -> its errors through the whole path, by what was chosen without its fold
+    saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
     samples : some pixels of each
     slope_sigma : standard deviation of the slopes of the chosen color model
     """
 
     errors: Mapping[int, PressErrors]
+    saved_errors: Mapping[int, PressErrors]
     samples: tuple[HeldOutSample, ...]
     slope_sigma: SlopeSigma
 
@@ -123,28 +127,46 @@ def measure_held_out(
     """
     models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
+    saved_errors: dict[int, PressErrors] = {}
     samples: list[HeldOutSample] = []
     slope_errors: list[list[NDArray[np.float64]]] = []
     found, folds = held_out.found, held_out.folds
-    prepared, mm_per_px = held_out.presses[selection.chosen.change_offset], draft.known_mm_per_px
+    mm_per_px = draft.known_mm_per_px
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
-        suited = held_out.presses[candidate.change_offset]
-        model = candidate.fit([suited[i] for i in fold.training], fold.contacts)
-        change = change_settings(presses, candidate.change_offset)
-        reconstruct = Reconstructor(replace(draft, color_model=model, change=change), depth_sigma=False)
-        for i in fold.held_out:
-            circle = _free_circle(suited[i], found[i], model, candidate.zone)
-            result = reconstruct.from_image(presses.presses[i].image)
-            errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
+        model = held_out.fit(candidate, fold)
+        for i, circle, result in _reconstructed(draft, presses, held_out, candidate, model, fold):
+            errors[i] = saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
             samples.append(sample_of(i, presses.presses[i], circle, result, mm_per_px))
-            slope_errors.append(_slope_errors(result, circle, suited[i].ball_radius_px))
+            radius_px = held_out.presses[candidate.change_offset][i].ball_radius_px
+            slope_errors.append(_slope_errors(result, circle, radius_px))
         if candidate != selection.chosen:
-            model = selection.chosen.fit([prepared[i] for i in fold.training], fold.contacts)
+            model = held_out.fit(selection.chosen, fold)
+            for i, circle, result in _reconstructed(draft, presses, held_out, selection.chosen, model, fold):
+                saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
         models.append(model)
         progress(done + 1, len(folds), "measuring on held-out presses")
+    prepared = held_out.presses[selection.chosen.change_offset]
     sigma = slope_sigma_from_folds(models, folds, prepared, found)
     observed, solved = (np.concatenate(parts) for parts in zip(*slope_errors))
-    return HeldOut(errors, tuple(samples), replace(sigma, solved_factor=solved_factor(observed, solved)))
+    sigma = replace(sigma, solved_factor=solved_factor(observed, solved))
+    return HeldOut(errors, saved_errors, tuple(samples), sigma)
+
+
+def _reconstructed(
+    draft: Calibration,
+    presses: Presses,
+    held_out: HeldOutPresses,
+    candidate: Candidate,
+    model: ColorModel,
+    fold: Fold,
+) -> Iterator[tuple[int, tuple[float, float, float], Reconstruction]]:
+    """Index, circle and result of each press of a fold, by a model that was fitted without the fold."""
+    suited = held_out.presses[candidate.change_offset]
+    change = change_settings(presses, candidate.change_offset)
+    reconstruct = Reconstructor(replace(draft, color_model=model, change=change), depth_sigma=False)
+    for i in fold.held_out:
+        circle = _free_circle(suited[i], held_out.found[i], model, candidate.zone)
+        yield i, circle, reconstruct.from_image(presses.presses[i].image)
 
 
 def _slope_errors(

@@ -51,9 +51,12 @@ class CalibrationReport:
     ----------
     presses : every press of the folder
     candidates : what was tried: name, held-out normal error and its standard error in degrees, chosen or not
-    held_out : errors over the presses, each from a model that has not seen it (centre free)
+    held_out : errors over the presses, each from a model that has not seen it, of what was chosen without it
+        (centre free): what the procedure does on presses that nothing has seen
     seconds : how long it took
     notes : what a reader should know
+    held_out_saved : the same of the saved model's kind, settings and zone, fitted without each press; a little
+        flattered, since those were chosen on the same presses; empty in reports from before it was measured
     samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
     start : another unit's model that the run began with, or None; not in `to_dict`, not saved
     """
@@ -63,6 +66,7 @@ class CalibrationReport:
     held_out: dict[str, float]
     seconds: float
     notes: tuple[str, ...] = ()
+    held_out_saved: dict[str, float] = field(default_factory=dict)
     samples: tuple[HeldOutSample, ...] = field(default=(), repr=False)
     start: Start | None = field(default=None, repr=False)
 
@@ -95,6 +99,7 @@ def report_of_run(
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
             *notes,
         ),
+        held_out_saved=summary(list(held_out.saved_errors.values())),
         samples=held_out.samples,
         start=start,
     )

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.samples import TOTAL_SAMPLES, PreparedPress
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.folds import Fold
 from gelform.calibration.selection.press_score import PressScore, press_score
+from gelform.color_models import ColorModel
 
 SELECTION_SAMPLES = 5_000
 MIN_FOLDS = 4
@@ -99,6 +100,11 @@ class HeldOutPresses:
     folds: Sequence[Fold]
     sizes: Sequence[Fold]
 
+    def fit(self, candidate: Candidate, fold: Fold, *, total: int = TOTAL_SAMPLES) -> ColorModel:
+        """A candidate, fitted on about `total` pixels of a fold's training presses."""
+        suited = self.presses[candidate.change_offset]
+        return candidate.fit([suited[i] for i in fold.training], fold.contacts, total=total)
+
     def try_candidate(self, candidate: Candidate) -> Trial:
         """Fit a candidate without each fold and without each size that can be left out; score what was left out."""
         return Trial(candidate, self._scores(candidate, self.folds), self._scores(candidate, self.sizes))
@@ -117,7 +123,6 @@ class HeldOutPresses:
         scores: dict[int, PressScore] = {}
         for fold in folds:
             if fold.training:
-                training = [suited[i] for i in fold.training]
-                model = candidate.fit(training, fold.contacts, total=SELECTION_SAMPLES)
+                model = self.fit(candidate, fold, total=SELECTION_SAMPLES)
                 scores.update({i: press_score(suited[i], self.found[i], model) for i in fold.held_out})
         return scores

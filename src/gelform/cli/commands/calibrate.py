@@ -132,7 +132,10 @@ def _show(calibration: Calibration, quiet: bool) -> None:
         for one in report.candidates
     ]
     show_table("Color models tried", ("model (< chosen)", "held-out normal (deg)"), tried, quiet=quiet)
-    held_out = [(name, figure(value)) for name, value in report.held_out.items()]
-    show_table("Errors on presses that were held out", ("figure", "value"), held_out, quiet=quiet)
+    held_out = [
+        (name, figure(saved), figure(report.held_out[name])) for name, saved in report.held_out_saved.items()
+    ]
+    columns = ("figure", "saved model", "choice and fit")
+    show_table("Errors on presses that were held out", columns, held_out, quiet=quiet)
     for note in report.notes:
         say(f"note: {note}", quiet)
