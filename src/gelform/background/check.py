@@ -179,7 +179,7 @@ def _correlation(
     None where the untouched image is featureless: it can neither agree nor disagree. 0 where only the image is.
     """
     scaled = seen if gain is None else seen * (1 / gain).astype(np.float32)
-    distance = np.abs(scaled - untouched).sum(axis=-1)
+    distance = np.einsum("...c->...", np.abs(scaled - untouched))
     last = min(int((1 - TOUCHED_SHARE) * distance.size), distance.size - 1)
     least_changed = distance <= np.partition(distance, last, axis=None)[last]
     a, b = (values[least_changed].ravel().astype(np.float64) for values in (scaled, untouched))

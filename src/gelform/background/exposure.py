@@ -100,9 +100,8 @@ def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
 
 def exposure_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> Exposure:
     """`exposure_from_image` of images that `block_means` has averaged."""
-    lit = (np.minimum(blocks, untouched).min(axis=-1) > DARK) & (
-        np.maximum(blocks, untouched).max(axis=-1) < BRIGHT
-    )
+    usable = (np.minimum(blocks, untouched) > DARK) & (np.maximum(blocks, untouched) < BRIGHT)
+    lit = usable[..., 0] & usable[..., 1] & usable[..., 2]  # numpy is slow over axes of 3
     if not lit.any():
         return Exposure(None, 0.0, np.inf, np.inf)
     logs = np.log(blocks[lit] / untouched[lit])
