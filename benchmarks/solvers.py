@@ -79,7 +79,10 @@ def noise(repeats: int) -> Table:
                 for k in range(repeats)
             ]
             floor = 1e3 * np.sqrt(
-                np.mean(gelform.depth_sigma(np.full((*SHAPE, 2), sigma), mm_per_px=MM_PER_PX) ** 2)
+                np.mean(
+                    gelform.depth_sigma_from_gradients_sigma(np.full((*SHAPE, 2), sigma), mm_per_px=MM_PER_PX)
+                    ** 2
+                )
             )
             table[name][f"{sigma:g}"] = float(np.sqrt(np.mean(np.square(errors))))
             table[name][f"{sigma:g} / floor"] = table[name][f"{sigma:g}"] / float(floor)

@@ -29,7 +29,7 @@ from .depth import depth_from_gradients as depth_from_gradients
 from .depth import integrate as integrate
 from .depth import Integration as Integration
 from .depth import edge_residuals as edge_residuals
-from .depth_sigma.sigma import depth_sigma as depth_sigma
+from .depth_sigma.sigma import depth_sigma_from_gradients_sigma as depth_sigma_from_gradients_sigma
 from .depth_sigma.sigma import DepthSigma as DepthSigma
 from .contact import contact_from_depth as contact_from_depth
 from .calibration.presses.folder import read_presses as read_presses
@@ -60,7 +60,6 @@ from .plots.canvas import save_picture as save_picture
 from .metrics import press_errors as press_errors
 from .exporters.press_folder import save_press_folder as save_press_folder
 from .exporters.press_folder import save_simulated_presses as save_simulated_presses
-from .depth_sigma.warmup import warmup as warmup
 from .errors import GelformError as GelformError
 from .errors import CalibrationError as CalibrationError
 from .errors import SensorError as SensorError

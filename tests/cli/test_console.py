@@ -69,16 +69,3 @@ def test_progress_on_a_screen(monkeypatch):
     assert "first work" in screen.getvalue()
     assert "3/3" in screen.getvalue()
     assert "1/2" in screen.getvalue()
-
-
-def test_a_user_is_told_of_the_first_compilation(monkeypatch):
-    """Nobody waits seconds in front of a silent screen: once, and only where there is something to compile."""
-    from gelform.cli.console import warm
-    from gelform.depth_sigma import warmup
-
-    told = []
-    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
-    warm(lambda *call: told.append(call))
-    monkeypatch.setattr(warmup, "is_compiled", lambda: True)
-    warm(lambda *call: told.append(call))
-    assert told == [(0, 1, warmup.MESSAGE)]

@@ -1,21 +1,91 @@
-"""From cells back to pixels."""
+"""From pixels to blocks and back: the kernels against plain numpy, and what an anchor does."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from gelform.depth_sigma.blocks import sigma_of_pixels
+from gelform.depth_sigma import blocks
+from gelform.depth_sigma.blocks import LINES, sigma_of_pixels
+from kernel_agreement import assert_kernel_agrees
+
+FLOOR = 1e-3
+
+
+@pytest.fixture
+def maps():
+    """Sigma, weights (some under the floor), mask, anchor and zero pixels of a frame that no block divides."""
+    rng = np.random.default_rng(4)
+    shape = (11, 22)
+    return (
+        rng.uniform(0.02, 0.2, (*shape, 2)).astype(np.float32),
+        np.where(rng.uniform(size=shape) < 0.2, 1e-4, rng.uniform(0.1, 1, shape)).astype(np.float32),
+        rng.uniform(size=shape) < 0.9,
+        rng.uniform(0, 0.1, shape).astype(np.float32),
+        rng.uniform(size=shape) < 0.5,
+    )
+
+
+def sums_by_numpy(sigma, weights, mask, anchor, region, floor, block, work, sums):
+    weight = np.where(weights >= floor, mask * weights, 0)
+    planes = [mask, weight, weight**2, mask * anchor, mask & region]
+    for slope in range(sigma.shape[2]):
+        planes += [weight * sigma[..., slope], (weight * sigma[..., slope]) ** 2]
+    for plane, out in zip(planes, sums):
+        for row, column in np.ndindex(out.shape):
+            rows, columns = (slice(k * block, (k + 1) * block) for k in (row, column))
+            out[row, column] = np.sum(plane[rows, columns], dtype=np.float64)
+    return sums
+
+
+@pytest.mark.parametrize("slopes", [1, 2])
+def test_sums_of_blocks(maps, slopes):
+    sigma = np.ascontiguousarray(maps[0][..., :slopes])
+    planes = 5 + 2 * slopes
+    work, sums = np.empty((planes, 22), dtype=np.float32), np.empty((planes, 3, 6), dtype=np.float32)
+    assert_kernel_agrees(blocks._sum_blocks, sums_by_numpy, sigma, *maps[1:], FLOOR, 4, work, sums)
+
+
+def sigma_by_numpy(variance, sigma, within, weights, floor, anchor, work, out):
+    trusted = (weights >= floor).astype(np.float64)
+    total = variance[: out.shape[0], : out.shape[1]].astype(np.float64)
+    shares = within if sigma.shape[2] == 2 else [within.sum()]
+    for slope, share in enumerate(shares):
+        usual = around(trusted) / (around(trusted / sigma[..., slope]) + 1e-30)
+        total = total + share * usual**2
+    w = np.pad(np.maximum(weights, floor).astype(np.float64), 1, mode="edge")
+    e = w[1:-1, 1:-1]
+    ties = 2 * e * sum(a / (e + a) for a in (w[:-2, 1:-1], w[2:, 1:-1], w[1:-1, :-2], w[1:-1, 2:]))
+    return np.sqrt(total) * (1 if anchor is None else ties / (ties + anchor))
+
+
+def around(values):
+    """Sum over 3x3 pixels, beyond the border 0."""
+    padded = np.pad(values, 1)
+    height, width = values.shape
+    return sum(padded[i : i + height, j : j + width] for i in range(3) for j in range(3))
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+@pytest.mark.parametrize("slopes", [1, 2])
+def test_sigma_of_pixels_is_what_numpy_says(maps, slopes, anchored):
+    sigma = np.ascontiguousarray(maps[0][..., :slopes])
+    variance = np.random.default_rng(5).uniform(0, 1e-3, (12, 24)).astype(np.float32)
+    within = np.array([0.3, 0.2], dtype=np.float32)
+    work, out = np.empty((LINES, 24), dtype=np.float32), np.empty((11, 22), dtype=np.float32)
+    anchor = maps[3] if anchored else None
+    arguments = variance, sigma, within, maps[1], FLOOR, anchor, work, out
+    assert_kernel_agrees(blocks._sigma_of_pixels, sigma_by_numpy, *arguments)
 
 
 @pytest.mark.parametrize("anchor", [0.0, 0.05])
 def test_an_anchored_pixel_follows_its_neighbours_by_its_ties(anchor):
     weights, hold = np.ones((3, 3), dtype=np.float32), np.zeros((3, 3), dtype=np.float32)
     weights[1, 1], hold[1, 1] = 0.01, anchor
-    sigma, out = np.full((3, 3, 2), 0.1, dtype=np.float32), np.empty((3, 3), dtype=np.float32)
+    sigma = np.full((3, 3, 2), 0.1, dtype=np.float32)
     within = np.array([0.3, 0.2], dtype=np.float32)
     variance = np.full((3, 3), 0.04, dtype=np.float32)
-    sigma_of_pixels(variance, sigma, within, weights, np.float32(1e-3), hold, out)
+    out = sigma_of_pixels(variance, sigma, within, weights, np.float32(FLOOR), hold)
     free = np.sqrt(0.04 + 0.5 * 0.1**2)
     ties = 4 * 2 * 0.01 / 1.01
     assert out[1, 1] == pytest.approx(free * ties / (ties + anchor), rel=1e-5)

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelform.depth import depth_from_gradients
-from gelform.depth_sigma.sigma import DepthSigma, depth_sigma
+from gelform.depth_sigma.sigma import DepthSigma, depth_sigma_from_gradients_sigma
 from scenes import gaussian, scene, with_outliers
 
 SHAPE = (72, 96)
@@ -59,13 +59,15 @@ def test_closed_form_of_white_errors_is_exact(shape, pitch):
     unit = np.eye(2 * shape[0] * shape[1]).reshape(-1, *shape, 2)
     depth = depth_from_gradients(unit, mm_per_px=pitch).astype(np.float64)
     expected = 0.05 * np.sqrt(np.sum(depth**2, axis=0))
-    assert depth_sigma(np.full((*shape, 2), 0.05), mm_per_px=pitch) == pytest.approx(expected, rel=1e-4)
+    assert depth_sigma_from_gradients_sigma(np.full((*shape, 2), 0.05), mm_per_px=pitch) == pytest.approx(
+        expected, rel=1e-4
+    )
 
 
 def test_closed_form_takes_sigma_of_x_and_y_apart():
     unit = np.eye(2 * 15 * 20).reshape(-1, 15, 20, 2) * np.array([0.02, 0.07])
     depth = depth_from_gradients(unit, mm_per_px=0.1).astype(np.float64)
-    sigma = depth_sigma(np.broadcast_to([0.02, 0.07], (15, 20, 2)), mm_per_px=0.1)
+    sigma = depth_sigma_from_gradients_sigma(np.broadcast_to([0.02, 0.07], (15, 20, 2)), mm_per_px=0.1)
     assert sigma == pytest.approx(np.sqrt(np.sum(depth**2, axis=0)), rel=1e-4)
 
 
@@ -75,7 +77,7 @@ def test_agrees_with_monte_carlo_weighted_anchored_and_correlated(anchored, leng
     sigma, weights, anchor = uneven()
     arguments = {"weights": weights, "anchor": anchor if anchored else None}
     expected = monte_carlo(sigma, length, share, **arguments)
-    found = depth_sigma(
+    found = depth_sigma_from_gradients_sigma(
         sigma, mm_per_px=PITCH, correlation_px=length, correlated_share=share, probes=200, **arguments
     )
     off = deviation(found, expected)
@@ -87,37 +89,39 @@ def test_agrees_with_monte_carlo_weighted_anchored_and_correlated(anchored, leng
 def test_follows_the_zero_reference_and_the_level(arguments):
     sigma, weights, _ = uneven()
     expected = monte_carlo(sigma, 0, 0.0, weights=weights, **arguments)
-    found = depth_sigma(sigma, mm_per_px=PITCH, weights=weights, probes=200, **arguments)
+    found = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, weights=weights, probes=200, **arguments)
     assert np.median(deviation(found, expected)) < 0.12
 
 
 def test_few_probes_are_as_good_as_said():
     sigma, weights, anchor = uneven()
     arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 10}
-    many = depth_sigma(sigma, probes=600, **arguments)
-    few = depth_sigma(sigma, probes=32, rng=np.random.default_rng(3), **arguments)
+    many = depth_sigma_from_gradients_sigma(sigma, probes=600, **arguments)
+    few = depth_sigma_from_gradients_sigma(sigma, probes=32, rng=np.random.default_rng(3), **arguments)
     assert np.median(deviation(few, many)) < 0.6 / np.sqrt(32) * 1.2
 
 
 def test_correlated_errors_move_depth_more_than_white_ones():
     sigma = np.full((*SHAPE, 2), 0.05)
-    white = depth_sigma(sigma, mm_per_px=PITCH)
-    both = depth_sigma(sigma, mm_per_px=PITCH, correlation_px=20, correlated_share=0.5)
+    white = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH)
+    both = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, correlation_px=20, correlated_share=0.5)
     assert np.median(both) > 3 * np.median(white)
 
 
 def test_scales_with_the_slope_errors_and_repeats():
     sigma, weights, anchor = uneven()
     arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 8}
-    once = depth_sigma(sigma, **arguments)
-    assert np.array_equal(once, depth_sigma(sigma, **arguments))
-    assert depth_sigma(3 * sigma, **arguments) == pytest.approx(3 * once, rel=1e-3)
+    once = depth_sigma_from_gradients_sigma(sigma, **arguments)
+    assert np.array_equal(once, depth_sigma_from_gradients_sigma(sigma, **arguments))
+    assert depth_sigma_from_gradients_sigma(3 * sigma, **arguments) == pytest.approx(3 * once, rel=1e-3)
 
 
 def test_anchored_pixels_are_known_better():
     sigma, weights, anchor = uneven()
-    free = depth_sigma(sigma, mm_per_px=PITCH, weights=weights, correlation_px=10)
-    held = depth_sigma(sigma, mm_per_px=PITCH, weights=weights, anchor=anchor, correlation_px=10)
+    free = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, weights=weights, correlation_px=10)
+    held = depth_sigma_from_gradients_sigma(
+        sigma, mm_per_px=PITCH, weights=weights, anchor=anchor, correlation_px=10
+    )
     assert np.median(held[anchor > 0]) < 0.5 * np.median(free[anchor > 0])
 
 
@@ -125,7 +129,7 @@ def test_odd_sizes_and_masks():
     sigma = np.full((37, 51, 2), 0.05)
     mask = np.zeros((37, 51), dtype=bool)
     mask[3:30, 5:47] = True
-    found = depth_sigma(sigma, mm_per_px=PITCH, mask=mask)
+    found = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, mask=mask)
     assert found.shape == (37, 51)
     assert np.all(np.isfinite(found))
     assert found[mask].min() > 0
@@ -138,7 +142,7 @@ def test_prepared_once_gives_the_same_and_keeps_nothing():
     prepared(2 * sigma, weights=weights**2, level="plane")
     assert np.array_equal(prepared(sigma, weights=weights, anchor=anchor), first)
     arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 8}
-    assert np.array_equal(depth_sigma(sigma, **arguments), first)
+    assert np.array_equal(depth_sigma_from_gradients_sigma(sigma, **arguments), first)
     assert prepared(sigma[..., 0], weights=weights, anchor=anchor) == pytest.approx(first, rel=1e-4)
 
 
@@ -196,4 +200,4 @@ def test_prepared_settings_and_arguments_are_checked():
 def test_bad_input_is_refused(change, text):
     arguments = {"gradients_sigma": np.ones((4, 5, 2)), "mm_per_px": 0.1, "zero": "border"} | change
     with pytest.raises(ValueError, match=text):
-        depth_sigma(arguments.pop("gradients_sigma"), **arguments)
+        depth_sigma_from_gradients_sigma(arguments.pop("gradients_sigma"), **arguments)

@@ -37,13 +37,6 @@ def progress_shown(quiet: bool) -> Iterator[Progress]:
         yield report
 
 
-def warm(progress: Progress) -> None:
-    """Have the depth solvers ready, and say so where they have to be compiled first: seconds, once."""
-    from gelform.depth_sigma.warmup import warmup
-
-    warmup(lambda message: progress(0, 1, message))
-
-
 def say(text: str, quiet: bool = False) -> None:
     """A line for the user on standard error, where results do not mix with it."""
     if not quiet:

@@ -1,4 +1,4 @@
-"""The integration problem on cells of several pixels, and the way back: sigma is smooth, probes need no more."""
+"""The integration problem on blocks of several pixels, and the way back: sigma is smooth, probes need no more."""
 
 from __future__ import annotations
 
@@ -6,28 +6,47 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.gradients import fill_unknown
-from gelform.solvers.multigrid.cycle import KERNEL
 from gelform.solvers.system import FLOOR, problem_from_gradients
 
-# What is summed over the pixels of a cell: those inside the mask, weight and its square, anchor, zero pixels;
-# then per slope weight x sigma and its square.
+_sum_blocks = Kernel(
+    "sum_blocks",
+    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w] mask, f32[h,w] anchor, bool[h,w] region, f32 floor, i64 block, "
+    "out f32[planes,w] work, out f32[planes,rows,columns] sums",
+)
+_sigma_of_pixels = Kernel(
+    "sigma_of_pixels",
+    "f32[rows,columns] variance, f32[h,w,slopes] sigma, f32[2] within, f32[h,w] weights, f32 floor, f32[h,w]? anchor, "
+    "out f32[11,line] work, out f32[h,w] out",
+)
+LINES = 11  # scratch of `sigma_of_pixels`
+
+# What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels;
+# then for each slope weight x sigma and its square.
 INSIDE, WEIGHT, SQUARE, HOLD, REGION, FIRST = range(6)
 PER_SLOPE = 2
 
 
-class Cells:
-    """The integration problem on cells of `cell` x `cell` pixels; those at the far border may be partial.
+def block_rows_and_columns(shape: tuple[int, ...], block: int) -> tuple[int, int]:
+    """How many blocks cover a frame (H, W): an odd number each way, the last of them without pixels if need be.
+
+    Multigrid has coarse pixels on all borders of a frame of odd size, and two cycles are then enough everywhere.
+    """
+    return -(-shape[0] // block) | 1, -(-shape[1] // block) | 1
+
+
+class Blocks:
+    """The integration problem on blocks of `block` x `block` pixels; those at the far border may be partial.
 
     Attributes
     ----------
     mask : (h, w) bool; anchored : bool; problem : its couplings
     region : (h, w), pixels that are zero pixels, inside the mask
     white, common : (h, w, 2)
-        Standard deviation of the weighted mean slope of a cell: of independent errors, and of common ones.
+        Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones.
     """
 
     def __init__(
@@ -38,13 +57,14 @@ class Cells:
         anchor: NDArray[np.float32] | None,
         region: NDArray[np.bool_],
         floor: np.float32,
-        cell: int,
+        block: int,
     ) -> None:
-        shape = -(-mask.shape[0] // cell), -(-mask.shape[1] // cell)
+        shape = block_rows_and_columns(mask.shape, block)
         slopes = sigma.shape[2]
-        sums = np.zeros((FIRST + PER_SLOPE * slopes, *shape), dtype=np.float32)
+        sums = np.empty((FIRST + PER_SLOPE * slopes, *shape), dtype=np.float32)
+        work = np.empty((len(sums), mask.shape[1]), dtype=np.float32)
         hold = zeros(mask.shape) if anchor is None else anchor
-        _sum_cells(sigma, weights, mask, hold, region, floor, cell, sums)
+        _sum_blocks(sigma, weights, mask, hold, region, floor, block, work, sums)
         count = sums[INSIDE]
         total = np.maximum(sums[WEIGHT], 1e-30)
         self.mask = count > 0
@@ -56,15 +76,16 @@ class Cells:
         )
         self.region = sums[REGION]
         # Slopes of less weight than the floor are replaced by a fill from their neighbours: they bring no
-        # error. Holes make independent errors go round: worse by the unevenness of the weights in the cell.
+        # error. Holes make independent errors go round: worse by the unevenness of the weights in the block.
         uneven = np.sqrt(count * sums[SQUARE]) / total
         uneven[uneven == 0] = 1
-        moved, square = np.moveaxis(sums[FIRST:].reshape(slopes, PER_SLOPE, *shape), (0, 1), (-1, 0))
+        by_slope = sums[FIRST:].reshape(slopes, PER_SLOPE, *shape).transpose(1, 2, 3, 0)
+        moved, square = np.ascontiguousarray(by_slope)
         self.common = moved / total[..., None]
         self.white = np.sqrt(square) * (uneven / total)[..., None]
         if slopes == 1:
             self.white, self.common = (np.repeat(v, 2, axis=-1) for v in (self.white, self.common))
-        known = weight >= FLOOR * weight.max()
+        known = (weight >= FLOOR * weight.max()) | ~self.mask
         if not known.all():
             self.common = fill_unknown(self.common, known)  # as the slopes are
 
@@ -74,78 +95,30 @@ class Cells:
         return np.asarray(density / density.sum(axis=(0, 1)), dtype=np.float32)
 
 
-@njit(**KERNEL)  # type: ignore[misc]
-def _sum_cells(
-    sigma: Any, weights: Any, mask: Any, anchor: Any, region: Any, floor: Any, cell: int, sums: Any
-) -> None:
-    height, width = weights.shape
-    line = np.zeros((sums.shape[0], width), dtype=np.float32)
-    for top in range(0, height, cell):
-        line[:] = 0
-        for i in range(top, min(top + cell, height)):
-            for j in range(width):
-                inside = np.float32(mask[i, j])
-                told = inside if weights[i, j] >= floor else np.float32(0)
-                weight = told * weights[i, j]
-                line[INSIDE, j] += inside
-                line[WEIGHT, j] += weight
-                line[SQUARE, j] += weight * weight
-                line[HOLD, j] += inside * anchor[i, j]
-                line[REGION, j] += inside * np.float32(region[i, j])
-            for c in range(sigma.shape[2]):
-                plane = FIRST + PER_SLOPE * c
-                for j in range(width):
-                    told = np.float32(mask[i, j]) if weights[i, j] >= floor else np.float32(0)
-                    moved = told * weights[i, j] * sigma[i, j, c]
-                    line[plane, j] += moved
-                    line[plane + 1, j] += moved * moved
-        for plane in range(sums.shape[0]):
-            for k in range(sums.shape[2]):
-                total = np.float32(0)
-                for j in range(k * cell, min(k * cell + cell, width)):
-                    total += line[plane, j]
-                sums[plane, top // cell, k] = total
-
-
-@njit(**KERNEL)  # type: ignore[misc]
 def sigma_of_pixels(
-    variance: Any, sigma: Any, within: Any, weights: Any, floor: Any, anchor: Any, out: Any
-) -> None:
-    """Standard deviation, with what cells do not see; less where an anchor holds a pixel.
+    variance: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    within: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    floor: np.float32,
+    anchor: NDArray[np.float32] | None,
+) -> NDArray[np.float32]:
+    """Standard deviation of pixels (H, W), with what blocks do not see; less where an anchor holds a pixel.
 
-    Within a cell counts the usual sigma of 3x3 pixels, their harmonic mean: one bad pixel among good ones is
-    held by them. An anchored pixel follows its neighbours by ties over ties and anchor.
+    Parameters
+    ----------
+    variance : (H, W) or more, mm^2, of the blocks, resampled to pixels
+    sigma : (H, W, 1 or 2), of the slopes
+    within : (2,) of p and q: variance within a block for each unit of theirs
+        The usual sigma of 3x3 pixels counts, their harmonic mean: one bad pixel among good ones is held by them.
+    weights, floor : (H, W); slopes of less weight than the floor are not trusted
+    anchor : (H, W)
+        An anchored pixel follows its neighbours by ties over ties and anchor.
     """
-    height, width = out.shape
-    one, two, tiny = np.float32(1), np.float32(2), np.float32(1e-30)
-    line = np.zeros((6, width + 2), dtype=np.float32)
-    up, here, down, certain, count, total = line
-    for i in range(height):
-        above, below = max(i - 1, 0), min(i + 1, height - 1)
-        for j in range(width):
-            up[j + 1] = max(weights[above, j], floor)
-            here[j + 1] = max(weights[i, j], floor)
-            down[j + 1] = max(weights[below, j], floor)
-            total[j] = variance[i, j]
-        here[0], here[width + 1] = here[1], here[width]
-        for slope in range(sigma.shape[2]):
-            share = within[slope] if sigma.shape[2] == 2 else within[0] + within[1]
-            certain[:] = 0
-            count[:] = 0
-            for k in range(above, below + 1):
-                for j in range(width):
-                    told = one if weights[k, j] >= floor else np.float32(0)
-                    certain[j + 1] += told / sigma[k, j, slope]
-                    count[j + 1] += told
-            for j in range(width):
-                usual = (count[j] + count[j + 1] + count[j + 2]) / (
-                    certain[j] + certain[j + 1] + certain[j + 2] + tiny
-                )
-                total[j] += share * usual * usual
-        for j in range(width):
-            a, b, c, d, e = here[j], here[j + 2], up[j + 1], down[j + 1], here[j + 1]
-            ties = two * e * (a / (e + a) + b / (e + b) + c / (e + c) + d / (e + d))
-            out[i, j] = np.sqrt(total[j]) * ties / (ties + anchor[i, j])
+    out = np.empty(weights.shape, dtype=np.float32)
+    work = np.empty((LINES, weights.shape[1] + 2), dtype=np.float32)
+    _sigma_of_pixels(variance, sigma, within, weights, floor, anchor, work, out)
+    return out
 
 
 @lru_cache(maxsize=16)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# The frame of so many cells, square, in whose middle the uniform frame's errors are looked up.
+# The frame of so many blocks, square, in whose middle the uniform frame's errors are looked up.
 TRIAL = 32
 
 
@@ -28,31 +28,31 @@ def variance_of_white(
 
 
 @lru_cache(maxsize=64)
-def variance_within_cells(aspect: float, cell: int) -> tuple[float, float]:
-    """Variance of depth per unit of white slope errors (of p, of q) and pixel area that a grid of cells misses.
+def variance_within_blocks(aspect: float, block: int) -> tuple[float, float]:
+    """Variance of depth per unit of white slope errors (of p, of q) and pixel area that a grid of blocks misses.
 
-    That of pixels minus that of cells, in the middle of a uniform frame; `aspect` is the pitch along x over
-    that along y, `cell` the pixels across a cell. (Of correlated errors cells miss next to nothing.)
+    That of pixels minus that of blocks, in the middle of a uniform frame; `aspect` is the pitch along x over
+    that along y, `block` the pixels across a block. (Of correlated errors blocks miss next to nothing.)
     """
     pitch = np.sqrt(aspect), 1 / np.sqrt(aspect)
-    size = TRIAL * cell
+    size = TRIAL * block
     fine = variance_of_white((size, size), pitch)
-    coarse = variance_of_white((TRIAL, TRIAL), (cell * pitch[0], cell * pitch[1]))
+    coarse = variance_of_white((TRIAL, TRIAL), (block * pitch[0], block * pitch[1]))
     middle, inner = (slice(3 * n // 8, 5 * n // 8) for n in (size, TRIAL))
-    x, y = (float(f[middle, middle].mean() - c[inner, inner].mean() / cell**2) for f, c in zip(fine, coarse))
+    x, y = (float(f[middle, middle].mean() - c[inner, inner].mean() / block**2) for f, c in zip(fine, coarse))
     return x, y
 
 
-def correlation_of_cells(correlation_px: float, cell: int) -> tuple[float, float]:
-    """Length, in cells, and variance of correlated errors of length `correlation_px` and variance 1.
+def correlation_of_blocks(correlation_px: float, block: int) -> tuple[float, float]:
+    """Length, in blocks, and variance of correlated errors of length `correlation_px` and variance 1.
 
-    They are averaged over a cell, as if over a Gaussian of the same second moment: longer and weaker, with
+    They are averaged over a block, as if over a Gaussian of the same second moment: longer and weaker, with
     the same power at low frequencies.
     """
     if correlation_px == 0:
-        return 0.0, 1 / cell**2
-    length = np.sqrt(correlation_px**2 / cell**2 + 1 / 6)
-    return float(length), float((_extent(correlation_px) / (cell * _extent(length))) ** 2)
+        return 0.0, 1 / block**2
+    length = np.sqrt(correlation_px**2 / block**2 + 1 / 6)
+    return float(length), float((_extent(correlation_px) / (block * _extent(length))) ** 2)
 
 
 def _extent(length: float) -> float:

@@ -3,7 +3,7 @@
 Independent draws would leave a relative error of 1/sqrt(2 n) in a standard deviation from n probes. Here the
 draws of neighbouring places are orthogonal over the probes instead, as in probing for the diagonal of an
 inverse (J. Tang and Y. Saad, A probing method for computing the diagonal of a matrix inverse, Numer. Linear
-Algebra Appl. 19, 2012): places of one colour share a row of an orthogonal matrix, up to sign, and lie far
+Algebra Appl. 19, 2012): places of one colour share a row of an orthogonal matrix, up to sign, and are far
 apart. Depth depends on near slopes far more than on distant ones, so that what is left is half as large.
 """
 
@@ -13,47 +13,19 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from gelform.depth_sigma.batched_cycle import solve_lanes
+from gelform._native import Handle, Kernel
 from gelform.pool import Pool
-from gelform.solvers.multigrid.cycle import EAST, KERNEL, PLANES, SOUTH
-from gelform.solvers.multigrid.hierarchy import LINES, N, build
-from gelform.solvers.system import Problem, load
+from gelform.solvers.multigrid.grid import Grid
+from gelform.solvers.system import Problem
 
-COARSEST = 40
-
-
-class Hierarchy:
-    """Work arrays for one frame at a time, and the couplings that they were last built for."""
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        levels = [(0, *shape)]
-        while levels[-1][1] * levels[-1][2] > COARSEST:
-            top, height, width = levels[-1]
-            levels.append((top + height + 3, (height + 1) // 2, (width + 1) // 2))
-        self.levels = np.array(levels, dtype=np.int64)
-        self.data = np.zeros((PLANES, levels[-1][0] + levels[-1][1] + 3, shape[1] + 3), dtype=np.float32)
-        self.dense = np.zeros((COARSEST, COARSEST), dtype=np.float32)
-        self._frame = slice(1, shape[0] + 1), slice(1, shape[1] + 1)
-        # Of a solve: lines of the frame's width, and the errors of the last four iterations.
-        self.scratch = np.zeros((3, shape[1] + 3), dtype=np.float32), np.zeros(4)
-        self._lines = np.zeros(LINES * N, dtype=np.float32)
-        self._elimination = np.zeros((COARSEST, 2 * COARSEST))
-        self._built = False
-
-    def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
-        """Take a frame; the coarse levels are computed anew only if its couplings differ from the last's."""
-        if load(self.data, problem, mm_per_px) or not self._built:
-            self.rebuild()
-
-    def rebuild(self) -> None:
-        """Compute the coarse levels from the finest."""
-        self._lines[:] = 0
-        build(self.data, self.levels, self.dense, self._lines, self._elimination)
-        self._built = True
+_probe_depths = Kernel(
+    "probe_depths",
+    "multigrid* grid, batch* batch, f32[h,w,2,n] white_draws, f32[h,w,2,n] common_draws, f32[h,w,2] white, "
+    "f32[h,w,2] common, f32[2,n] bias, f32 scale_x, f32 scale_y, out f32[h,w,n] depths",
+)
 
 
 def white_draws(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
@@ -120,6 +92,7 @@ class ProbeSolver:
     Parameters
     ----------
     white, common : (N, H, W, 2), as `white_draws` and `correlated_draws` make them
+        Where H or W is even, depths are less exact along the last row or column.
     mm_per_px : (x, y), mm
     """
 
@@ -130,7 +103,8 @@ class ProbeSolver:
             np.ascontiguousarray(np.moveaxis(draws, 0, -1)) for draws in (white, common)
         )
         self.mm_per_px = mm_per_px
-        self._pool = Pool(lambda: _Work(white.shape[1:3], len(white)))
+        shape = white.shape[1:3]
+        self._pool = Pool(lambda: (Grid(shape), Handle("batch", *shape)))
 
     def __call__(
         self,
@@ -154,49 +128,9 @@ class ProbeSolver:
             bias += np.einsum("ijck,ijc->ck", self._white, white * median)
             bias += np.einsum("ijck,ijc->ck", self._common, common * median)
         depths = np.empty((*white.shape[:2], self._white.shape[-1]), dtype=np.float32)
-        scales = np.float32(0.5 * self.mm_per_px[0]), np.float32(0.5 * self.mm_per_px[1])
-        with self._pool.one() as work:
-            hierarchy, r, g, a = work.hierarchy, *work.lanes
-            hierarchy.load(problem, self.mm_per_px)
-            _draw(hierarchy.data, self._white, self._common, white, common, bias, *scales, r)
-            solve_lanes(hierarchy.data, hierarchy.levels, hierarchy.dense, r, g, a, depths)
+        scales = 0.5 * self.mm_per_px[0], 0.5 * self.mm_per_px[1]
+        with self._pool.one() as (grid, batch):
+            grid.load(problem, self.mm_per_px)
+            draws = self._white, self._common
+            _probe_depths(grid.handle, batch, *draws, white, common, bias, *scales, depths)
         return depths
-
-
-class _Work:
-    """Work arrays of all levels for one frame at a time."""
-
-    def __init__(self, shape: tuple[int, int], count: int) -> None:
-        self.hierarchy = Hierarchy(shape)
-        self.lanes = [np.zeros((*self.hierarchy.data.shape[1:], count), dtype=np.float32) for _ in range(3)]
-
-
-@njit(**KERNEL)  # type: ignore[misc]
-def _draw(
-    data: Any, w: Any, c: Any, white: Any, common: Any, bias: Any, scale_x: Any, scale_y: Any, r: Any
-) -> None:
-    """Right sides of the draws: white errors at pixels, whose mean an edge takes, and common ones on edges."""
-    height, width, _, lanes = w.shape
-    two = np.float32(2)
-    flux = np.zeros(lanes, dtype=np.float32)
-    for i in range(1, height + 1):
-        for j in range(1, width + 1):
-            for m in range(lanes):
-                r[i, j, m] = 0
-    for i in range(height):
-        for j in range(width):
-            for axis in range(2):
-                right, down = min(j + 1 - axis, width - 1), min(i + axis, height - 1)
-                tie = scale_y * data[SOUTH, i + 1, j + 1] if axis else scale_x * data[EAST, i + 1, j + 1]
-                if tie == 0:
-                    continue
-                a, b = white[i, j, axis], white[down, right, axis]
-                both = common[i, j, axis] + common[down, right, axis]
-                for m in range(lanes):
-                    flux[m] = a * w[i, j, axis, m] + b * w[down, right, axis, m]
-                for m in range(lanes):
-                    flux[m] = tie * (flux[m] + both * c[i, j, axis, m] - two * bias[axis, m])
-                for m in range(lanes):
-                    r[i + 1, j + 1, m] -= flux[m]
-                for m in range(lanes):
-                    r[down + 1, right + 1, m] += flux[m]

@@ -16,17 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map, check_mask, check_mm_per_px
 from gelform.depth import checked_anchor
-from gelform.depth_sigma.blocks import Cells, sigma_of_pixels, zeros
-from gelform.depth_sigma.closed_form import correlation_of_cells, variance_of_white, variance_within_cells
+from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, sigma_of_pixels
+from gelform.depth_sigma.closed_form import correlation_of_blocks, variance_of_white, variance_within_blocks
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.solvers.system import FLOOR
 from gelform.zero import Level, Zero, fitted_surface, zero_region
 
-# Probes are solved on cells (sigma is smooth): about so many of them, of so many pixels across.
-CELLS = 2300
-CELL_PX = 2, 6
-# Variance of the probes is averaged over so many cells (standard deviation).
-SMOOTHING_CELLS = 0.6
+# Probes are solved on blocks (sigma is smooth): about so many of them, of so many pixels across.
+BLOCKS = 2300
+BLOCK_PX = 2, 6
+# Variance of the probes is averaged over so many blocks (standard deviation).
+SMOOTHING_BLOCKS = 0.6
 
 
 class DepthSigma:
@@ -70,17 +70,17 @@ class DepthSigma:
         self.share = _checked_share(correlation_px, correlated_share)
         if probes < 2:
             raise ValueError(f"Expected probes >= 2, got {probes}.")
-        cell = self.cell = int(np.clip(round((shape[0] * shape[1] / CELLS) ** 0.5), *CELL_PX))
-        cells = -(-shape[0] // cell), -(-shape[1] // cell)
+        block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
+        blocks = block_rows_and_columns(self.shape, block)
         rng = rng or np.random.default_rng(0)
-        white = np.float32(np.sqrt(1 - self.share)) * white_draws(probes, cells, rng)
+        white = np.float32(np.sqrt(1 - self.share)) * white_draws(probes, blocks, rng)
         common = np.zeros_like(white)
         if self.share > 0:
-            length, power = correlation_of_cells(correlation_px, cell)
-            common = np.float32(np.sqrt(self.share * power)) * correlated_draws(probes, cells, length, rng)
-        self._solver = ProbeSolver(white, common, (self.pitch[0] * cell, self.pitch[1] * cell))
+            length, power = correlation_of_blocks(correlation_px, block)
+            common = np.float32(np.sqrt(self.share * power)) * correlated_draws(probes, blocks, length, rng)
+        self._solver = ProbeSolver(white, common, (self.pitch[0] * block, self.pitch[1] * block))
         aspect, area = self.pitch[0] / self.pitch[1], self.pitch[0] * self.pitch[1]
-        per_slope = variance_within_cells(aspect, cell)
+        per_slope = variance_within_blocks(aspect, block)
         self._within = np.array(per_slope, dtype=np.float32) * np.float32(area * (1 - self.share))
 
     def __call__(
@@ -110,10 +110,10 @@ class DepthSigma:
         if mask is not None:
             weight = weight * inside
         floor = np.float32(FLOOR) * weight.max()
-        cells = Cells(sigma, weight, inside, hold, region, floor, self.cell)
-        median = cells.share_in_median() if level == "slope" else None
-        depths = self._solver(cells.white, cells.common, cells.problem, median)
-        variance = _smoothed(_variance(depths, cells, level), cells.mask)
+        blocks = Blocks(sigma, weight, inside, hold, region, floor, self.block)
+        median = blocks.share_in_median() if level == "slope" else None
+        depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
+        variance = _smoothed(_variance(depths, blocks, level), blocks.mask)
         return self._of_pixels(variance, sigma, weight, floor, hold)
 
     def _of_pixels(
@@ -124,16 +124,13 @@ class DepthSigma:
         floor: np.float32,
         anchor: NDArray[np.float32] | None,
     ) -> NDArray[np.float32]:
-        """Standard deviation of pixels from the variance of cells."""
-        size = variance.shape[1] * self.cell, variance.shape[0] * self.cell
+        """Standard deviation of pixels from the variance of blocks."""
+        size = variance.shape[1] * self.block, variance.shape[0] * self.block
         pixels = cv2.resize(variance, size).reshape(size[1], size[0])
-        out = np.empty(self.shape, dtype=np.float32)
-        hold = zeros(self.shape) if anchor is None else anchor
-        sigma_of_pixels(pixels, sigma, self._within, weight, floor, hold, out)
-        return out
+        return sigma_of_pixels(pixels, sigma, self._within, weight, floor, anchor)
 
 
-def depth_sigma(
+def depth_sigma_from_gradients_sigma(
     gradients_sigma: ArrayLike,
     *,
     mm_per_px: float | Sequence[float],
@@ -168,7 +165,7 @@ def depth_sigma(
     Notes
     -----
     Uniform slope errors without weights, mask, anchor and correlation have a closed form in cosine modes; the
-    rest is Monte Carlo on a grid of cells of up to 6 pixels; what that grid cannot see is added from the
+    rest is Monte Carlo on a grid of blocks of up to 6 pixels; what that grid cannot see is added from the
     closed form.
     """
     pitch = check_mm_per_px(mm_per_px)
@@ -239,22 +236,22 @@ def _ones(shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
     return np.ones(shape, dtype=dtype)
 
 
-def _variance(depths: NDArray[np.float32], cells: Cells, level: Level | None) -> NDArray[np.float32]:
+def _variance(depths: NDArray[np.float32], blocks: Blocks, level: Level | None) -> NDArray[np.float32]:
     """Mean square over the probes of depth (h, w, probes) against its zero."""
-    if not cells.anchored:
-        zero = cells.region if cells.region.any() else cells.mask.astype(np.float32)
+    if not blocks.anchored:
+        zero = blocks.region if blocks.region.any() else blocks.mask.astype(np.float32)
         flat = depths.reshape(-1, depths.shape[2])
         depths -= (zero / zero.sum()).reshape(-1) @ flat
     if level in ("plane", "quadratic"):
         fields = np.moveaxis(depths, -1, 0)
-        surface = fitted_surface(fields, cells.region > 0, 1 if level == "plane" else 2)
+        surface = fitted_surface(fields, blocks.region > 0, 1 if level == "plane" else 2)
         depths = depths - np.moveaxis(surface, 0, -1)
     return np.asarray(np.einsum("ijk,ijk->ij", depths, depths) / np.float32(depths.shape[2]))
 
 
 def _smoothed(variance: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Averaged over neighbours inside the mask."""
-    blur = (0, 0), SMOOTHING_CELLS
+    blur = (0, 0), SMOOTHING_BLOCKS
     if mask.all():
         return np.asarray(cv2.GaussianBlur(variance, *blur)).reshape(mask.shape)
     inside = cv2.GaussianBlur(mask.astype(np.float32), *blur).reshape(mask.shape)

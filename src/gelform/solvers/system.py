@@ -3,8 +3,7 @@
     E(z) = sum wx (z_x - p)^2 + wy (z_y - q)^2 + sum anchor z^2 / (hx hy)
 
 over edges; the normal equations are `A z = f` with `A = D^T W D + diag(anchor)`, `f = D^T W e`. Shared by the
-solvers that take weights, so that all of them solve the same problem. The arrays are planes of the hierarchy
-(see `cycle`): couplings EAST and SOUTH, ANCHOR, and RIGHT_SIDE.
+solvers that take weights, so that all of them solve the same problem.
 """
 
 from __future__ import annotations
@@ -13,13 +12,11 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.gradients import fill_unknown
 from gelform.solvers.edges import Pair, divergence, edges_from_gradients
-from gelform.solvers.multigrid.cycle import ANCHOR, EAST, KERNEL, RIGHT_SIDE, SOUTH
 from gelform.solvers.seam import Weights
 
 # Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
@@ -143,91 +140,3 @@ def edge_system(
     hx, hy = mm_per_px
     flux = edges[0] * weights[0], edges[1] * weights[1]
     return weights[0] * (hy / hx), weights[1] * (hx / hy), divergence(flux, mm_per_px) * (hx * hy)
-
-
-def load(data: NDArray[Any], problem: Problem, mm_per_px: tuple[float, float]) -> bool:
-    """Write couplings, anchor and right side; returns whether couplings or anchor changed."""
-    kx, ky = mm_per_px[1] / mm_per_px[0], mm_per_px[0] / mm_per_px[1]
-    height, width = problem.mask.shape
-    if problem.gradients is not None:
-        line = np.zeros(width + 1, dtype=np.float32)
-        changed = bool(_load_confidence(data, problem.confidence, problem.anchor, kx, ky, line))
-        load_right_side(data, problem.gradients, mm_per_px)
-        return changed
-    assert problem.edges is not None
-    assert problem.edge_weights is not None
-    load_couplings(data, problem.edge_weights, problem.anchor, mm_per_px)
-    flux = tuple(e * w for e, w in zip(problem.edges, problem.edge_weights))
-    area = mm_per_px[0] * mm_per_px[1]
-    right = divergence(flux, mm_per_px) * area  # type: ignore[arg-type]
-    data[RIGHT_SIDE, 1 : height + 1, 1 : width + 1] = right
-    return True
-
-
-def load_right_side(data: NDArray[Any], gradients: NDArray[Any], mm_per_px: tuple[float, float]) -> None:
-    """Write the right side of slopes (H, W, 2) for the couplings that are there."""
-    lines = np.zeros((3, gradients.shape[1] + 1), dtype=np.float32)
-    _load_right_side(data, gradients, 0.5 * mm_per_px[0], 0.5 * mm_per_px[1], lines)
-
-
-def load_couplings(
-    data: NDArray[Any], edge_weights: Pair, anchor: NDArray[Any], mm_per_px: tuple[float, float]
-) -> None:
-    """Write couplings from weights per edge."""
-    height, width = anchor.shape
-    data[EAST, 1 : height + 1, 1:width] = edge_weights[0] * (mm_per_px[1] / mm_per_px[0])
-    data[SOUTH, 1:height, 1 : width + 1] = edge_weights[1] * (mm_per_px[0] / mm_per_px[1])
-    data[ANCHOR, 1 : height + 1, 1 : width + 1] = anchor
-
-
-@njit(**KERNEL)  # type: ignore[misc]
-def _load_confidence(data: Any, confidence: Any, anchor: Any, kx: float, ky: float, line: Any) -> Any:
-    """Couplings are the harmonic means of two pixels' confidence: the variance of an averaged slope.
-
-    `line` (W + 1,) is scratch.
-    """
-    height, width = confidence.shape
-    sx, sy, tiny = np.float32(2 * kx), np.float32(2 * ky), np.float32(1e-30)
-    change = np.float32(0)
-    for i in range(height):
-        for j in range(width):
-            change += abs(data[ANCHOR, i + 1, j + 1] - anchor[i, j])
-            data[ANCHOR, i + 1, j + 1] = anchor[i, j]
-        for j in range(width - 1):
-            a, b = confidence[i, j], confidence[i, j + 1]
-            line[j] = sx * a * b / (a + b + tiny)
-        for j in range(width - 1):
-            change += abs(data[EAST, i + 1, j + 1] - line[j])
-            data[EAST, i + 1, j + 1] = line[j]
-        if i < height - 1:
-            for j in range(width):
-                a, b = confidence[i, j], confidence[i + 1, j]
-                line[j] = sy * a * b / (a + b + tiny)
-            for j in range(width):
-                change += abs(data[SOUTH, i + 1, j + 1] - line[j])
-                data[SOUTH, i + 1, j + 1] = line[j]
-    return change > 0
-
-
-@njit(**KERNEL)  # type: ignore[misc]
-def _load_right_side(data: Any, g: Any, scale_x: float, scale_y: float, lines: Any) -> None:
-    """Right side from slopes per pixel: what flows in over the edges minus what flows out.
-
-    `lines` (3, W + 1), of zeros, is scratch.
-    """
-    height, width = g.shape[0], g.shape[1]
-    sx, sy = np.float32(scale_x), np.float32(scale_y)
-    across, above, below = lines[0], lines[1], lines[2]
-    for i in range(height):
-        for j in range(width - 1):
-            across[j + 1] = sx * data[EAST, i + 1, j + 1] * (g[i, j, 0] + g[i, j + 1, 0])
-        for j in range(width):
-            above[j] = below[j]
-        if i < height - 1:
-            for j in range(width):
-                below[j] = sy * data[SOUTH, i + 1, j + 1] * (g[i, j, 1] + g[i + 1, j, 1])
-        else:
-            for j in range(width):
-                below[j] = 0
-        for j in range(width):
-            data[RIGHT_SIDE, i + 1, j + 1] = across[j] - across[j + 1] + above[j] - below[j]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table
 from gelform.cli.options import (
     Background,
     BallDiameter,
@@ -85,7 +85,6 @@ def calibrate(
     from gelform.calibration_file import load_calibration
 
     with only_writer(output), progress_shown(quiet) as progress:
-        warm(progress)
         found = read_presses(
             presses,
             sensor=sensor,

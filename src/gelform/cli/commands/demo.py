@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import json_bytes, print_json, progress_shown, say, show_table, warm
+from gelform.cli.console import json_bytes, print_json, progress_shown, say, show_table
 from gelform.cli.options import Json, Quiet
 from gelform.progress import Progress
 
@@ -42,7 +42,6 @@ def demo(
     check_matplotlib()
     started = time.monotonic()
     with written_whole(output) as folder, progress_shown(quiet) as progress:
-        warm(progress)
         sensor = _simulated(folder / "presses", progress)
         calibration = _calibrated(folder, progress)
         errors = {}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table
 from gelform.cli.options import Background, BallDiameter, CalibrationFile, Json, MmPerPx, Quiet, Sensor
 from gelform.errors import DataError
 
@@ -53,7 +53,6 @@ def evaluate(
 
     loaded = load_calibration(calibration)
     with progress_shown(quiet) as progress:
-        warm(progress)
         found = read_presses(
             presses,
             sensor=sensor,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table, warm
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table
 from gelform.cli.failures import MISTAKE, one_line
 from gelform.cli.options import Background, CalibrationFile, Json, Overwrite, Quiet, one_of
 from gelform.cli.result_names import check_results, make_folder, result_paths
@@ -79,7 +79,6 @@ def reconstruct(
 
         check_matplotlib()
     with progress_shown(quiet) as progress:
-        warm(progress)
         run = _prepared(calibration, background, solver)
         rows, failed = [], []
         for done, (path, results) in enumerate(todo):
