@@ -119,8 +119,8 @@ class Reconstructor:
             As `from_image`.
         """
         if isinstance(frame, Frame):
-            when = {"index": frame.index, "time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns}
-            return replace(self(frame.image), **when)
+            result = self(frame.image)
+            return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
         return self.from_image(image_from_frame(frame, self.calibration.view))
 
     def from_image(self, image: ArrayLike) -> Reconstruction:

@@ -246,7 +246,8 @@ def image_from_color_change(
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)
-    return light if settings.response == 1 else _camera_levels(light, settings.response)
+    image = light if settings.response == 1 else _camera_levels(light, settings.response)
+    return np.asarray(image, dtype=np.float32)
 
 
 def _camera_levels(light: NDArray[Any], response: float) -> NDArray[np.float32]:

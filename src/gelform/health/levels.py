@@ -56,7 +56,7 @@ class Levels:
             ),
         ]
         named = tuple(finding for finding in findings if finding is not None)
-        return named, (dark | saturated).any(axis=-1) if named else None
+        return named, np.any(dark | saturated, axis=-1) if named else None
 
 
 def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Finding | None:

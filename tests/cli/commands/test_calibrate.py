@@ -11,7 +11,8 @@ import pytest
 
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
-from gelform.simulate import LAYOUTS, Ball, Pose, simulate_sequence
+from gelform.plots.canvas import save_picture
+from gelform.simulate import LAYOUTS, Ball, Pose, simulate_background, simulate_sequence
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
 
@@ -97,9 +98,10 @@ def test_wrong_options_are_usage(fails, folder, tmp_path):
     assert "LEFT,TOP,WIDTH,HEIGHT" in fails("calibrate", folder, "-o", output, "--crop", "1,2,3", status=2)
 
 
-def test_images_without_a_ball(fails, folder, tmp_path):
+def test_images_without_a_ball(fails, folder, small, tmp_path):
+    rng = np.random.default_rng(0)
     for path in (folder / "images").iterdir():
-        shutil.copy(folder / "background.png", path)
+        save_picture(path, np.rint(simulate_background(small, rng)).astype(np.uint8), overwrite=True)
     said = fails("calibrate", folder, "-o", tmp_path / "cal.npz")
     assert "Expected at least 3 presses of a ball that fit, got 0 of 10" in said
     assert not (tmp_path / "cal.npz").exists()
