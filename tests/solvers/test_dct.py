@@ -7,8 +7,10 @@ import pytest
 from scipy.fft import dctn, idctn
 
 from gelform.depth import depth_from_gradients
+from gelform.solvers import dct
 from gelform.solvers.dct import Dct4Solver, DctSolver
 from gelform.solvers.edges import differences, divergence, edges_from_gradients
+from kernel_agreement import assert_kernel_agrees
 from scenes import PEAKS, gaussian, polynomial, rmse_um, scene
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (1, 37), (37, 1), (2, 2), (3, 2), (5, 7), (31, 53), (64, 256), (97, 40)]
@@ -123,3 +125,42 @@ def test_mean_is_zero_also_for_large_frames():
 def test_weights_mask_and_anchor_are_refused(solver, given):
     with pytest.raises(ValueError, match="Expected no weights, mask or anchor"):
         depth_from_gradients(np.zeros((4, 5, 2)), mm_per_px=0.1, solver=solver, **given)
+
+
+def right_side(gradients, right, scale_x, scale_y):
+    """In numpy: slopes of both neighbours, those beyond the border mirrored with their sign turned."""
+    p, q = np.float32(scale_x) * gradients[..., 0], np.float32(scale_y) * gradients[..., 1]
+    p, q = np.pad(p, ((0, 0), (1, 1)), "edge"), np.pad(q, ((1, 1), (0, 0)), "edge")
+    p[:, [0, -1]] *= -1
+    q[[0, -1]] *= -1
+    out = right.copy()
+    out[:, : gradients.shape[1]] = p[:, :-2] - p[:, 2:] + q[:-2] - q[2:]
+    return out
+
+
+def swept(spectrum, pivots, splits, end):
+    """In numpy, float64: forwards and backwards through the rows, column 0 on its own."""
+    v = spectrum[:, : pivots.shape[1]].astype(np.float64)
+    first = -np.concatenate([[0], np.cumsum(np.cumsum(v[:-1, 0]))])
+    mine = [
+        np.where(np.arange(pivots.shape[1]) < split, row, pivots[-1]) for split, row in zip(splits, pivots)
+    ]
+    mine[-1] = end
+    for i in range(len(v)):
+        v[i] = (v[i] + (v[i - 1] if i else 0)) * mine[i]
+    for i in range(len(v) - 2, -1, -1):
+        v[i] += v[i + 1] * mine[i]
+    v[:, 0] = first - first.mean()
+    out = spectrum.copy()
+    out[:, : pivots.shape[1]] = v
+    return out
+
+
+@pytest.mark.parametrize("pad", [0, 5])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (6, 1), (2, 2), (9, 40), (33, 47)])
+def test_kernels_agree_with_numpy(shape, pad):
+    rng = np.random.default_rng(6)
+    gradients = rng.standard_normal((*shape, 2)).astype(np.float32)
+    work = rng.standard_normal((shape[0], shape[1] + pad)).astype(np.float32)
+    assert_kernel_agrees(dct._right_side, right_side, gradients, work, 0.7, 0.3)
+    assert_kernel_agrees(dct._sweep, swept, work, *dct._elimination(shape, (0.05, 0.08)))

@@ -9,14 +9,15 @@ SIAM Review 41, 1999), leaves one tridiagonal system per column, which is elimin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
 import scipy  # its parts load at first use: a weighted solve needs none of them
-from numba import njit
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.pool import Pool
 from gelform.solvers.edges import divergence, edges_from_gradients
 from gelform.solvers.seam import Solution, Weights
@@ -24,6 +25,11 @@ from gelform.solvers.seam import Solution, Weights
 # A row stride of a large power of two maps a whole column onto a few cache lines.
 ALIASING_BYTES = 1024
 STRIDE_PAD = 16
+
+_right_side = Kernel(
+    "dct_right_side", "f32[h,w,2] gradients, out f32[h,stride] right, f32 scale_x, f32 scale_y"
+)
+_sweep = Kernel("dct_sweep", "out f32[h,stride] spectrum, f32[rows,w] pivots, i64[h] splits, f32[w] end")
 
 
 class DctSolver:
@@ -43,7 +49,8 @@ class DctSolver:
         self.shape = shape
         self.mm_per_px = mm_per_px
         self._pivots, self._splits, self._last = _elimination(shape, mm_per_px)
-        self._pool = Pool(lambda: _scratch(shape))
+        self._stride = _row_stride(shape[1])
+        self._pool = Pool(lambda: np.empty((shape[0], self._stride), dtype=np.float32))
 
     def __call__(
         self,
@@ -65,16 +72,29 @@ class DctSolver:
                 "Leave them out, or use solver 'auto' or 'multigrid'."
             )
         frame = np.ascontiguousarray(gradients, dtype=np.float32)
-        depth = np.empty(self.shape, dtype=np.float32)
-        with self._pool.one() as scratch:
-            work = depth if scratch is None else scratch
-            self._write_right_side(frame, work)
-            spectrum = scipy.fft.dct(work, axis=-1, overwrite_x=True)
-            _sweep(spectrum, self._pivots, self._splits, self._last)
-            solved = scipy.fft.idct(spectrum, axis=-1, overwrite_x=True)
-            if solved is not depth:
-                depth[...] = solved
+        width = self.shape[1]
+        if self._stride == width:
+            depth = np.empty(self.shape, dtype=np.float32)
+            self._solve(frame, depth)
+        else:
+            with self._pool.one() as padded:
+                self._solve(frame, padded)
+                depth = padded[:, :width].copy()
         return Solution(depth, _all_known(self.shape))
+
+    def _solve(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
+        """Depth of a frame, in the first columns of a work array (H, stride)."""
+        self._write_right_side(frame, work)
+        self._transform(scipy.fft.dct, work)
+        _sweep(work, self._pivots, self._splits, self._last)
+        self._transform(scipy.fft.idct, work)
+
+    def _transform(self, transform: Callable[..., NDArray[Any]], work: NDArray[np.float32]) -> None:
+        """Transform the rows of a work array in place."""
+        rows = work[:, : self.shape[1]]
+        done = transform(rows, axis=-1, overwrite_x=True)
+        if not np.may_share_memory(done, rows):
+            rows[...] = done
 
     def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
         hx, hy = self.mm_per_px
@@ -89,7 +109,9 @@ class Dct4Solver(DctSolver):
 
     def _write_right_side(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
         hy = self.mm_per_px[1]
-        work[...] = divergence(edges_from_gradients(frame, order=4), self.mm_per_px) * np.float32(hy * hy)
+        work[:, : self.shape[1]] = divergence(
+            edges_from_gradients(frame, order=4), self.mm_per_px
+        ) * np.float32(hy * hy)
 
 
 @lru_cache(maxsize=16)
@@ -100,12 +122,9 @@ def _all_known(shape: tuple[int, int]) -> NDArray[np.bool_]:
     return known
 
 
-def _scratch(shape: tuple[int, int]) -> NDArray[np.float32] | None:
-    """Rows with a padded stride where the frame's own stride would alias in the cache."""
-    height, width = shape
-    if (width * 4) % ALIASING_BYTES:
-        return None
-    return np.empty((height, width + STRIDE_PAD), dtype=np.float32)[:, :width]
+def _row_stride(width: int) -> int:
+    """Row length of work arrays: longer than the frame's where that would alias in the cache."""
+    return width + (0 if (width * 4) % ALIASING_BYTES else STRIDE_PAD)
 
 
 def _elimination(
@@ -132,82 +151,3 @@ def _elimination(
     splits = np.max(np.where(unsettled, columns, 1), axis=1)
     pivots[height] = limit
     return pivots.astype(np.float32), splits.astype(np.int64), end.astype(np.float32)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]
-def _right_side(g: NDArray[Any], out: NDArray[Any], scale_x: float, scale_y: float) -> None:
-    """`D^T e` of the edge slopes; beyond the border the slope is mirrored with its sign turned."""
-    height, width = out.shape
-    right = width - 1
-    sx = np.float32(scale_x)
-    sy = np.float32(scale_y)
-    line = np.empty(max(2 * width - 4, 0), dtype=np.float32)
-    for i in range(height):
-        row = g[i].reshape(2 * width)
-        up = g[max(i - 1, 0)].reshape(2 * width)
-        down = g[min(i + 1, height - 1)].reshape(2 * width)
-        s_up = np.float32(-1 if i == 0 else 1) * sy
-        s_down = np.float32(-1 if i == height - 1 else 1) * sy
-        out[i, 0] = s_up * up[1] - s_down * down[1]
-        if width > 1:
-            out[i, 0] -= sx * (row[0] + row[2])
-            out[i, right] = s_up * up[-1] - s_down * down[-1] + sx * (row[2 * width - 4] + row[2 * width - 2])
-        _inner_row(line, row, up[3:], down[3:], sx, s_up, s_down)
-        inner = out[i, 1:]
-        for j in range(width - 2):
-            inner[j] = line[2 * j]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]
-def _inner_row(line: Any, row: Any, up: Any, down: Any, sx: float, s_up: float, s_down: float) -> None:
-    """Both components as they lie in memory, every second value unused: faster than picking p and q."""
-    for m in range(line.size):
-        line[m] = sx * (row[m] - row[m + 4]) + (s_up * up[m] - s_down * down[m])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]
-def _sweep(v: NDArray[Any], pivots: NDArray[Any], splits: NDArray[Any], end: NDArray[Any]) -> None:
-    """Solve the tridiagonal system of every column in place; column 0 gets mean 0."""
-    last, width = v.shape[0] - 1, v.shape[1]
-    _constant_column(v)
-    for k in range(1, width):
-        v[0, k] *= pivots[0, k] if last > 0 else end[k]
-    for i in range(1, last):
-        s = splits[i]
-        _down(v[i, 1:s], v[i - 1, 1:s], pivots[i, 1:s])
-        _down(v[i, s:], v[i - 1, s:], pivots[last + 1, s:])
-    if last > 0:
-        _down(v[last, 1:], v[last - 1, 1:], end[1:])
-    for i in range(last - 1, -1, -1):
-        s = splits[i]
-        _up(v[i, 1:s], v[i + 1, 1:s], pivots[i, 1:s])
-        _up(v[i, s:], v[i + 1, s:], pivots[last + 1, s:])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]
-def _down(row: Any, above: Any, pivot: Any) -> None:
-    for k in range(row.size):
-        row[k] = (row[k] + above[k]) * pivot[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})  # type: ignore[misc]
-def _up(row: Any, below: Any, pivot: Any) -> None:
-    for k in range(row.size):
-        row[k] += below[k] * pivot[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
-def _constant_column(v: NDArray[Any]) -> None:
-    """Column 0 has eigenvalue 0: sum the right side twice, in float64, and remove the mean."""
-    height = v.shape[0]
-    flux = 0.0
-    value = 0.0
-    total = 0.0
-    for i in range(height):
-        flux += v[i, 0]
-        v[i, 0] = value
-        total += value
-        value -= flux
-    mean = total / height
-    for i in range(height):
-        v[i, 0] -= mean

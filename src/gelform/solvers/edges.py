@@ -10,8 +10,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from gelform._native import Kernel
+
+_residual_squares = Kernel(
+    "residual_squares",
+    "f32[n,h,w] depth, f32[n,h,w,2] gradients, bool[n,h,w] known, f32 per_x, f32 per_y, out f64[2] result",
+)
 
 Pair = tuple[NDArray[Any], NDArray[Any]]
 
@@ -53,32 +59,9 @@ def residual_rms(
     depth: NDArray[np.float32], gradients: NDArray[np.float32], known: NDArray[np.bool_], hx: float, hy: float
 ) -> float:
     """RMS of recovered minus given slope over the edges between known pixels of a stack (N, H, W)."""
-    square, count = _residual_squares(depth, gradients, known, np.float32(1 / hx), np.float32(1 / hy))
-    return float(np.sqrt(square / max(count, 1)))
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _residual_squares(z, g, known, per_x, per_y):  # type: ignore[no-untyped-def]
-    """Sum of squares over the edges of known pixels, and how many; without a branch in the inner loop."""
-    total, count = 0.0, 0
-    half = np.float32(0.5)
-    for n in range(z.shape[0]):
-        for i in range(z.shape[1]):
-            row, seen = np.float32(0), np.int32(0)
-            for j in range(z.shape[2] - 1):
-                counts = np.int32(known[n, i, j] & known[n, i, j + 1])
-                r = (z[n, i, j + 1] - z[n, i, j]) * per_x - half * (g[n, i, j, 0] + g[n, i, j + 1, 0])
-                row += np.float32(counts) * r * r
-                seen += counts
-            if i + 1 < z.shape[1]:
-                for j in range(z.shape[2]):
-                    counts = np.int32(known[n, i, j] & known[n, i + 1, j])
-                    r = (z[n, i + 1, j] - z[n, i, j]) * per_y - half * (g[n, i, j, 1] + g[n, i + 1, j, 1])
-                    row += np.float32(counts) * r * r
-                    seen += counts
-            total += row
-            count += seen
-    return total, count
+    result = np.empty(2)
+    _residual_squares(depth, gradients, known, 1 / hx, 1 / hy, result)
+    return float(np.sqrt(result[0] / max(result[1], 1)))
 
 
 def _trapezoid(p: NDArray[Any]) -> NDArray[Any]:
