@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 import sys
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_path, check_positive, check_sensor_pitch, check_within
 from gelform.errors import DataError
+from gelform.sensors.png_bytes import SIGNATURE, png_of_pixels
 from gelform.view import View
 
 if sys.version_info >= (3, 11):
@@ -25,7 +24,6 @@ else:
     import tomli as tomllib
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
-_PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 
 
@@ -188,7 +186,11 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     """Pixels as OpenCV has them (BGR). The bytes are read by Python: names outside ASCII work everywhere."""
     if not content:
         raise DataError(f"{path} is empty. Copy or record it again.")
-    if not _is_complete(content):
+    if content.startswith(SIGNATURE):
+        content = png_of_pixels(content) or b""
+    elif content.startswith(_JPEG) and b"\xff\xd9" not in content[-1024:]:
+        content = b""  # some decoders fill what is missing with grey and say nothing
+    if not content:
         raise DataError(f"{path} is truncated or damaged. Copy or record it again.")
     try:
         with _opencv_silent():
@@ -201,31 +203,6 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
             f"{', '.join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)}."
         )
     return np.asarray(pixels)
-
-
-def _is_complete(content: bytes) -> bool:
-    """Whether a PNG or JPEG runs to its end; some decoders fill what is missing with grey and say nothing."""
-    if content.startswith(_PNG):
-        return _png_is_complete(content)
-    if content.startswith(_JPEG):
-        return b"\xff\xd9" in content[-1024:]
-    return True
-
-
-def _png_is_complete(content: bytes) -> bool:
-    """Whether every chunk agrees with its checksum, up to the last one (PNG specification, section 5.3)."""
-    position = len(_PNG)
-    while position + 12 <= len(content):
-        (length,) = struct.unpack(">I", content[position : position + 4])
-        end = position + 8 + length
-        if end + 4 > len(content):
-            return False
-        if zlib.crc32(content[position + 4 : end]) != struct.unpack(">I", content[end : end + 4])[0]:
-            return False
-        if content[position + 4 : position + 8] == b"IEND":
-            return True
-        position = end + 4
-    return False
 
 
 @contextmanager

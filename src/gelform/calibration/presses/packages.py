@@ -122,6 +122,12 @@ def taxim_source(path: Path, options: ReadOptions) -> Source:
     arrays = _plain_arrays(pack)
     images, centers = arrays["imgs"], arrays["touch_center"]
     radii = arrays["touch_radius"].astype(float)
+    for name in ("f0", "imgs"):
+        if arrays[name].dtype != np.uint8:
+            raise DataError(
+                f"Expected {name} as uint8 in {pack}, got {arrays[name].dtype}. Scale it to 0-255 and convert it: "
+                "other values would wrap around."
+            )
     if images.ndim != 4 or centers.shape != (len(images), 2) or radii.shape != (len(images),):
         raise DataError(
             f"Expected imgs (N, H, W, 3), touch_center (N, 2) and touch_radius (N,) in {pack}, got "

@@ -1,0 +1,57 @@
+"""The bytes of a PNG: whether they are whole, and without what is no picture."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS")
+MAX_PIXEL_BYTES = 2**32
+
+
+def png_of_pixels(content: bytes) -> bytes | None:
+    """A PNG with nothing but its pixels; None where it is truncated or damaged.
+
+    Every chunk has to agree with its checksum, up to the last one (PNG specification, section 5.3), and the compressed
+    pixels with theirs. What else a file may hold (colour profiles, texts, times) is left out: a decoder that does not
+    like it says so on the terminal.
+    """
+    kept, pixels = [SIGNATURE], []
+    for kind, chunk, data in _chunks(content):
+        if kind in CRITICAL:
+            kept.append(chunk)
+        if kind == b"IDAT":
+            pixels.append(data)
+        if kind == b"IEND":
+            return b"".join(kept) if _is_stream(b"".join(pixels)) else None
+    return None
+
+
+def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes, bytes]]:
+    """Kind, whole chunk and data, as long as they agree with their checksums."""
+    position = len(SIGNATURE)
+    while position + 12 <= len(content):
+        (length,) = struct.unpack(">I", content[position : position + 4])
+        end = position + 12 + length
+        body = content[position + 4 : end - 4]
+        if end > len(content) or zlib.crc32(body) != struct.unpack(">I", content[end - 4 : end])[0]:
+            return
+        yield body[:4], content[position:end], body[4:]
+        position = end
+
+
+def _is_stream(compressed: bytes) -> bool:
+    """Whether bytes decompress to their end; a piece at a time, so that a small file cannot ask for all memory."""
+    stream, total = zlib.decompressobj(), 0
+    try:
+        while not stream.eof:
+            piece = stream.decompress(compressed, 2**20)
+            total += len(piece)
+            compressed = stream.unconsumed_tail
+            if total > MAX_PIXEL_BYTES or not (piece or compressed):
+                return False
+    except zlib.error:
+        return False
+    return True
