@@ -44,7 +44,6 @@ NEIGHBOURS = {
     ("view", "lens"),
     ("calibration_file", "confidence"),
     ("reconstruction", "normals"),
-    ("depth_sigma", "depth"),
     ("design", "calibration"),
 }
 INNER_LIBRARIES = {"numpy", "scipy", "numba", "cv2", "gelform"}
@@ -52,16 +51,11 @@ EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "reconstruction", "npz_files", "_native"}
 MAX_LINES, MAX_FILES = 300, 12
 LONGER = {  # still to be parted
-    "solvers/multigrid/hierarchy.py": 365,
-    "depth.py": 340,
     "calibration/presses/stills.py": 303,
 }
 # What is tested through the solvers that it serves, all of them against one truth.
 TESTED_TOGETHER = {
-    "solvers/edges.py": "solvers/test_dct.py",
     "solvers/sparse.py": "solvers/test_seam.py",
-    "solvers/multigrid/hierarchy.py": "solvers/multigrid/test_weighted.py",
-    "solvers/multigrid/cycle.py": "solvers/multigrid/test_weighted.py",
     "solvers/multigrid/solver.py": "solvers/multigrid/test_weighted.py",
 }
 PUBLIC = {

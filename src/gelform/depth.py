@@ -11,18 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform._native import Kernel, is_finite
-from gelform.checks import as_array, check_gradients, check_map, check_mask, check_mm_per_px
+from gelform._native import is_finite
+from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
 from gelform.errors import ConvergenceError
 from gelform.gradients import curl_rms, fill_unknown
 from gelform.solvers import SOLVERS, Solution, Solver, Weights
 from gelform.solvers.edges import Pair, differences, edges_from_gradients, residual_rms
+from gelform.solvers.inputs import check_anchor, check_slopes, check_weights, checked_solver
 from gelform.zero import Level, Zero, fitted_surface, median_over, zero_depth, zero_region
-
-# So that no sum of their squares over a frame overflows in float32.
-HIGHEST_SLOPE = 1e15
-
-_magnitude = Kernel("magnitude_f32", "f32[...] values, out f32[1] largest")
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ class Integration:
         0 for a direct method; of a stack, the most that a frame took.
     residual : float
         RMS over the edges of recovered minus given slope, mm/mm: what no surface can satisfy. Edges between
-        known pixels only, weighted as they were in the solution.
+        known pixels only, all alike.
     curl_rms : float
         RMS of `dp/dy - dq/dx`, in slope per pixel.
     islands : int
@@ -188,7 +184,7 @@ def _checked(
 ) -> _Request:
     pitch = check_mm_per_px(mm_per_px)
     g = check_gradients(gradients)
-    _checked_slopes(g)
+    check_slopes(g)
     shape = (g.shape[-3], g.shape[-2])
     if level not in (None, "slope", "plane", "quadratic"):
         raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
@@ -198,9 +194,9 @@ def _checked(
     return _Request(
         gradients=g,
         pitch=pitch,
-        weights=None if weights is None else _checked_weights(weights, g.shape[:-1]),
+        weights=None if weights is None else check_weights(weights, g.shape[:-1]),
         mask=None if mask is None else check_mask(mask, shape=shape),
-        anchor=None if anchor is None else checked_anchor(anchor, shape),
+        anchor=None if anchor is None else check_anchor(anchor, shape),
         zero=zero,
         region=region,
         level=level,
@@ -208,65 +204,10 @@ def _checked(
     )
 
 
-def checked_solver(solver: str) -> str:
-    """The solver's name, where it is "auto" or in `SOLVERS`."""
-    if solver != "auto" and (not isinstance(solver, str) or solver not in SOLVERS):
-        raise ValueError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {solver!r}.")
-    return solver
-
-
-def takes_weights(solver: str) -> bool:
-    """Whether a solver takes weights, mask and anchor; "auto" does."""
-    return checked_solver(solver) == "auto" or SOLVERS[solver].takes_weights
-
-
 def _chosen(solver: str, *, uniform: bool) -> str:
     if checked_solver(solver) == "auto":
         return "dct" if uniform else "multigrid"
     return solver
-
-
-def _checked_slopes(gradients: NDArray[np.float32]) -> None:
-    largest = np.empty(1, dtype=np.float32)
-    _magnitude(gradients, largest)
-    if largest[0] > HIGHEST_SLOPE:
-        raise ValueError(
-            f"Expected slopes up to {HIGHEST_SLOPE:.0e} mm/mm, got {largest[0]:.1e}: what they add up to is beyond "
-            "float32. Mark such pixels with weights of 0 and put any small value there."
-        )
-
-
-def _checked_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
-    height, width = shape[-2:]
-    if (
-        isinstance(weights, (tuple, list))
-        and len(weights) == 2
-        and np.ndim(weights[0]) == np.ndim(weights[1]) == 2
-    ):
-        wx, wy = (np.asarray(w) for w in weights)
-        if wx.shape != (height, width - 1) or wy.shape != (height - 1, width):
-            raise ValueError(
-                f"Expected weights per edge of shapes ({height}, {width - 1}) and ({height - 1}, {width}), "
-                f"got {wx.shape} and {wy.shape}. For weights per pixel give one map ({height}, {width})."
-            )
-        return tuple(  # type: ignore[return-value]
-            check_map(w, "weights", nonnegative=True) if w.size else w.astype(np.float32) for w in (wx, wy)
-        )
-    array = check_map(weights, "weights", shape=(height, width), nonnegative=True)
-    if array.ndim > 2 and array.shape != shape:
-        raise ValueError(f"Expected weights of shape {shape[-2:]} or {shape}, got {array.shape}.")
-    return array
-
-
-def checked_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """An anchor map (H, W) of a map or a number."""
-    array = as_array(anchor, "anchor")
-    array = check_map(
-        np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True
-    )
-    if array.ndim != 2:
-        raise ValueError(f"Expected anchor as a number or of shape {shape}, got {array.shape}.")
-    return array
 
 
 @lru_cache(maxsize=8)

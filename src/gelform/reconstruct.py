@@ -21,7 +21,7 @@ from gelform.checks import check_image
 from gelform.color_models.seam import gradients_from_pending
 from gelform.confidence import PreparedSigma, UnknownSigma, solved_sigma, with_model_sigma
 from gelform.contact import contact_from_depth
-from gelform.depth import Integration, checked_solver, integrate, takes_weights
+from gelform.depth import Integration, integrate
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
 from gelform.gradients import slopes_of_solution
@@ -29,6 +29,7 @@ from gelform.health import DepthLimit, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFinder
 from gelform.pool import Pool
 from gelform.reconstruction import Reconstruction
+from gelform.solvers.inputs import checked_solver, takes_weights
 from gelform.view import image_from_frame
 
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.

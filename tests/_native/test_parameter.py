@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gelform import depth
 from gelform._native.parameter import is_finite, parameters_of, sizes_of
+from gelform.solvers import inputs
 from kernel_agreement import assert_kernel_agrees
 
 DECLARATION = "finite f32[h,w,3] image, u8[h,w]? mask, out f32[...,2] slopes, grid* grid, f32 factor"
@@ -73,7 +73,7 @@ def test_magnitude_is_that_of_numpy(shape):
     for largest in (-7.5, 9.0):
         values.ravel()[-1] = largest
         assert_kernel_agrees(
-            depth._magnitude,
+            inputs._magnitude,
             lambda v, _: np.abs(v).max(keepdims=True).ravel(),
             values,
             np.zeros(1, np.float32),

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelform.depth import depth_from_gradients, takes_weights
+from gelform.depth import depth_from_gradients
 from gelform.solvers import SOLVERS, Solution
+from gelform.solvers.inputs import takes_weights
 from scenes import gaussian, scene
 
 

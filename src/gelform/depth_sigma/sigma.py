@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map, check_mask, check_mm_per_px
-from gelform.depth import checked_anchor
 from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, sigma_of_pixels
 from gelform.depth_sigma.closed_form import correlation_of_blocks, variance_of_white, variance_within_blocks
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
+from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR
 from gelform.zero import Level, Zero, fitted_surface, zero_region
 
@@ -105,7 +105,7 @@ class DepthSigma:
         sigma = _checked_sigma(gradients_sigma, shape)
         weight = _ones(shape) if weights is None else _checked_weights(weights, shape)
         inside = _ones(shape, bool) if mask is None else check_mask(mask, shape=shape)
-        hold = None if anchor is None else checked_anchor(anchor, shape)
+        hold = None if anchor is None else check_anchor(anchor, shape)
         region = zero_region(zero, shape)
         if mask is not None:
             weight = weight * inside

@@ -1,0 +1,61 @@
+"""What solvers are given: shapes and ranges are refused at the door, in words that say what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gelform.solvers.inputs import (
+    HIGHEST_SLOPE,
+    check_anchor,
+    check_slopes,
+    check_weights,
+    checked_solver,
+    takes_weights,
+)
+
+
+def test_weights_come_per_pixel_per_edge_or_as_a_stack():
+    assert check_weights(np.ones((4, 5)), (4, 5)).dtype == np.float32
+    assert check_weights(np.ones((3, 4, 5)), (3, 4, 5)).shape == (3, 4, 5)
+    wx, wy = check_weights([np.ones((4, 4)), np.ones((3, 5))], (4, 5))
+    assert (wx.shape, wy.shape) == ((4, 4), (3, 5))
+    wx, wy = check_weights((np.ones((4, 0)), np.ones((3, 1))), (4, 1))
+    assert wx.size == 0
+
+
+@pytest.mark.parametrize(
+    ("weights", "said"),
+    [
+        (np.ones((5, 4)), r"weights of shape \(4, 5\)"),
+        (np.ones((2, 4, 5)), r"weights of shape \(4, 5\) or \(3, 4, 5\), got \(2, 4, 5\)"),
+        (-np.ones((4, 5)), "weights >= 0, got -1"),
+        ((np.ones((4, 5)), np.ones((4, 5))), r"per edge of shapes \(4, 4\) and \(3, 5\)"),
+    ],
+)
+def test_other_weights_are_refused(weights, said):
+    with pytest.raises(ValueError, match=said):
+        check_weights(weights, (3, 4, 5))
+
+
+def test_an_anchor_may_be_a_number():
+    assert np.array_equal(check_anchor(0.25, (2, 3)), np.full((2, 3), 0.25, np.float32))
+    with pytest.raises(ValueError, match="anchor >= 0"):
+        check_anchor(-1.0, (2, 3))
+
+
+def test_slopes_that_float32_cannot_square_are_refused():
+    slopes = np.zeros((2, 3, 2), dtype=np.float32)
+    slopes[1, 2, 0] = -HIGHEST_SLOPE
+    check_slopes(slopes)
+    slopes[1, 2, 0] *= 2
+    with pytest.raises(ValueError, match=r"slopes up to 1e\+15 mm/mm, got 2\.0e\+15"):
+        check_slopes(slopes)
+
+
+def test_solvers_are_known_by_name():
+    assert checked_solver("auto") == "auto"
+    assert takes_weights("auto")
+    assert not takes_weights("dct")
+    with pytest.raises(ValueError, match=r"a solver among auto, dct, .*, got 'dst'"):
+        checked_solver("dst")
