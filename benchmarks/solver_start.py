@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 Table = dict[str, dict[str, float]]
 
@@ -19,23 +16,6 @@ g = np.zeros((240, 320, 2), np.float32); w = np.ones((240, 320), np.float32)
 g[..., 0] = np.linspace(0, 1, 320)
 gelform.depth_from_gradients(g, mm_per_px=0.06, weights=w)
 print(time.perf_counter() - start, time.process_time() - cpu)
-"""
-
-# What numba alone costs: its import and a function that its cache holds.
-BARE = """
-import time
-start = time.perf_counter(); cpu = time.process_time()
-import numpy as np
-import gelform_bare
-gelform_bare.one(np.zeros(3, np.float32))
-print(time.perf_counter() - start, time.process_time() - cpu)
-"""
-BARE_MODULE = """
-import numba
-
-@numba.njit(cache=True)
-def one(values):
-    return values[0]
 """
 
 MEMORY = """
@@ -54,26 +34,17 @@ print(before, peak())
 """
 
 
-def fresh_process(program: str, cache: str | None = None) -> list[float]:
-    environment = dict(os.environ)
-    if cache:
-        path = os.pathsep.join([cache, environment.get("PYTHONPATH", "")])
-        environment |= {"NUMBA_CACHE_DIR": cache, "PYTHONPATH": path}
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
+def fresh_process(program: str) -> list[float]:
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     return [float(word) for word in done.stdout.split()]
 
 
 def start_and_memory(large: bool) -> Table:
     """First weighted solve in a new process, imports included; peak memory at 2048x2048."""
     table: Table = {}
-    with tempfile.TemporaryDirectory() as cache:
-        (Path(cache) / "gelform_bare.py").write_text(BARE_MODULE)
-        for title in ("cold", "warm", "warm again"):
-            for name, program in (("first weighted solve", START), ("numba alone", BARE)):
-                seconds, cpu = fresh_process(program, cache)
-                table[f"{name}, {title}"] = {"s": seconds, "CPU s": cpu}
+    for title in ("first", "again"):
+        seconds, cpu = fresh_process(START)
+        table[f"first weighted solve of a process, {title}"] = {"s": seconds, "CPU s": cpu}
     if large:
         before, after = fresh_process(MEMORY)
         table["memory at 2048x2048"] = {"MB in all": after, "MB by the solve": after - before}

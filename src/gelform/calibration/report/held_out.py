@@ -165,8 +165,8 @@ def _reconstructed(
     change = change_settings(presses, candidate.change_offset)
     reconstruct = Reconstructor(replace(draft, color_model=model, change=change), depth_sigma=False)
     for i in fold.held_out:
-        circle = _free_circle(suited[i], held_out.found[i], model, candidate.zone)
-        yield i, circle, reconstruct.from_image(presses.presses[i].image)
+        result = reconstruct.from_image(presses.presses[i].image)
+        yield i, _free_circle(suited[i], held_out.found[i], result, candidate.zone), result
 
 
 def _slope_errors(
@@ -187,12 +187,12 @@ def _slope_errors(
 
 
 def _free_circle(
-    press: PreparedPress, found: ContactCircle, model: ColorModel, zone: float
+    press: PreparedPress, found: ContactCircle, result: Reconstruction, zone: float
 ) -> tuple[float, float, float]:
-    """The held-out press's circle: found in its own image, its centre free, its radius not refined."""
+    """The held-out press's circle: found in its own image, its centre that of the solved slopes, its radius not refined."""
     rows, cols = press.pixels(found, zone, CENTER_PIXELS)
-    gradients = press.gradients(model, rows, cols)
-    x, y = ball_center(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    start = found.x_px, found.y_px
+    x, y = ball_center(result.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
     return x, y, found.radius_px
 
 
