@@ -46,7 +46,7 @@ NEIGHBOURS = {
     ("reconstruction", "normals"),
     ("design", "calibration"),
 }
-INNER_LIBRARIES = {"numpy", "scipy", "numba", "cv2", "gelform"}
+INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "reconstruction", "npz_files", "_native"}
 MAX_LINES, MAX_FILES = 300, 12

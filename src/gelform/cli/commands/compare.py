@@ -53,7 +53,7 @@ def compare(
         protected = [*images, *calibrations, *([background] if background else [])]
         check_results(paths, overwrite=overwrite, protected=protected)
     with progress_shown(quiet) as progress:
-        progress(0, len(images), "starting (the first run ever compiles for some seconds)")
+        progress(0, len(images), "starting")
         pair = _pair(calibrations, background)
         names = (calibrations[0].stem, calibrations[1].stem)
         rows = []
