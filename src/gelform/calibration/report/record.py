@@ -136,8 +136,8 @@ def _candidate_rows(selection: Selection, um_per_px: float) -> tuple[dict[str, A
             "normal_free_deg": trial.mean_deg(),
             "standard_error_deg": standard_error([s.normal_deg for s in trial.by_fold.values()]),
             "normal_free_deg_other_size": trial.mean_deg(by_size=True),
-            "cap_free_um": um_per_px * float(trial.expected_losses().mean()),
-            "cap_free_um_se": um_per_px * standard_error(trial.expected_losses()),
+            "cap_free_um": um_per_px * float(trial.fold_losses().mean()),
+            "cap_free_um_se": um_per_px * standard_error(trial.fold_losses()),
             "chosen": trial.candidate == selection.chosen,
         }
         for trial in selection.trials

@@ -16,7 +16,6 @@ from gelform.calibration.selection.press_score import PressScore, press_score
 from gelform.color_models import ColorModel
 
 SELECTION_SAMPLES = 5_000
-MIN_FOLDS = 4
 
 Scores = Mapping[int, PressScore]  # by the index of the press
 
@@ -52,20 +51,6 @@ class Trial:
         ways = self.by_fold, self.by_size
         asked = sorted(set(self.by_fold) - set(without))
         return np.array([np.mean([scores[i].cap_px for scores in ways if i in scores]) for i in asked])
-
-    def expected_losses(self) -> NDArray[np.float64]:
-        """Cap error of each press, px, that a model of all presses can be expected to have.
-
-        Errors fall as a power of the number of presses; which power, the models of fewer presses tell.
-        """
-        seen = self.fold_losses()
-        folds = len(self.by_pair)
-        if folds < MIN_FOLDS:
-            return seen
-        fewer = _cap_px(self.by_pair.values())
-        learnt = min(float(seen.mean() / np.mean(fewer)), 1.0)
-        power = np.log(folds / (folds - 1)) / np.log((folds - 1) / (folds - 2))
-        return seen * learnt**power
 
     def losses_without(self, fold: int) -> NDArray[np.float64]:
         """Cap error, px, of the presses outside a fold, as if that fold did not exist."""
