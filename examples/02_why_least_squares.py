@@ -1,9 +1,6 @@
 """Why gelform integrates by least squares with a free border, and what the usual short cuts cost.
 
-A ball is pressed where the frame's border cuts it, and its slopes are exact. Then noise is added, and pixels that are
-plainly wrong. Run it with a path to get the picture:
-
-    python examples/02_why_least_squares.py why.png
+Run it with a path to get a picture: python examples/02_why_least_squares.py why.png
 """
 
 import sys
@@ -24,8 +21,7 @@ def least_squares(slopes, solver="auto"):
     return gelform.depth_from_gradients(slopes, mm_per_px=pitch, solver=solver)
 
 
-# 1. Borders. The contact is cut, so depth on the border is not 0, and the left side does not continue on the right.
-#    Both assumptions bend the whole frame, although every slope is exact.
+# 1. Borders cut a ball here, and all slopes are exact. But depth on the border is not 0, nor does left go on at right.
 panels = {
     "zero border": (depth_zero_border(gradients, pitch), truth),
     "periodic": (depth_periodic(gradients, pitch), truth),
@@ -53,19 +49,12 @@ assert errors_um["least squares, noise"] < 5 < 15 < errors_um["lines, noise"]
 assert errors_um["curl_gated, outliers"] < 10 < 100 < errors_um["least squares, outliers"]
 
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(2, len(panels), figsize=(2.2 * len(panels), 3.6), layout="constrained")
-    for column, (name, (depth, true)) in enumerate(panels.items()):
-        error = 1e3 * (depth - true - np.mean(depth - true))
-        axes[0, column].imshow(depth, cmap="viridis")
-        axes[0, column].set_title(name, fontsize=8)
-        picture = axes[1, column].imshow(error, vmin=-100, vmax=100, cmap="RdBu_r")
-        axes[1, column].set_title(f"{errors_um[name]:.3g} um RMS", fontsize=8)
-    figure.colorbar(picture, ax=axes[1], label="error, um")
-    for axis in axes.ravel():
-        axis.set_axis_off()
+    for (above, below), (name, (depth, true)) in zip(axes.T, panels.items()):
+        above.imshow(depth, cmap="viridis")
+        above.set_title(name, fontsize=8)
+        below.imshow(1e3 * (depth - true - np.mean(depth - true)), vmin=-100, vmax=100, cmap="RdBu_r")
+        below.set_title(f"{errors_um[name]:.3g} um RMS", fontsize=8)
     figure.savefig(sys.argv[1], dpi=90)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.importers.calibrations import PACKAGES, UNTOUCHED_CHANGE
+from gelform.importers.calibrations import UNTOUCHED_CHANGE
 from made.torch_file_writer import network_arrays, torch_file
 
 SHAPE = (48, 64)
@@ -65,12 +65,6 @@ def test_options_belong_to_packages(network, tmp_path):
     ):
         with pytest.raises(ValueError, match=why):
             gelform.import_calibration(network, package, background=BACKGROUND, **options)
-
-
-def test_every_package_is_named_by_the_command():
-    from gelform.cli.import_ import NAMES
-
-    assert tuple(PACKAGES) == NAMES
 
 
 def test_untouched_pixels_of_a_real_sensor_are_called_untouched(data):

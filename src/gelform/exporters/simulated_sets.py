@@ -8,6 +8,7 @@ import os
 import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,7 +132,8 @@ def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[st
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _as_worker) as pool:
-        jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
+        with _interrupt_held():
+            jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
         try:
             for job in jobs:
                 yield job.result()
@@ -140,8 +142,24 @@ def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[st
             raise
 
 
+@contextmanager
+def _interrupt_held() -> Iterator[None]:
+    """Ctrl-C reaches all processes, but is for the one that starts them: those started here never see it.
+
+    It waits until the block ends. Where a system cannot hold it (Windows), only a worker's first moments see it.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _as_worker() -> None:
-    """One thread each; Ctrl-C, which reaches all processes, is for the one that started them."""
+    """One thread each, deaf to Ctrl-C."""
     cv2.setNumThreads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
