@@ -260,7 +260,7 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         change=ChangeSettings(**meta["change"]),
         color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
         forward=_forward(arrays, meta["forward_settings"], shape),
-        slope_sigma=meta["slope_sigma"] and SlopeSigma.from_dict(meta["slope_sigma"]),
+        slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
         untouched_change=meta["untouched_change"],
         held_out=meta["held_out"],
         training_digests=tuple(meta["training_digests"]),

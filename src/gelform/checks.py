@@ -137,7 +137,7 @@ def check_normals(normals: ArrayLike) -> NDArray[Any]:
     if array.ndim < 1 or array.shape[-1] != 3:
         raise ValueError(f"Expected normals of shape (..., 3), got {array.shape}.")
     array = check_finite(_as_float(array, "normals"), "normals")
-    if array.size and float(array[..., 2].min()) <= 0:
+    if array.size and float(array[..., 2].min()) < 1 / LARGEST:
         raise ValueError(
             f"Expected normals that face the camera (n_z > 0), got n_z down to {array[..., 2].min():g}. "
             "z points towards the camera: flip the sign if yours points away."

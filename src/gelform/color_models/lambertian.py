@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
-from gelform.checks import LARGEST, check_values
+from gelform.checks import LARGEST, check_values, check_within
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples, Variant
 
@@ -23,6 +23,7 @@ MAX_CONDITION = 1e4
 MAX_SLOPE = 5.0
 DARKEST_RATIO = 0.02
 RESPONSES = (0.3, 1.6)
+POSSIBLE_RESPONSES = (0.05, 20.0)  # that a file may say
 
 
 def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
@@ -55,6 +56,9 @@ class LambertianModel:
 
     lights: NDArray[np.float64]
     response: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_within(self.response, "response", *POSSIBLE_RESPONSES)
 
     name: ClassVar[str] = "lambertian"
     change_offset: ClassVar[float] = 0.0

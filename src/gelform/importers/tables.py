@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ def _array(path: Path) -> NDArray[np.float64]:
         raise DataError(f"Expected a table of at most {MAX_BYTES >> 20} MB, got {path}.")
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as problem:
+    except (ValueError, EOFError, OSError, SyntaxError, TokenError) as problem:
         raise DataError(
             f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
         ) from problem

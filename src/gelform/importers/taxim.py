@@ -6,6 +6,7 @@ import zipfile
 import zlib
 from os import PathLike
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -70,5 +71,14 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
             raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, EOFError, RuntimeError) as problem:
+    except (
+        OSError,
+        EOFError,
+        RuntimeError,
+        SyntaxError,
+        ValueError,
+        TokenError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as problem:
         raise DataError(f"{path} is truncated or damaged, or no polycalib.npz: {problem}.") from problem

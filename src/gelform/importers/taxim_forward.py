@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
+from tokenize import TokenError
 from typing import Any
 from zipfile import BadZipFile
 
@@ -143,7 +144,16 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
             if missing:
                 raise DataError(f"{path} lacks {', '.join(missing)}: expected Taxim's {', '.join(MEMBERS)}.")
             bins, *channels = (np.asarray(file[name], dtype=np.float64) for name in MEMBERS)
-    except (OSError, ValueError, EOFError, BadZipFile, AttributeError, TypeError) as problem:
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        BadZipFile,
+        AttributeError,
+        TypeError,
+        SyntaxError,
+        TokenError,
+    ) as problem:
         raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {problem}.") from problem
     count = int(bins) if bins.ndim == 0 and np.isfinite(bins) else 0
     if not 2 <= count <= MAX_BINS or any(one.shape != (count, count, 6) for one in channels):

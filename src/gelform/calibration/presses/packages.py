@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -20,6 +21,17 @@ from gelform.sensors.backgrounds import background_in, read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
 
 MAX_PACK_BYTES = 4 << 30
+# What zipfile, zlib and numpy's reader of headers raise where a file is not as it was written.
+_DAMAGED = (
+    OSError,
+    EOFError,
+    RuntimeError,
+    NotImplementedError,
+    SyntaxError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 
 
@@ -49,7 +61,7 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
         raise DataError(
             f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
         ) from problem
-    except (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as problem:
+    except _DAMAGED as problem:
         raise DataError(
             f"{path} is truncated or damaged. Copy it again, or label the press again."
         ) from problem
@@ -160,7 +172,7 @@ def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
             f"{pack} holds Python objects, which could run code when read: refused. Save it again with plain "
             f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
         ) from problem
-    except (OSError, zipfile.BadZipFile, EOFError) as problem:
+    except _DAMAGED as problem:
         raise DataError(f"{pack} is truncated or damaged: {problem}.") from problem
 
 
