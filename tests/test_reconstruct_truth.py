@@ -1,0 +1,109 @@
+"""The steps of a frame, each held to a gel that is known exactly: take one out, and a test here fails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from hostile.small_gel import SHAPE, Touch, background, calibration, depth_of, image_of
+
+TOUCH = Touch(depth_mm=0.4, x_px=40, y_px=32)
+TRUTH = depth_of(TOUCH)
+TOUCHED = TRUTH > 0.02
+
+
+@pytest.fixture(scope="module")
+def reconstruct():
+    return gelform.Reconstructor(calibration())
+
+
+def error_um(result):
+    return 1e3 * float(np.sqrt(np.mean((result.depth_mm - TRUTH) ** 2)))
+
+
+def test_depth_of_a_ball_to_a_few_micrometres(reconstruct):
+    result = reconstruct(image_of(TOUCH))
+    assert error_um(result) < 5
+    assert result.health == ()
+    assert result.contact[TRUTH > 0.2].all()
+    assert not result.contact[TRUTH == 0].any()
+
+
+@pytest.mark.parametrize("colour", [(3.0, 0.0, 0.0), (0.0, -3.0, 3.0)])
+def test_light_that_is_added_everywhere_is_no_slope(reconstruct, colour):
+    """Room light adds grey levels and multiplies none: what the exposure leaves of it is taken out as a bias."""
+    lit = np.clip(image_of(TOUCH) + np.array(colour), 0, 255).astype(np.float32)
+    result = reconstruct(lit)
+    assert error_um(result) < 12
+    assert np.abs(np.median(result.observed_gradients[TRUTH == 0], axis=0)).max() < 1e-4
+
+
+@pytest.mark.parametrize("gain", [(1.1, 1.1, 1.1), (0.92, 1.0, 1.06)])
+def test_exposure_and_white_balance_are_no_slope(reconstruct, gain):
+    brighter = np.clip(image_of(TOUCH) * np.array(gain), 0, 255).astype(np.float32)
+    result = reconstruct(brighter)
+    assert error_um(result) < 8
+    assert np.median(result.albedo) == pytest.approx(1.0, abs=0.005)
+
+
+def test_untouched_gel_is_held_at_0(reconstruct):
+    result = reconstruct(image_of(TOUCH))
+    far = np.hypot(*(np.indices(SHAPE) - np.array([32, 40])[:, None, None])) > 28
+    assert np.abs(result.depth_mm[far]).max() < 0.008
+    assert abs(np.median(result.depth_mm[far])) < 0.002
+
+
+def test_half_of_the_errors_lie_within_sigma_and_few_beyond_three(reconstruct):
+    """Sigma is of the calibration's 3 to 6 % of slope, the noise here of one: errors may be smaller, never larger."""
+    result = reconstruct(image_of(TOUCH))
+    ratio = np.abs(result.depth_mm - TRUTH) / result.depth_sigma_mm
+    assert np.mean(ratio < 1) > 0.5
+    assert np.mean(ratio > 3) < 0.02
+    assert result.depth_sigma_mm[TOUCHED].mean() > result.depth_sigma_mm[~TOUCHED].mean()
+
+
+def with_dots(image):
+    """Dark dots, 4 px wide, on a square grid of 10 px."""
+    dotted = np.array(image)
+    for y in range(6, SHAPE[0], 10):
+        for x in range(6, SHAPE[1], 10):
+            dotted[y - 2 : y + 2, x - 2 : x + 2] = dotted[y - 2 : y + 2, x - 2 : x + 2] * 0.3
+    return dotted
+
+
+def test_markers_have_no_confidence_and_leave_no_dents():
+    marked = gelform.Reconstructor(replace(calibration(), background=with_dots(background())))
+    moved = np.roll(
+        with_dots(np.roll(image_of(TOUCH), -1, axis=1)), 1, axis=1
+    )  # the dots, one pixel to the right
+    result = marked(moved)
+    dots = with_dots(np.ones(SHAPE)) < 1
+    assert result.confidence[dots].max() == 0
+    assert result.confidence[~dots].max() == 1
+    assert error_um(result) < 40
+    assert np.abs(result.depth_mm - TRUTH).max() < 0.15
+
+
+@pytest.mark.parametrize("box", [np.s_[28:40, 46:60], np.s_[10:20, 55:75]], ids=["on the ball", "beside it"])
+def test_saturated_pixels_are_filled_from_around(reconstruct, box):
+    """A glare: weights keep it from the rest. Without them depth is 60 um off."""
+    glare = image_of(TOUCH)
+    glare[box] = 255
+    result = reconstruct(glare)
+    assert result.confidence[box].max() < 0.01
+    assert error_um(result) < 10
+
+
+def test_a_plain_solver_gets_no_weights(reconstruct):
+    plain = gelform.Reconstructor(calibration(), solver="dct")(image_of(TOUCH))
+    assert plain.solver == "dct"
+    assert error_um(plain) < 15
+    assert reconstruct(image_of(TOUCH)).solver == "multigrid"
+
+
+def test_without_a_scale_depth_is_in_pixels():
+    unscaled = gelform.Reconstructor(replace(calibration(), mm_per_px=None, mm_per_px_sigma=None))
+    result = unscaled(image_of(TOUCH))
+    np.testing.assert_allclose(0.1 * result.depth_px, TRUTH, atol=0.02)
+    assert result.depth_sigma_mm is None
