@@ -67,15 +67,6 @@ def test_options_belong_to_packages(network, tmp_path):
             gelform.import_calibration(network, package, background=BACKGROUND, **options)
 
 
-<<<<<<< HEAD
-=======
-def test_every_package_is_named_by_the_command():
-    from gelform.cli.tables import PACKAGES as NAMES
-
-    assert tuple(PACKAGES) == tuple(NAMES)
-
-
->>>>>>> e1c2256 (Mend what 28,000 cases of bad input found)
 def test_untouched_pixels_of_a_real_sensor_are_called_untouched(data):
     """Far from the object, 8 grey levels hold 97 % and more of the pixels; in contact they do not."""
     folder = data / "mini-objects"
