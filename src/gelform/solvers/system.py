@@ -136,7 +136,8 @@ def edge_system(
         c = problem.confidence.astype(np.float64)
         pairs = (c[:, 1:], c[:, :-1]), (c[1:], c[:-1])
         edges = edges_from_gradients(problem.gradients.astype(np.float64))
-        weights = tuple(2 * a * b / np.maximum(a + b, 1e-30) for a, b in pairs)  # type: ignore[assignment]
+        across, down = (2 * a * b / np.maximum(a + b, 1e-30) for a, b in pairs)
+        weights = across, down
     hx, hy = mm_per_px
     flux = edges[0] * weights[0], edges[1] * weights[1]
     return weights[0] * (hy / hx), weights[1] * (hx / hy), divergence(flux, mm_per_px) * (hx * hy)
