@@ -65,10 +65,28 @@ static void look_at_row(const float *restrict weights, const float *restrict sig
 }
 
 // Add what blocks do not see: the usual sigma of the trusted among 3x3 pixels, their harmonic mean.
-static void add_within(const float *restrict trusted, const float *restrict certain, float share, float *restrict total, ptrdiff_t w) {
+static void add_within(const float *restrict trusted, const float *restrict certain, const float *restrict faded, float share,
+                       float *restrict total, ptrdiff_t w) {
   for (ptrdiff_t j = 0; j < w; j++) {
     const float usual = (trusted[j] + trusted[j + 1] + trusted[j + 2]) / (certain[j] + certain[j + 1] + certain[j + 2] + 1e-30f);
-    total[j] += share * usual * usual;
+    total[j] += faded[j] * share * usual * usual;
+  }
+}
+
+// A row of weights, `floor` at least, in a line of w + 2 whose ends repeat the border.
+static void pad_row(const float *restrict weights, float floor, float *restrict padded, ptrdiff_t w) {
+  for (ptrdiff_t j = 0; j < w; j++) padded[j + 1] = larger(weights[j], floor);
+  padded[0] = padded[1], padded[w + 1] = padded[w];
+}
+
+// Where an anchor holds, relative to the weights of 3x3 pixels: how much is left of what blocks do not see (see
+// `fading_within_blocks`), and how far these pixels follow what is around them, by ties over ties and anchor.
+static void hold(const float *restrict weights, const float *restrict anchor, const float *restrict p, float *restrict faded,
+                 float *restrict followed, ptrdiff_t w) {
+  for (ptrdiff_t j = 0; j < w; j++) {
+    const float x = 9 * anchor[j] / (weights[j] + weights[j + 1] + weights[j + 2]);
+    faded[j] = (1 + p[0] * x) / (1 + x * (p[1] + x * (p[2] + x * p[3])));
+    followed[j] = 4 / (4 + x);
   }
 }
 
@@ -76,43 +94,47 @@ static void add_lines(float *restrict sum, const float *restrict a, const float 
   for (ptrdiff_t j = 0; j < n; j++) sum[j] = a[j] + b[j] + c[j];
 }
 
-// Less where an anchor holds a pixel: it follows its neighbours by ties over ties and anchor. `padded` is a line of w + 2.
+// The variance of blocks reaches a pixel that an anchor holds by way of its neighbours, and from them by its own ties.
 static void follow(const float *restrict up, const float *restrict here, const float *restrict down, const float *restrict anchor,
-                   float floor, float *restrict padded, float *restrict out, ptrdiff_t w) {
-  memcpy(padded + 1, here, w * sizeof(float));
-  padded[0] = here[0], padded[w + 1] = here[w - 1];
+                   const float *restrict followed, float *restrict total, ptrdiff_t w) {
   for (ptrdiff_t j = 0; j < w; j++) {
-    const float e = larger(here[j], floor), a = larger(padded[j], floor), b = larger(padded[j + 2], floor);
-    const float c = larger(up[j], floor), d = larger(down[j], floor);
+    const float a = here[j], e = here[j + 1], b = here[j + 2], c = up[j + 1], d = down[j + 1];
     const float ties = 2 * e * ((a / (e + a) + b / (e + b)) + (c / (e + c) + d / (e + d)));
-    out[j] *= ties / (ties + anchor[j]);
+    const float share = followed[j] * ties / (ties + anchor[j]);
+    total[j] *= share * share;
   }
 }
 
-EXPORT int sigma_of_pixels(const float *variance, const float *sigma, const float *within, const float *weights, float floor,
-                           const float *anchor, float *work, float *out, ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w,
+EXPORT int sigma_of_pixels(const float *variance, const float *sigma, const float *within, const float *fading, const float *weights,
+                           float floor, const float *anchor, float *work, float *out, ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w,
                            ptrdiff_t slopes, ptrdiff_t line) {
   if (rows < h || columns < w || line != w + 2 || slopes < 1 || slopes > 2) return WRONG_SIZE;
-  float *trusted[3], *certain[2][3], *count = work + 9 * line, *sums = work + 10 * line;
-  for (int k = 0; k < 3; k++) trusted[k] = work + k * line, certain[0][k] = work + (3 + k) * line, certain[1][k] = work + (6 + k) * line;
-  memset(work, 0, 11 * line * sizeof(float));
+  float *trusted[3], *certain[2][3], *padded[3], *count = work + 12 * line, *sums = work + 13 * line, *faded = work + 14 * line, *followed = work + 15 * line;
+  for (int k = 0; k < 3; k++) trusted[k] = work + k * line, certain[0][k] = work + (3 + k) * line, certain[1][k] = work + (6 + k) * line, padded[k] = work + (9 + k) * line;
+  memset(work, 0, 16 * line * sizeof(float));
+  for (ptrdiff_t j = 0; j < w; j++) faded[j] = 1;
   for (ptrdiff_t i = -1; i < h; i++) {  // the row below the current one comes into the lines of the one before last
     const ptrdiff_t below = i + 1;
     for (ptrdiff_t s = 0; s < slopes; s++) {
       if (below < h) look_at_row(weights + below * w, sigma + below * w * slopes + s, slopes, floor, trusted[below % 3], certain[s][below % 3], w);
       else memset(trusted[below % 3], 0, line * sizeof(float)), memset(certain[s][below % 3], 0, line * sizeof(float));
     }
+    if (anchor && below < h) pad_row(weights + below * w, floor, padded[below % 3], w);
     if (i < 0) continue;
     float *total = out + i * w;
     memcpy(total, variance + i * columns, w * sizeof(float));
+    if (anchor) {
+      const float *up = padded[i > 0 ? (i + 2) % 3 : 0], *here = padded[i % 3], *low = padded[below < h ? below % 3 : i % 3];
+      add_lines(sums, up, here, low, line);
+      hold(sums, anchor + i * w, fading, faded, followed, w);
+      follow(up, here, low, anchor + i * w, followed, total, w);
+    }
     add_lines(count, trusted[(i + 2) % 3], trusted[i % 3], trusted[below % 3], line);
     for (ptrdiff_t s = 0; s < slopes; s++) {
       add_lines(sums, certain[s][(i + 2) % 3], certain[s][i % 3], certain[s][below % 3], line);
-      add_within(count, sums, slopes == 2 ? within[s] : within[0] + within[1], total, w);
+      add_within(count, sums, faded, slopes == 2 ? within[s] : within[0] + within[1], total, w);
     }
-    INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) total[j] = sqrtf(total[j]);
-    const float *here = weights + i * w;
-    if (anchor) follow(i > 0 ? here - w : here, here, below < h ? here + w : here, anchor + i * w, floor, sums, total, w);
+    for (ptrdiff_t j = 0; j < w; j++) total[j] = sqrtf(total[j]);
   }
   return OK;
 }

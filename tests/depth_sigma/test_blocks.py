@@ -46,23 +46,29 @@ def test_sums_of_blocks(maps, slopes):
     assert_kernel_agrees(blocks._sum_blocks, sums_by_numpy, sigma, *maps[1:], FLOOR, 4, work, sums)
 
 
-def sigma_by_numpy(variance, sigma, within, weights, floor, anchor, work, out):
+def sigma_by_numpy(variance, sigma, within, fading, weights, floor, anchor, work, out):
     trusted = (weights >= floor).astype(np.float64)
-    total = variance[: out.shape[0], : out.shape[1]].astype(np.float64)
-    shares = within if sigma.shape[2] == 2 else [within.sum()]
-    for slope, share in enumerate(shares):
-        usual = around(trusted) / (around(trusted / sigma[..., slope]) + 1e-30)
-        total = total + share * usual**2
+    anchor = np.zeros(out.shape) if anchor is None else anchor
     w = np.pad(np.maximum(weights, floor).astype(np.float64), 1, mode="edge")
+    x = 9 * anchor / around_of_padded(w)
     e = w[1:-1, 1:-1]
     ties = 2 * e * sum(a / (e + a) for a in (w[:-2, 1:-1], w[2:, 1:-1], w[1:-1, :-2], w[1:-1, 2:]))
-    return np.sqrt(total) * (1 if anchor is None else ties / (ties + anchor))
+    followed = 4 / (4 + x) * ties / (ties + anchor)
+    total = followed**2 * variance[: out.shape[0], : out.shape[1]].astype(np.float64)
+    faded = (1 + fading[0] * x) / np.polyval([*fading[:0:-1], 1], x)
+    for slope, share in enumerate(within if sigma.shape[2] == 2 else [within.sum()]):
+        usual = around(trusted) / (around(trusted / sigma[..., slope]) + 1e-30)
+        total += faded * share * usual**2
+    return np.sqrt(total)
 
 
 def around(values):
     """Sum over 3x3 pixels, beyond the border 0."""
-    padded = np.pad(values, 1)
-    height, width = values.shape
+    return around_of_padded(np.pad(values, 1))
+
+
+def around_of_padded(padded):
+    height, width = padded.shape[0] - 2, padded.shape[1] - 2
     return sum(padded[i : i + height, j : j + width] for i in range(3) for j in range(3))
 
 
@@ -74,7 +80,8 @@ def test_sigma_of_pixels_is_what_numpy_says(maps, slopes, anchored):
     within = np.array([0.3, 0.2], dtype=np.float32)
     work, out = np.empty((LINES, 24), dtype=np.float32), np.empty((11, 22), dtype=np.float32)
     anchor = maps[3] if anchored else None
-    arguments = variance, sigma, within, maps[1], FLOOR, anchor, work, out
+    fading = np.array([5.7, 11.9, 14.0, 1.6], dtype=np.float32)
+    arguments = variance, sigma, within, fading, maps[1], FLOOR, anchor, work, out
     assert_kernel_agrees(blocks._sigma_of_pixels, sigma_by_numpy, *arguments)
 
 
@@ -85,8 +92,9 @@ def test_an_anchored_pixel_follows_its_neighbours_by_its_ties(anchor):
     sigma = np.full((3, 3, 2), 0.1, dtype=np.float32)
     within = np.array([0.3, 0.2], dtype=np.float32)
     variance = np.full((3, 3), 0.04, dtype=np.float32)
-    out = sigma_of_pixels(variance, sigma, within, weights, np.float32(FLOOR), hold)
-    free = np.sqrt(0.04 + 0.5 * 0.1**2)
-    ties = 4 * 2 * 0.01 / 1.01
-    assert out[1, 1] == pytest.approx(free * ties / (ties + anchor), rel=1e-5)
-    assert out[0, 0] == pytest.approx(free, rel=1e-5)
+    out = sigma_of_pixels(variance, sigma, within, np.zeros(4, np.float32), weights, np.float32(FLOOR), hold)
+    assert out[0, 0] == pytest.approx(np.sqrt(0.04 + 0.5 * 0.1**2), rel=1e-5)
+    ties, x = 4 * 2 * 0.01 / 1.01, 9 * anchor / 8.01
+    assert out[1, 1] ** 2 == pytest.approx(
+        0.04 * (ties / (ties + anchor) * 4 / (4 + x)) ** 2 + 0.5 * 0.1**2, rel=1e-5
+    )

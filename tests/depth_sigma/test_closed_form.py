@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gelform.depth_sigma.closed_form import correlation_of_blocks, variance_of_white, variance_within_blocks
+from gelform.depth_sigma.closed_form import (
+    correlation_of_blocks,
+    fading_within_blocks,
+    variance_of_white,
+    variance_within_blocks,
+)
 
 
 def test_what_cells_miss_makes_the_variance_of_pixels():
@@ -36,3 +41,26 @@ def test_long_errors_are_the_same_to_cells():
     of_cells, power = correlation_of_blocks(100.0, 4)
     assert of_cells == pytest.approx(25, rel=1e-3)
     assert power == pytest.approx(1, rel=2e-3)
+
+
+@pytest.mark.parametrize("aspect", [1.0, 1.6])
+@pytest.mark.parametrize("block", [2, 4, 6])
+def test_what_blocks_miss_fades_where_an_anchor_holds(block, aspect):
+    """Modes summed one by one, for anchors between those that the coefficients were fitted to."""
+    c = fading_within_blocks(aspect, block)
+    pitch = aspect**0.5, aspect**-0.5
+
+    def variance(size, pixels, anchor):
+        k = np.pi * np.arange(size) / size
+        x, y = ((2 * np.sin(k / 2) / (pixels * h)) ** 2 for h in pitch)
+        gain_x, gain_y = ((np.sin(k) / (pixels * h)) ** 2 for h in pitch)
+        terms = (gain_x + gain_y[:, None]) / np.maximum(x + y[:, None] + anchor, 1e-9) ** 2
+        terms[0, 0] = 0
+        return terms.mean() / pixels**2
+
+    missed = [
+        variance(32 * block, 1, anchor) - variance(32, block, anchor) for anchor in (0, 3e-3, 0.07, 0.7, 30)
+    ]
+    for x, left in zip((3e-3, 0.07, 0.7, 30), missed[1:]):
+        ratio = (1 + c[0] * x) / (1 + c[1] * x + c[2] * x**2 + c[3] * x**3)
+        assert ratio == pytest.approx(left / missed[0], rel=0.02)

@@ -125,6 +125,21 @@ def test_anchored_pixels_are_known_better():
     assert np.median(held[anchor > 0]) < 0.5 * np.median(free[anchor > 0])
 
 
+def test_patches_of_bad_slopes_that_an_anchor_holds():
+    """There the anchor holds each pixel for itself, which blocks of 2 pixels and more cannot see."""
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    inner, sigma = np.zeros(SHAPE, dtype=bool), np.full((*SHAPE, 2), 0.05)
+    for row, col, size in ((20, 25, 0.3), (50, 30, 0.5), (35, 70, 0.7)):
+        away = np.hypot(rows - row, cols - col)
+        sigma[away < 12] = size
+        inner |= away < 9
+    arguments = {"weights": (0.05 / sigma[..., 0]) ** 2, "anchor": np.full(SHAPE, 1e-2)}
+    expected = monte_carlo(sigma, 0, 0.0, **arguments)
+    got = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, **arguments)
+    assert np.median(got[inner] / expected[inner]) == pytest.approx(1, abs=0.1)
+    assert np.quantile(deviation(got, expected), 0.95) < 0.25
+
+
 def test_odd_sizes_and_masks():
     sigma = np.full((37, 51, 2), 0.05)
     mask = np.zeros((37, 51), dtype=bool)

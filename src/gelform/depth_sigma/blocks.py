@@ -19,10 +19,10 @@ _sum_blocks = Kernel(
 )
 _sigma_of_pixels = Kernel(
     "sigma_of_pixels",
-    "f32[rows,columns] variance, f32[h,w,slopes] sigma, f32[2] within, f32[h,w] weights, f32 floor, f32[h,w]? anchor, "
-    "out f32[11,line] work, out f32[h,w] out",
+    "f32[rows,columns] variance, f32[h,w,slopes] sigma, f32[2] within, f32[4] fading, f32[h,w] weights, f32 floor, "
+    "f32[h,w]? anchor, out f32[16,line] work, out f32[h,w] out",
 )
-LINES = 11  # scratch of `sigma_of_pixels`
+LINES = 16  # scratch of `sigma_of_pixels`
 
 # What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels;
 # then for each slope weight x sigma and its square.
@@ -99,6 +99,7 @@ def sigma_of_pixels(
     variance: NDArray[np.float32],
     sigma: NDArray[np.float32],
     within: NDArray[np.float32],
+    fading: NDArray[np.float32],
     weights: NDArray[np.float32],
     floor: np.float32,
     anchor: NDArray[np.float32] | None,
@@ -111,13 +112,14 @@ def sigma_of_pixels(
     sigma : (H, W, 1 or 2), of the slopes
     within : (2,) of p and q: variance within a block for each unit of theirs
         The usual sigma of 3x3 pixels counts, their harmonic mean: one bad pixel among good ones is held by them.
+    fading : (4,), how that gets less where an anchor holds: see `fading_within_blocks`
     weights, floor : (H, W); slopes of less weight than the floor are not trusted
     anchor : (H, W)
-        An anchored pixel follows its neighbours by ties over ties and anchor.
+        What blocks see reaches a pixel that it holds by ties over ties and anchor: of 3x3 pixels, and of its own.
     """
     out = np.empty(weights.shape, dtype=np.float32)
     work = np.empty((LINES, weights.shape[1] + 2), dtype=np.float32)
-    _sigma_of_pixels(variance, sigma, within, weights, floor, anchor, work, out)
+    _sigma_of_pixels(variance, sigma, within, fading, weights, floor, anchor, work, out)
     return out
 
 

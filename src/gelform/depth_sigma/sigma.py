@@ -16,7 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map, check_mask, check_mm_per_px
 from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, sigma_of_pixels
-from gelform.depth_sigma.closed_form import correlation_of_blocks, variance_of_white, variance_within_blocks
+from gelform.depth_sigma.closed_form import (
+    correlation_of_blocks,
+    fading_within_blocks,
+    variance_of_white,
+    variance_within_blocks,
+)
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR
@@ -82,6 +87,7 @@ class DepthSigma:
         aspect, area = self.pitch[0] / self.pitch[1], self.pitch[0] * self.pitch[1]
         per_slope = variance_within_blocks(aspect, block)
         self._within = np.array(per_slope, dtype=np.float32) * np.float32(area * (1 - self.share))
+        self._fading = np.array(fading_within_blocks(aspect, block), dtype=np.float32)
 
     def __call__(
         self,
@@ -127,7 +133,7 @@ class DepthSigma:
         """Standard deviation of pixels from the variance of blocks."""
         size = variance.shape[1] * self.block, variance.shape[0] * self.block
         pixels = cv2.resize(variance, size).reshape(size[1], size[0])
-        return sigma_of_pixels(pixels, sigma, self._within, weight, floor, anchor)
+        return sigma_of_pixels(pixels, sigma, self._within, self._fading, weight, floor, anchor)
 
 
 def depth_sigma_from_gradients_sigma(
