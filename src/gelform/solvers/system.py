@@ -91,8 +91,9 @@ def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32
 
 @lru_cache(maxsize=16, typed=True)
 def _constant(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
-    """A map of one value, shared: nobody writes to it."""
-    return np.full(shape, value, dtype=bool if isinstance(value, bool) else np.float32)
+    """A map of one value, shared: nobody writes to it. Zeros that nobody writes take no memory."""
+    dtype = bool if isinstance(value, bool) else np.float32
+    return np.full(shape, value, dtype=dtype) if value else np.zeros(shape, dtype=dtype)
 
 
 def _problem_per_edge(

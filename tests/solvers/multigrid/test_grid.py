@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -277,3 +280,23 @@ def test_agrees_with_elimination_at_full_size():
     fast = MultigridSolver((240, 320), pitch)(gradients, weights, None, anchor).depth_mm
     slow = SparseSolver((240, 320), pitch)(gradients, weights, None, anchor).depth_mm
     assert np.abs(fast - slow).max() < 4e-4 * np.ptp(slow)
+
+
+SMALL_MEMORY = """
+import resource
+from gelform.solvers.multigrid.grid import Grid
+
+Grid((4, 4))
+held = 4096 * int(open("/proc/self/statm").read().split()[0])
+resource.setrlimit(resource.RLIMIT_AS, (held + 2**28, held + 2**28))
+try:
+    Grid((6000, 8000))
+except MemoryError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits its memory as Linux does")
+def test_an_image_too_large_for_the_memory_is_refused_with_the_figure():
+    done = subprocess.run([sys.executable, "-c", SMALL_MEMORY], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("Expected 2.8 GB of free memory for a weighted solution of 6000x8000 px")

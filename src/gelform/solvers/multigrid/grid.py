@@ -22,6 +22,8 @@ _solve = Kernel(
     "multigrid_solve",
     "multigrid* grid, f32[h,w]? start, out f32[h,w] depth, f64 whole, f64 tolerance, i32 limit, out f64[2] report",
 )
+# Floats for each pixel, coarse levels included: 9 planes of the finest, 16 of each coarser one.
+PLANES = 9 + 16 / 3
 _NOT_CONVERGED, _NOT_FINITE = 1, 2  # as in conjugate.c
 
 
@@ -33,7 +35,14 @@ class Grid:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.shape = shape
-        self.handle = Handle("multigrid", *shape)
+        try:
+            self.handle = Handle("multigrid", *shape)
+        except MemoryError:
+            need = 4e-9 * PLANES * shape[0] * shape[1]
+            raise MemoryError(
+                f"Expected {need:.1f} GB of free memory for a weighted solution of {shape[0]}x{shape[1]} px, got less. "
+                "Halve the image, or leave out weights, mask and anchor: solver 'dct' needs a tenth."
+            ) from None
 
     def load(self, problem: Problem, mm_per_px: tuple[float, float]) -> None:
         """Take a frame; the coarse levels are computed anew only if its couplings differ from the last's."""
