@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from gelform.checks import check_mm_per_px
 
@@ -99,5 +99,5 @@ def fit_sphere(
         return np.sqrt((x - t[0]) ** 2 + (y - t[1]) ** 2 + (z - t[2]) ** 2) - t[3]
 
     start = [x.mean(), y.mean(), z.max() - radius_mm, radius_mm]
-    fit = least_squares(distances, start, loss="soft_l1", f_scale=0.02)
+    fit = scipy.optimize.least_squares(distances, start, loss="soft_l1", f_scale=0.02)
     return SphereFit((fit.x[0], fit.x[1], fit.x[2]), float(abs(fit.x[3])))

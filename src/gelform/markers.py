@@ -13,8 +13,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from gelform.checks import check_image
 
@@ -176,7 +176,7 @@ def is_grid(centers_px: NDArray[Any]) -> bool:
     """
     if len(centers_px) < MIN_DOTS:
         return False
-    found = cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
+    found = scipy.spatial.cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
     distance, neighbour = np.asarray(found[0]), np.asarray(found[1])
     pitch = float(np.median(distance[:, 1]))
     near = (distance[:, 1:] > NEIGHBOURS[0] * pitch) & (distance[:, 1:] < NEIGHBOURS[1] * pitch)

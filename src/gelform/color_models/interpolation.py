@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.seam import Samples, Variant, check_image_shape
@@ -129,7 +129,7 @@ class InterpolationModel:
 
     @cached_property
     def _tree(self) -> Any:
-        return cKDTree(self._features(self.color, self.x_px, self.y_px))
+        return scipy.spatial.cKDTree(self._features(self.color, self.x_px, self.y_px))
 
     def _features(self, color: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
         """(N, 5): colour and place, each in its scale."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
 
 from gelform.checks import LARGEST, check_values, check_within
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
@@ -73,7 +73,7 @@ class LambertianModel:
         if response is not None and not response > 0:
             raise ValueError(f"Expected a response > 0, got {response}.")
         if response is None:
-            tried = minimize_scalar(
+            tried = scipy.optimize.minimize_scalar(
                 lambda exponent: _misfit(samples, _fitted_lights(samples, exponent), exponent),
                 bounds=RESPONSES,
                 method="bounded",

@@ -7,9 +7,8 @@ from itertools import product
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.sparse import csr_matrix
 
 from gelform.color_models._shared.blocks import blocks_of
 from gelform.color_models._shared.lattice import Lattice, corner_weights, held_out_residuals
@@ -211,7 +210,10 @@ def _grid(change: NDArray[np.float64], nodes: int) -> tuple[NDArray[np.float64],
 
 
 def _deviation(
-    corners: csr_matrix, residual: NDArray[np.float64], weight: NDArray[np.float64], sizes: tuple[int, ...]
+    corners: scipy.sparse.csr_matrix,
+    residual: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    sizes: tuple[int, ...],
 ) -> NDArray[np.float64]:
     """Standard deviation (nodes,) of a slope component: the residuals about a node and its neighbours."""
     used = (weight > 0).astype(np.float64)
@@ -219,7 +221,9 @@ def _deviation(
     count, sums = (np.asarray(corners.T @ values).reshape(sizes) for values in (used, used * size))
     for axis, length in enumerate(sizes):
         if length > 1:
-            count, sums = (uniform_filter1d(v, 3, axis=axis, mode="constant") * 3 for v in (count, sums))
+            count, sums = (
+                scipy.ndimage.uniform_filter1d(v, 3, axis=axis, mode="constant") * 3 for v in (count, sums)
+            )
     typical = float(np.average(size, weights=used))
     variance = (sums + PRIOR_SAMPLES * typical) / (count + PRIOR_SAMPLES)
     return np.where(count >= MIN_SAMPLES, np.sqrt(variance), OFF_GAMUT_SIGMA).ravel()

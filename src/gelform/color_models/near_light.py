@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
@@ -89,7 +89,7 @@ class NearLightModel:
         if not response:
             low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
         residuals, jacobian = _problem(used, crosstalk, response, falloff)
-        fit = least_squares(
+        fit = scipy.optimize.least_squares(
             residuals,
             free,
             jacobian,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from gelform._native import Kernel
 from gelform.color_models.seam import check_image_shape
@@ -98,8 +98,8 @@ class SlopeTableModel:
         angles = np.arange(self.table.shape[0]) * 90.0 / (self.table.shape[0] - 1)
         fade = np.maximum(0, 1 - angles / FADED_DEG).astype(np.float32)
         faded = self.table - fade[:, None, None, None] * self.table[:1]
-        core = gaussian_filter1d(faded[:, :-1], SMOOTHED_BINS, axis=1, mode="wrap")
-        core = gaussian_filter1d(core, SMOOTHED_BINS, axis=0, mode="nearest")
+        core = scipy.ndimage.gaussian_filter1d(faded[:, :-1], SMOOTHED_BINS, axis=1, mode="wrap")
+        core = scipy.ndimage.gaussian_filter1d(core, SMOOTHED_BINS, axis=0, mode="nearest")
         core -= fade[:, None, None, None] * core[:1]
         faded = np.concatenate([core, core[:, :1]], axis=1)
         return np.asarray(faded, dtype=np.float32)

@@ -21,7 +21,8 @@ def variance_of_white(
     shape: tuple[int, int], pitch: tuple[float, float]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Variance (H, W) of zero-mean depth per unit variance of white errors of p, and of q."""
-    modes, eigen, gain = zip(*(_modes(n, h) for n, h in zip(shape, pitch[::-1])))
+    modes = [_modes(n) for n in shape]
+    eigen, gain = zip(*(_eigenvalues(n, h) for n, h in zip(shape, pitch[::-1])))
     square = (eigen[0][:, None] + eigen[1]) ** 2
     square[0, 0] = np.inf
     return modes[0].T @ (gain[1] / square) @ modes[1], modes[0].T @ (gain[0][:, None] / square) @ modes[1]
@@ -56,7 +57,7 @@ def fading_within_blocks(aspect: float, block: int) -> tuple[float, float, float
         Good to 2 % for x from 0 to 100.
     """
     x = np.concatenate([[0], np.logspace(-4, 2, 30)])
-    left = np.array([_missed(aspect, block, anchor) for anchor in x])
+    left = _missed(aspect, block, x)
     left /= left[0]
     denominator = np.ones_like(x)
     for _ in range(8):  # linear in the coefficients, once the equations are weighted by the last denominator
@@ -67,15 +68,17 @@ def fading_within_blocks(aspect: float, block: int) -> tuple[float, float, float
     return float(c[0]), float(c[1]), float(c[2]), float(c[3])
 
 
-def _missed(aspect: float, block: int, anchor: float) -> float:
-    """Mean variance of pixels minus that of blocks over a frame with an anchor, both slopes together."""
-    parts = []
-    for size, pixels in ((TRIAL * block, 1), (TRIAL, block)):
-        _, eigen, gain = zip(*(_modes(size, pixels * pitch) for pitch in (aspect**-0.5, aspect**0.5)))
-        square = (eigen[0][:, None] + eigen[1] + anchor) ** 2
-        square[0, 0] = np.inf
-        parts.append(np.mean((gain[0][:, None] + gain[1]) / square) / pixels**2)
-    return float(parts[0] - parts[1])
+def _missed(aspect: float, block: int, anchors: NDArray[Any]) -> NDArray[Any]:
+    """Mean variance of pixels minus that of blocks over a frame with each anchor, both slopes together."""
+    missed = np.zeros(anchors.size)
+    for size, pixels, sign in ((TRIAL * block, 1, 1), (TRIAL, block, -1)):
+        eigen, gain = zip(*(_eigenvalues(size, pixels * pitch) for pitch in (aspect**-0.5, aspect**0.5)))
+        gains = gain[0][:, None] + gain[1]
+        for i, anchor in enumerate(anchors):
+            square = (eigen[0][:, None] + eigen[1] + anchor) ** 2
+            square[0, 0] = np.inf
+            missed[i] += sign * np.mean(gains / square) / pixels**2
+    return missed
 
 
 def correlation_of_blocks(correlation_px: float, block: int) -> tuple[float, float]:
@@ -96,8 +99,15 @@ def _extent(length: float) -> float:
     return float(np.sum(np.exp(-(distance**2) / (2 * length**2))))
 
 
-def _modes(count: int, pitch: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Squares of the cosine modes (mode, place), their eigenvalues, the gain of averaged slopes."""
+def _modes(count: int) -> NDArray[Any]:
+    """Squares of the cosine modes (mode, place)."""
     k = np.arange(count)
-    modes = np.cos(np.pi * k[:, None] * (k + 0.5) / count) ** 2 * np.where(k == 0, 1, 2)[:, None] / count
-    return modes, (2 * np.sin(np.pi * k / (2 * count)) / pitch) ** 2, (np.sin(np.pi * k / count) / pitch) ** 2
+    return np.asarray(
+        np.cos(np.pi * k[:, None] * (k + 0.5) / count) ** 2 * np.where(k == 0, 1, 2)[:, None] / count
+    )
+
+
+def _eigenvalues(count: int, pitch: float) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The cosine modes' eigenvalues, and the gain of averaged slopes."""
+    k = np.arange(count)
+    return (2 * np.sin(np.pi * k / (2 * count)) / pitch) ** 2, (np.sin(np.pi * k / count) / pitch) ** 2

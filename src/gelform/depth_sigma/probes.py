@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
 
 from gelform._native import Handle, Kernel
 from gelform.pool import Pool
@@ -64,10 +63,16 @@ def _gaussians(count: int, length: float, offset: float) -> NDArray[Any]:
 
 def _placed(count: int, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[Any]:
     """Values (count, H, W, 2) of variance 1 over the probes, orthogonal where colours differ."""
-    rows = dct(np.eye(count), norm="ortho") * np.sqrt(count)
+    rows = _cosines(count)
     colour = _colours(max(count // 2, 1), shape)
     columns = rng.permutation(count)[np.stack([2 * colour % count, (2 * colour + 1) % count], axis=-1)]
     return np.asarray(rows[:, columns] * rng.choice([-1.0, 1.0], size=(*shape, 2)))
+
+
+def _cosines(count: int) -> NDArray[Any]:
+    """The orthogonal cosines (place, mode) of mean square 1."""
+    k = np.arange(count)
+    return np.asarray(np.cos(np.pi * k * (k[:, None] + 0.5) / count) * np.where(k == 0, 1, np.sqrt(2)))
 
 
 def _colours(count: int, shape: tuple[int, int]) -> NDArray[np.int64]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from gelform._native import Kernel
 
@@ -51,7 +51,7 @@ class Gamut:
         seen = np.zeros((BINS,) * 3, dtype=bool)
         seen[tuple(index[within].T)] = True
         worth = float(np.sqrt(np.square(gradients).sum() / max(float(np.square(color_change).sum()), 1e-12)))
-        away = worth * bin_width * np.maximum(distance_transform_edt(~seen) - 1, 0)
+        away = worth * bin_width * np.maximum(scipy.ndimage.distance_transform_edt(~seen) - 1, 0)
         return cls(away.astype(np.float32), first.astype(np.float32), bin_width, worth)
 
     def distance_of(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -10,9 +10,8 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags, eye, kron
-from scipy.sparse.linalg import cg
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
 
@@ -21,7 +20,7 @@ FOLDS, STRETCHES = 2, 24  # stretches of the samples, about a press or two each,
 TOLERANCE = 1e-3
 
 
-def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> csr_matrix:
+def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
     """Matrix (N, nodes) of multilinear weights; beyond the grid the nearest face counts.
 
     Parameters
@@ -47,7 +46,7 @@ def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...
         values.append(share)
     rows = np.tile(np.arange(count), len(columns))
     entries = np.concatenate(values), (rows, np.concatenate(columns))
-    return csr_matrix(entries, shape=(count, int(np.prod(sizes))))
+    return scipy.sparse.csr_matrix(entries, shape=(count, int(np.prod(sizes))))
 
 
 class Lattice:
@@ -62,7 +61,7 @@ class Lattice:
 
     def __init__(self, sizes: tuple[int, ...], zero: tuple[int, ...], smoothness: float) -> None:
         self.smoothness = smoothness
-        self.roughness = csr_matrix((int(np.prod(sizes)),) * 2)
+        self.roughness = scipy.sparse.csr_matrix((int(np.prod(sizes)),) * 2)
         for axis, size in enumerate(sizes):
             if size > 1:
                 self.roughness = self.roughness + _squared_differences(sizes, axis)
@@ -71,7 +70,7 @@ class Lattice:
         self.free = np.flatnonzero(free)
 
     def fitted(
-        self, corners: csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
+        self, corners: scipy.sparse.csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Slopes (nodes, 2) by conjugate gradients, reweighted by Huber's loss.
 
@@ -86,13 +85,13 @@ class Lattice:
         part = corners[:, self.free]
         stiff = self.roughness[self.free][:, self.free] * scale
         for _ in range(ROUNDS):
-            normal = (part.T @ diags(current) @ part + stiff).tocsr()
-            precondition = diags(1 / (normal.diagonal() + 1e-12))
+            normal = (part.T @ scipy.sparse.diags(current) @ part + stiff).tocsr()
+            precondition = scipy.sparse.diags(1 / (normal.diagonal() + 1e-12))
             right = part.T @ (current[:, None] * target)
             for c in (0, 1):
                 enough = TOLERANCE * float(np.linalg.norm(right[:, c]))
                 start = slopes[self.free, c]
-                slopes[self.free, c] = cg(
+                slopes[self.free, c] = scipy.sparse.linalg.cg(
                     normal, right[:, c], x0=start, atol=enough, maxiter=500, M=precondition
                 )[0]
             residual = np.linalg.norm(corners @ slopes - target, axis=1)
@@ -100,17 +99,22 @@ class Lattice:
         return slopes
 
 
-def _squared_differences(sizes: tuple[int, ...], axis: int) -> csr_matrix:
+def _squared_differences(sizes: tuple[int, ...], axis: int) -> scipy.sparse.csr_matrix:
     """D^T D of second differences along one axis (first ones where there are two nodes), over all nodes."""
     size = sizes[axis]
     order = [1.0, -2.0, 1.0] if size > 2 else [-1.0, 1.0]
-    line = diags(order, list(range(len(order))), shape=(size - len(order) + 1, size))
+    line = scipy.sparse.diags(order, list(range(len(order))), shape=(size - len(order) + 1, size))
     before, after = (int(np.prod(part)) for part in (sizes[:axis], sizes[axis + 1 :]))
-    return csr_matrix(kron(kron(eye(before), line.T @ line), eye(after)))
+    return scipy.sparse.csr_matrix(
+        scipy.sparse.kron(scipy.sparse.kron(scipy.sparse.eye(before), line.T @ line), scipy.sparse.eye(after))
+    )
 
 
 def held_out_residuals(
-    lattice: Lattice, corners: csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
+    lattice: Lattice,
+    corners: scipy.sparse.csr_matrix,
+    target: NDArray[np.float64],
+    weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Residuals (N, 2) of samples that were not fitted: stretches of them are left out in turn.
 

@@ -7,10 +7,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
-from scipy.optimize import brentq
-from scipy.special import k0e, k1e
 
 from gelform._native import Kernel
 
@@ -57,9 +55,9 @@ class BallPress:
         for size, length in ((self.tail_mm, self.relaxation_mm), (-self.bulge_mm, self.thickness_mm)):
             if size != 0:
                 scale = size * np.exp((self.contact_radius_mm - r_mm) / length)
-                scale = scale / k0e(self.contact_radius_mm / length)
-                depth += scale * k0e(r_mm / length)
-                slope -= scale * k1e(r_mm / length) / length
+                scale = scale / scipy.special.k0e(self.contact_radius_mm / length)
+                depth += scale * scipy.special.k0e(r_mm / length)
+                slope -= scale * scipy.special.k1e(r_mm / length) / length
         return depth, slope
 
 
@@ -74,7 +72,9 @@ def ball_press(
         cosine = np.sqrt(radius_mm**2 - a**2)
         return float(_rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)[0] * cosine)
 
-    a = float(brentq(mismatch, 1e-6 * radius_mm, radius_mm * (1 - 1e-12), xtol=1e-12 * radius_mm))
+    a = float(
+        scipy.optimize.brentq(mismatch, 1e-6 * radius_mm, radius_mm * (1 - 1e-12), xtol=1e-12 * radius_mm)
+    )
     _, membrane, risen = _rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)
     follows = bulge * membrane / (1 - (thickness_mm / relaxation_mm) ** 2)
     return BallPress(radius_mm, depth_mm, a, membrane - follows, risen - follows, relaxation_mm, thickness_mm)
@@ -135,11 +135,11 @@ def _rim(
     """
     r = np.linspace(0, a, NODES + 1)
     face = depth_mm - radius_mm + np.sqrt(radius_mm**2 - r**2)
-    kl = k1e(a / length) / k0e(a / length) / length
+    kl = scipy.special.k1e(a / length) / scipy.special.k0e(a / length) / length
     slope = -a / np.sqrt(radius_mm**2 - a**2)
     if bulge == 0:
         return float(slope + face[-1] * kl), float(face[-1]), 0.0
-    kh = k1e(a / thickness) / k0e(a / thickness) / thickness
+    kh = scipy.special.k1e(a / thickness) / scipy.special.k0e(a / thickness) / thickness
     follows = bulge / (1 - (thickness / length) ** 2)
     b, b_slope = _bulge_inside(face, a, thickness, bulge, follows * (kl - kh), kh)
     membrane = face[-1] + b
@@ -162,7 +162,7 @@ def _bulge_inside(
     diagonal[-1] -= ghost * 2 * step * (coupling + kh)
     right[-1] += ghost * 2 * step * coupling * face[-1]
     bands = np.stack([np.roll(upper, 1), diagonal, np.roll(lower, -1)])
-    b = float(solve_banded((1, 1), bands, right, check_finite=False)[-1])
+    b = float(scipy.linalg.solve_banded((1, 1), bands, right, check_finite=False)[-1])
     return b, -coupling * (float(face[-1]) + b) - kh * b
 
 

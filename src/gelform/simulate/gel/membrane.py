@@ -6,8 +6,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.fft import dctn, idctn
 
 from gelform._native import Handle, Kernel
 from gelform.errors import ConvergenceError
@@ -147,7 +147,9 @@ def spread(values: Map, length_px: float) -> Map:
     ky = 2 - 2 * np.cos(np.pi * np.arange(rows) / rows)
     kx = 2 - 2 * np.cos(np.pi * np.arange(columns) / columns)
     hy, hx = length_px * rows / height, length_px * columns / width
-    smooth = idctn(dctn(small, type=2) / (1 + hy**2 * ky[:, None] + hx**2 * kx[None, :]), type=2)
+    smooth = scipy.fft.idctn(
+        scipy.fft.dctn(small, type=2) / (1 + hy**2 * ky[:, None] + hx**2 * kx[None, :]), type=2
+    )
     if smooth.shape == values.shape:
         return np.asarray(smooth, dtype=np.float64)
     return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float64)

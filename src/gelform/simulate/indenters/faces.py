@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates, spline_filter
 
 from gelform.checks import check_map, check_mm_per_px, check_positive
 
@@ -60,7 +60,7 @@ class HeightMap:
         heights = check_map(self.height_mm, "height_mm", dtype=np.float64)
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"Expected height_mm of shape (h, w), at least 2x2, got {heights.shape}.")
-        spline = spline_filter(heights - heights.max(), order=3, mode="nearest")
+        spline = scipy.ndimage.spline_filter(heights - heights.max(), order=3, mode="nearest")
         object.__setattr__(self, "_spline", spline)
         object.__setattr__(self, "_pitch", check_mm_per_px(self.mm_per_px))
 
@@ -68,7 +68,7 @@ class HeightMap:
         spline, (hx, hy) = self._spline, self._pitch  # type: ignore[attr-defined]
         height, width = spline.shape
         column, row = np.broadcast_arrays(x_mm / hx + (width - 1) / 2, y_mm / hy + (height - 1) / 2)
-        face = map_coordinates(spline, [row, column], order=3, mode="nearest", prefilter=False)
+        face = scipy.ndimage.map_coordinates(spline, [row, column], order=3, mode="nearest", prefilter=False)
         there = (row >= 0) & (row <= height - 1) & (column >= 0) & (column <= width - 1)
         return np.where(there, np.minimum(face, 0), -np.inf)
 

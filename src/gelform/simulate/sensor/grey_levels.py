@@ -7,8 +7,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy  # its parts load at first use
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from gelform._native import Kernel
 from gelform.simulate.sensor.sensor import SimulatedSensor
@@ -59,7 +59,7 @@ def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
 @lru_cache(maxsize=1)
 def normal_table() -> NDArray[np.float32]:
     """The normal distribution in 65536 equally likely steps, of variance 1: its inverse at their middles."""
-    steps = ndtri((np.arange(65536) + 0.5) / 65536)
+    steps = scipy.special.ndtri((np.arange(65536) + 0.5) / 65536)
     return np.asarray(steps / np.sqrt(np.mean(steps**2)), dtype=np.float32)
 
 
