@@ -10,6 +10,7 @@ per term).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import cv2
@@ -21,6 +22,7 @@ from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import (
     HUBER_SLOPE,
     monomial_parents,
+    monomial_products,
     monomials,
     penalised_huber,
     position_powers,
@@ -99,8 +101,9 @@ class HierarchicalModel:
             start.check_like(len(position_degrees), samples.shape)
             target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
         terms = monomials(3, len(position_degrees))
+        light = None if samples.background is None else _light_at_nodes(samples.background)
         orders = [
-            _places(order, position_degrees, samples.shape, samples.background)
+            _places(order, position_degrees, samples.shape, light)
             for order in range(1, len(position_degrees) + 1)
         ]
         places, penalties = zip(*(orders[len(term) - 1] for term in terms))
@@ -109,9 +112,10 @@ class HierarchicalModel:
         at = _interpolation(samples.x_px, samples.y_px, samples.shape)
         products = _products(change / scale, terms)
         there = [_at_pixels(place, *at) for place, _ in orders]
-        design = np.concatenate(
-            [there[len(term) - 1] * product[:, None] for term, product in zip(terms, products)], axis=1
-        )
+        design = np.empty((len(target), sum(len(p) for p in penalties)), dtype=np.float32)
+        parts = np.split(design, np.cumsum([len(p) for p in penalties])[:-1], axis=1)
+        for term, product, part in zip(terms, products, parts):
+            np.multiply(there[len(term) - 1], product[:, None], out=part, casting="same_kind")
         found = penalised_huber(
             design, target, samples.weight, ridge * np.concatenate(penalties), huber=HUBER_SLOPE
         )
@@ -180,7 +184,7 @@ def _node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _places(
-    order: int, position_degrees: tuple[int, ...], shape: tuple[int, int], background: NDArray[Any] | None
+    order: int, position_degrees: tuple[int, ...], shape: tuple[int, int], light: NDArray[Any] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What a coefficient of a colour term of an order is a sum of, (rows, columns, functions), and their penalties."""
     degree = position_degrees[order - 1]
@@ -192,15 +196,21 @@ def _places(
     powers = position_powers(degree)
     functions = [along_y[:, None, j] * along_x[None, :, i] for i, j in powers]
     penalties = [COLOR_GROWTH ** (order - 1) * PLACE_GROWTH ** (i + j) for i, j in powers]
-    if background is not None and order <= len(LIGHT_RIDGE):
-        functions += list(_light_at_nodes(background))
+    if light is not None and order <= len(LIGHT_RIDGE):
+        functions += list(light)
         penalties += [LIGHT_RIDGE[order - 1]] * 3
     return np.stack(functions, axis=-1), np.array(penalties)
 
 
 def _light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:
     """Logarithm of the untouched image at the nodes, (3, rows, columns), of mean 0 and deviation 1."""
-    light = np.maximum(np.asarray(background, dtype=np.float32), DARKEST)
+    pixels = np.asarray(background, dtype=np.float32)
+    return _light_of_pixels(pixels.tobytes(), pixels.shape)
+
+
+@lru_cache(maxsize=4)  # a calibration fits a hundred models on one background
+def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    light = np.maximum(np.frombuffer(pixels, dtype=np.float32).reshape(shape), DARKEST)
     smooth = cv2.GaussianBlur(light, (0, 0), LIGHT_BLUR_PX, borderType=cv2.BORDER_REFLECT_101)
     logarithm = np.log(smooth.astype(np.float64))
     logarithm -= logarithm.mean(axis=(0, 1))
@@ -214,7 +224,7 @@ def _light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:
 
 def _products(change: NDArray[np.float64], terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
     """Monomials (terms, N) of a colour change (N, 3)."""
-    return np.stack([np.prod(change[:, list(term)], axis=1) for term in terms])
+    return np.stack(monomial_products(np.ascontiguousarray(change.T), terms))
 
 
 def _interpolation(x_px: NDArray[Any], y_px: NDArray[Any], shape: tuple[int, int]) -> tuple[Any, ...]:

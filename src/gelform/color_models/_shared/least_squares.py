@@ -59,12 +59,20 @@ def polynomial_terms(
     place = _position_terms(np.asarray(x), np.asarray(y), max(position_degrees))
     columns = np.empty((term_count(len(channels), position_degrees), channels.shape[1]))
     filled = 0
-    for term in monomials(len(channels), len(position_degrees)):
-        product = np.prod(channels[list(term)], axis=0)
+    terms = monomials(len(channels), len(position_degrees))
+    for term, product in zip(terms, monomial_products(channels, terms)):
         for power in position_powers(position_degrees[len(term) - 1]):
             np.multiply(product, place[power], out=columns[filled])
             filled += 1
     return columns.T
+
+
+def monomial_products(channels: NDArray[Any], terms: list[tuple[int, ...]]) -> list[NDArray[Any]]:
+    """Each monomial (N,) of channels (C, N), a product of its parent's with one channel."""
+    products: list[NDArray[Any]] = []
+    for parent, channel in monomial_parents(terms):
+        products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
+    return products
 
 
 def _position_terms(
@@ -97,7 +105,7 @@ def robust_ridge(
 
 
 def penalised_huber(
-    design: NDArray[np.float64],
+    design: NDArray[Any],
     target: NDArray[np.float64],
     weight: NDArray[np.float64],
     penalties: NDArray[np.float64],
@@ -135,11 +143,16 @@ def _reweighted(
         if done == rounds:
             break
         residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
-        beyond = residual > huber
+        beyond = np.flatnonzero(residual > huber)
         lost = weight[beyond] * (1 - huber / residual[beyond])
-        less = _normal_equations(design[beyond], target[beyond], lost)
+        less = _normal_equations(_rows(design, beyond), target[beyond], lost)
         normal, right = whole[0] - less[0], whole[1] - less[1]
     return np.asarray(coefficients, dtype=np.float64)
+
+
+def _rows(design: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    """Some rows of a design, in its own order in memory: gathered across it they take ten times as long."""
+    return design[chosen] if design.flags.c_contiguous else np.take(design.T, chosen, axis=1).T
 
 
 def _normal_equations(
