@@ -5,6 +5,9 @@ __version__: str
 from .sensors.files import read_image as read_image
 from .sensors.video_files import Video as Video
 from .frames import Frame as Frame
+from .sensors.source import Source as Source
+from .sensors.source import open_source as open_source
+from .sensors.grabber import Grabber as Grabber
 from .view import View as View
 from .lens import Lens as Lens
 from .view import image_from_frame as image_from_frame
@@ -63,5 +66,6 @@ from .exporters.press_folder import save_simulated_presses as save_simulated_pre
 from .errors import GelformError as GelformError
 from .errors import CalibrationError as CalibrationError
 from .errors import SensorError as SensorError
+from .errors import SourceLostError as SourceLostError
 from .errors import ConvergenceError as ConvergenceError
 from .errors import DataError as DataError

@@ -13,6 +13,10 @@ class SensorError(GelformError):
     """A camera or a sensor profile does not answer as expected."""
 
 
+class SourceLostError(SensorError):
+    """A source of frames went away, stands still or sends what is no frame; opened again it may go on."""
+
+
 class ConvergenceError(GelformError):
     """A solver did not reach its tolerance; the message names the cause and a remedy."""
 

@@ -10,7 +10,7 @@ import pytest
 from gelform.calibration.presses.folder import read_presses
 from gelform.errors import DataError
 from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
-from gelform.sensors.simulated_settings import sensor_from_settings
+from gelform.sensors.simulated.settings import sensor_from_settings
 from gelform.simulate import LAYOUTS, Coating, simulate_ball_presses
 
 SENSOR = replace(

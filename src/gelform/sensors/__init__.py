@@ -7,9 +7,12 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "backgrounds": ["averaged_background", "background_files", "background_in", "read_background"],
         "files": ["SensorSettings", "read_image", "read_sensor_toml"],
+        "grabber": ["Grabber", "GrabberStats"],
+        "playback": ["Playback", "folder_playback", "video_playback"],
         "profiles": ["PROFILES", "SENSORS", "KnownSensor", "SensorProfile", "profile_named"],
-        "simulated": ["SimulatedSource"],
-        "simulated_settings": ["read_simulated_sensor", "sensor_from_settings", "simulated_sensor_named"],
+        "simulated": ["SimulatedSource", "SimulatedTouches"],
+        "simulated.settings": ["read_simulated_sensor", "sensor_from_settings", "simulated_sensor_named"],
+        "source": ["Source", "open_source"],
         "video_files": ["Video", "VideoFacts"],
     },
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gelform.sensors.profiles import SENSORS
-from gelform.sensors.simulated_settings import sensor_from_settings
+from gelform.sensors.simulated.settings import sensor_from_settings
 from gelform.simulate import LAYOUTS, Coating, Led, SimulatedSensor
 from gelform.simulate.sensor.sensor import settings_from_sensor
 from made.sensors import PLAIN, SMALL

@@ -133,7 +133,7 @@ def simulate(
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:
     """A ready sensor by name, or one from a TOML file."""
-    from gelform.sensors.simulated_settings import read_simulated_sensor, simulated_sensor_named
+    from gelform.sensors.simulated.settings import read_simulated_sensor, simulated_sensor_named
 
     if name_or_file.endswith(".toml"):
         return read_simulated_sensor(name_or_file)

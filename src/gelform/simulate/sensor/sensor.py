@@ -126,7 +126,7 @@ class SimulatedSensor:
 def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
     """A sensor as lists, numbers and words that JSON can hold; an albedo map as its values.
 
-    `gelform.sensors.simulated_settings.sensor_from_settings` turns them back into the sensor.
+    `gelform.sensors.simulated.settings.sensor_from_settings` turns them back into the sensor.
     """
     return {one.name: _plain(getattr(sensor, one.name)) for one in fields(sensor)}
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.frames import Frame
-from gelform.sensors.simulated import SimulatedSource
+from gelform.sensors.simulated.moved import SimulatedSource
 from gelform.simulate import LAYOUTS, Coating, Cylinder, Timing
 
 SENSOR = replace(LAYOUTS["three-edges"], shape=(60, 80), mm_per_px=0.2, timing=Timing(frame_rate_hz=20.0))

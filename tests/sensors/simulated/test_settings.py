@@ -5,7 +5,7 @@ import pytest
 
 from gelform.errors import SensorError
 from gelform.sensors.profiles import SENSORS
-from gelform.sensors.simulated_settings import (
+from gelform.sensors.simulated.settings import (
     read_simulated_sensor,
     sensor_from_settings,
     simulated_sensor_named,

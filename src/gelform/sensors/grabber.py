@@ -1,0 +1,262 @@
+"""The newest frame of a source: one thread per device reads it, and opens it again when it is lost."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from os import PathLike
+
+from gelform.errors import SensorError, SourceLostError
+from gelform.frames import Frame
+from gelform.sensors.source import Source, open_source
+
+STALL_S = 0.5  # without a frame: robots' recorders give up then
+FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # between attempts to open a source again
+RATE_FRAMES = 60  # the rate is measured over so many frames
+
+
+@dataclass(frozen=True)
+class GrabberStats:
+    """Figures of a grabber.
+
+    Attributes
+    ----------
+    frames : read so far
+    drops : frames that never reached us, by the gaps in the source's own count: lost on the way, or torn
+    unseen : frames that nobody asked for before a newer one replaced them
+    reopened : how often the source was lost and came back
+    rate_hz : frames a second, measured over the last 60; 0 before the second
+    age_s : how long ago the newest frame was captured, s; None before the first
+    """
+
+    frames: int = 0
+    drops: int = 0
+    unseen: int = 0
+    reopened: int = 0
+    rate_hz: float = 0.0
+    age_s: float | None = None
+
+
+class Grabber:
+    """Reads a source in a thread of its own and keeps its newest frame, for any number of consumers.
+
+    A source that is lost (unplugged, stopped, only torn frames) is opened again, at first after 20 ms and then at
+    most 120 ms apart, until it is back; meanwhile `state` is "reconnecting" and `reason` says why. Its frames are
+    counted on: `Frame.index` never goes back. A camera with another serial number is not taken for the lost one.
+
+    Parameters
+    ----------
+    source : what `open_source` takes, or a function that opens the source and is called again when it is lost
+    keep : how many frames are held for `following`; `newest` needs 1
+    stall_s : after so many seconds without a frame the state is "reconnecting"
+
+    Raises
+    ------
+    SensorError, DataError
+        On entering the context: the source cannot be opened, as `open_source` says it.
+    """
+
+    def __init__(
+        self,
+        source: str | PathLike[str] | Callable[[], Source],
+        *,
+        keep: int = 1,
+        stall_s: float = STALL_S,
+    ) -> None:
+        if not callable(source):
+            spec = source
+            source = lambda: open_source(spec)  # noqa: E731
+        if keep < 1:
+            raise ValueError(f"Expected keep >= 1, got {keep}.")
+        self._open = source
+        self._stall_s = stall_s
+        self._changed = threading.Condition()
+        self._held: deque[Frame] = deque(maxlen=keep)
+        self._times_s: deque[float] = deque(maxlen=RATE_FRAMES)
+        self._state, self._reason = "starting", ""
+        self._stats = GrabberStats()
+        self._asked = -1  # the last frame that anybody was given
+        self._heard_s = time.monotonic()
+        self._stop = threading.Event()
+        self._error: Exception | None = None
+        self._thread: threading.Thread | None = None
+        self._source: Source | None = None
+
+    # -- the source's facts ------------------------------------------------------------------------------------
+
+    @property
+    def source(self) -> Source:
+        """The source that is open, or was until it was lost."""
+        if self._source is None:
+            raise RuntimeError("Expected an entered Grabber: with Grabber(...) as grabber.")
+        return self._source
+
+    @property
+    def name(self) -> str:
+        """Of the source, for people."""
+        return self.source.name
+
+    @property
+    def serial(self) -> str | None:
+        """Of the camera, where it has one."""
+        return self.source.serial
+
+    @property
+    def settings(self) -> dict[str, float | str]:
+        """Of the camera, read back."""
+        return self.source.settings
+
+    # -- for consumers ------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> str:
+        """Is "starting" until the first frame, "running", "reconnecting", or "ended"."""
+        with self._changed:
+            return "reconnecting" if self._state == "running" and self._stalled() else self._state
+
+    @property
+    def reason(self) -> str:
+        """Why it is reconnecting or ended; empty while it runs."""
+        with self._changed:
+            if self._state == "running" and self._stalled():
+                return f"no frame for {time.monotonic() - self._heard_s:.1f} s"
+            return self._reason
+
+    @property
+    def stats(self) -> GrabberStats:
+        """Figures of this moment."""
+        with self._changed:
+            span = self._times_s[-1] - self._times_s[0] if len(self._times_s) > 1 else 0.0
+            age = time.monotonic() - self._held[-1].time_s if self._held else None
+            return replace(
+                self._stats, rate_hz=(len(self._times_s) - 1) / span if span > 0 else 0.0, age_s=age
+            )
+
+    def newest(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
+        """The newest frame with a number above `after_index`.
+
+        Waits for one, at most `timeout_s` (None: as long as it takes; 0: not at all). None where the time is over or
+        the source has ended.
+
+        Raises
+        ------
+        DataError, SensorError
+            The source ended because of it: a damaged file.
+        """
+        return self._awaited(after_index, timeout_s, oldest=False)
+
+    def following(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
+        """The oldest of the frames held whose number is above `after_index`: for recorders; else as `newest`."""
+        return self._awaited(after_index, timeout_s, oldest=True)
+
+    def _awaited(self, after_index: int, timeout_s: float | None, oldest: bool) -> Frame | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._has_after(after_index) or self._state == "ended", timeout_s)
+            if not self._has_after(after_index):
+                if self._state == "ended" and self._error is not None:
+                    raise self._error
+                return None
+            frame = next(f for f in self._held if f.index > after_index) if oldest else self._held[-1]
+            self._asked = max(self._asked, frame.index)
+            return frame
+
+    def _has_after(self, index: int) -> bool:
+        return bool(self._held) and self._held[-1].index > index
+
+    def _stalled(self) -> bool:
+        return time.monotonic() - self._heard_s > self._stall_s
+
+    # -- the thread ---------------------------------------------------------------------------------------------
+
+    def __enter__(self) -> Grabber:
+        self._source = self._open()
+        self._heard_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name=f"grab {self._source.name}", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop reading and give the device back; waits for the thread, at most 2 s where the device hangs."""
+        self._stop.set()
+        if self._source is not None:
+            self._source.close()  # its loop ends
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(2.0)
+        self._set("ended", self._reason or "closed")
+
+    def _run(self) -> None:
+        assert self._source is not None
+        try:
+            while not self._stop.is_set():
+                try:
+                    self._read(self._source)
+                    break
+                except SourceLostError as problem:
+                    self._set("reconnecting", str(problem))
+                self._source.close()
+                self._reopen()
+            self._set("ended", "closed" if self._stop.is_set() else "the source has no more frames")
+        except Exception as problem:  # nothing may vanish in a thread: the consumers get it
+            self._error = problem
+            self._set("ended", str(problem))
+        finally:
+            self._source.close()
+
+    def _read(self, source: Source) -> None:
+        """Take frames until the source ends, is lost, or nobody wants any more."""
+        base = self._held[-1].index + 1 if self._held else 0
+        for frame in source:
+            if self._stop.is_set():
+                return
+            self._keep(replace(frame, index=base + frame.index))
+
+    def _keep(self, frame: Frame) -> None:
+        with self._changed:
+            before = self._held[-1].index if self._held else -1
+            unseen = int(before > self._asked and len(self._held) == self._held.maxlen)
+            drops = frame.index - before - 1
+            self._stats = replace(
+                self._stats,
+                frames=self._stats.frames + 1,
+                drops=self._stats.drops + drops,
+                unseen=self._stats.unseen + unseen,
+            )
+            self._held.append(frame)
+            self._times_s.append(frame.time_s)
+            self._heard_s = time.monotonic()
+            self._state, self._reason = "running", ""
+            self._changed.notify_all()
+
+    def _reopen(self) -> None:
+        """Open the source again, as soon as it is there."""
+        wait_s, lost = FIRST_WAIT_S, self.source
+        while not self._stop.wait(wait_s):
+            wait_s = min(wait_s * WAIT_GROWTH, LONGEST_WAIT_S)
+            try:
+                source = self._open()
+            except SensorError as problem:
+                self._set("reconnecting", str(problem))
+                continue
+            if source.serial != lost.serial:
+                source.close()
+                self._set(
+                    "reconnecting",
+                    f"expected the camera {lost.name} (serial {lost.serial}) back, found {source.name}",
+                )
+                continue
+            self._source = source
+            with self._changed:
+                self._times_s.clear()
+                self._stats = replace(self._stats, reopened=self._stats.reopened + 1)
+            return
+
+    def _set(self, state: str, reason: str) -> None:
+        with self._changed:
+            self._state, self._reason = state, reason
+            self._changed.notify_all()

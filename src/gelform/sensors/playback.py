@@ -1,0 +1,111 @@
+"""Frames from files as a source: as fast as they are read, or at the pace at which they were taken."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.pace import Pace
+from gelform.sensors.video_files import Video
+
+USUAL_RATE_HZ = 25.0  # of images that do not say when they were taken
+
+
+class Playback:
+    """Frames that were taken before.
+
+    Parameters
+    ----------
+    frames : gives the frames anew from the start each time it is called
+    name : for people
+    rate_hz : frames a second, where it is known
+    serial, settings : of the camera that took them, where they are known
+    paced : False: each frame as fast as it is read, its `time_s` as the file has it. True: at the pace at which they
+        were taken, `time_s` on the monotonic clock; frames that come too late by more than one frame are passed over.
+    """
+
+    def __init__(
+        self,
+        frames: Callable[[], Iterable[Frame]],
+        *,
+        name: str,
+        rate_hz: float | None = None,
+        serial: str | None = None,
+        settings: Mapping[str, float | str] | None = None,
+        paced: bool = False,
+    ) -> None:
+        self.name, self.serial, self.rate_hz = name, serial, rate_hz
+        self.settings = dict(settings or {})
+        self.live = paced
+        self._frames = frames
+        self._closed = False
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._paced() if self.live else self._frames():
+            if self._closed:
+                return
+            yield frame
+
+    def _paced(self) -> Iterator[Frame]:
+        pace, first_s = Pace(self.rate_hz or USUAL_RATE_HZ), None
+        for frame in self._frames():
+            first_s = frame.time_s if first_s is None else first_s
+            after_s = frame.time_s - first_s
+            if pace.late_s(after_s) > 1 / (self.rate_hz or USUAL_RATE_HZ) and after_s > 0:
+                continue
+            time_s = pace.wait_until(after_s)
+            yield replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
+
+    def close(self) -> None:
+        """End the loop over it."""
+        self._closed = True
+
+    def __enter__(self) -> Playback:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def video_playback(path: Path, *, paced: bool = False) -> Playback:
+    """The frames of a video file; DataError where it is none (see `Video`)."""
+    video = Video(path)
+    height, width = video.facts.shape
+    return Playback(
+        lambda: video,
+        name=path.name,
+        rate_hz=video.facts.frame_rate_hz or None,
+        settings={"width": width, "height": height},
+        paced=paced,
+    )
+
+
+def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = False) -> Playback:
+    """The images of a folder in the order of their names, evenly spaced in time.
+
+    Parameters
+    ----------
+    path : a folder of images
+    rate_hz : images a second; 25 by default
+
+    Raises
+    ------
+    DataError
+        The folder holds no image; in a loop: one cannot be read.
+    """
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    if not files:
+        raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")
+    rate = check_positive(rate_hz or USUAL_RATE_HZ, "rate_hz")
+
+    def frames() -> Iterator[Frame]:
+        for index, file in enumerate(files):
+            yield Frame(read_image(file), index / rate, 0, index)
+
+    return Playback(frames, name=path.resolve().name, rate_hz=rate, paced=paced)

@@ -1,0 +1,99 @@
+"""Where frames come from: one interface to cameras, files, addresses and the simulated sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+from gelform.errors import DataError, SensorError
+from gelform.frames import Frame
+from gelform.sensors.playback import folder_playback, video_playback
+from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.sensors.simulated.touches import RATE_HZ, SimulatedTouches
+from gelform.sensors.video_files import is_video
+
+SIMULATED, DEFAULT_SENSOR = "simulated", "three-edges"
+
+
+class Source(Protocol):
+    """Frames, one after the other; a context manager.
+
+    Attributes
+    ----------
+    name : for people, such as "GelSight Mini 2BKRXXXX", "simulated three-edges", "press.mp4"
+    serial : of the camera, where it has one
+    settings : what is read back: width, height, fps, exposure, gain, white_balance, led_level, what there is of them
+    live : True where frames come at their own time (a camera, an address, the simulated sensor, a paced replay); False
+        where they come as fast as they are read
+    rate_hz : nominal frames a second, where it is known
+
+    A loop over a live source raises SourceLostError where it goes away or stands still. Each source is looped
+    over once; `open_source` gives a new one.
+    """
+
+    name: str
+    serial: str | None
+    settings: dict[str, float | str]
+    live: bool
+    rate_hz: float | None
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    def close(self) -> None:
+        """Give the device back; a loop over the source, in any thread, ends at its next frame or timeout."""
+
+    def __enter__(self) -> Source: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
+
+
+def open_source(spec: str | PathLike[str], *, paced: bool = False, rate_hz: float | None = None) -> Source:
+    """Open a camera, a file, a folder or the simulated sensor.
+
+    Parameters
+    ----------
+    spec : what to open
+
+        - "simulated", or "simulated:NAME" for another simulated sensor than three-edges, such as gelsight-mini
+        - a video file or a folder of images
+    paced : whether files play at the pace at which they were taken, instead of as fast as they are read
+    rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
+
+    Returns
+    -------
+    Source
+        A context manager; a loop over it gives `Frame`s, RGB.
+
+    Raises
+    ------
+    SensorError
+        There is no such camera; the message lists what is there.
+    DataError
+        The file or folder is missing or cannot be read.
+    """
+    if not isinstance(spec, (str, PathLike)):
+        raise TypeError(f"Expected a source as text or a path, got {type(spec).__name__}.")
+    if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
+        return _simulated(spec, rate_hz)
+    path = Path(spec)
+    if path.is_dir():
+        return folder_playback(path, rate_hz=rate_hz, paced=paced)
+    if is_video(path):
+        return video_playback(path, paced=paced)
+    raise DataError(
+        f"Expected {SIMULATED!r}, a video or a folder of images, got {str(spec)!r}, which is none of them."
+    )
+
+
+def _simulated(spec: str, rate_hz: float | None) -> Source:
+    name = spec.partition(":")[2] or DEFAULT_SENSOR
+    try:
+        sensor = simulated_sensor_named(name)
+    except ValueError as problem:
+        raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
+    return SimulatedTouches(sensor, rate_hz=rate_hz or RATE_HZ)

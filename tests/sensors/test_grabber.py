@@ -1,0 +1,219 @@
+"""The newest frame, its gaps, and a source that is lost and comes back."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from gelform.errors import DataError, SensorError, SourceLostError
+from gelform.frames import Frame
+from gelform.sensors.grabber import Grabber
+
+IMAGE = np.zeros((4, 4, 3), np.uint8)
+WAIT_S = 5.0  # longest wait for what must happen at once
+
+
+class Device:
+    """A device that a test drives: it gives the frames it is told to, and is lost when told to be."""
+
+    def __init__(self, serial="A"):
+        self.serial, self.opened, self.closed = serial, 0, set()
+        self.there = True
+        self.frames = []
+        self.told = threading.Condition()
+
+    def give(self, index, problem=None):
+        with self.told:
+            self.frames.append(problem or Frame(IMAGE, time.monotonic(), time.time_ns(), index))
+            self.told.notify_all()
+
+    def open(self):
+        if not self.there:
+            raise SensorError("no such camera")
+        self.opened += 1
+        return Opened(self, self.serial)
+
+
+class Opened:
+    name, settings, live, rate_hz = "device", {"gain": 3.0}, True, 30.0
+
+    def __init__(self, device, serial):
+        self.device, self.serial = device, serial
+        self.over = False
+
+    def __iter__(self):
+        while True:
+            with self.device.told:
+                self.device.told.wait_for(lambda: self.device.frames or self.over, 0.05)
+                if self.over:
+                    return
+                frame = self.device.frames.pop(0) if self.device.frames else None
+            if isinstance(frame, Exception):
+                raise frame
+            if frame == "end":
+                return
+            if frame is not None:
+                yield frame
+
+    def close(self):
+        self.over = True
+        self.device.closed.add(self)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+
+@pytest.fixture
+def device():
+    return Device()
+
+
+def awaited(condition):
+    until = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < until, "it did not happen"
+        time.sleep(0.002)
+
+
+def test_gives_the_newest_and_counts_what_nobody_saw(device):
+    with Grabber(device.open) as grabber:
+        for k in range(5):
+            device.give(k)
+        awaited(lambda: grabber.stats.frames == 5)
+        assert grabber.newest().index == 4
+        assert grabber.stats.unseen == 4
+        assert grabber.newest(4, timeout_s=0) is None
+        device.give(5)
+        assert grabber.newest(4, WAIT_S).index == 5
+        assert grabber.stats.unseen == 4
+
+
+def test_gaps_in_the_sources_count_are_drops(device):
+    with Grabber(device.open) as grabber:
+        for k in (0, 1, 4):
+            device.give(k)
+        awaited(lambda: grabber.stats.frames == 3)
+        assert grabber.stats.drops == 2
+
+
+def test_every_consumer_gets_the_frame(device):
+    got = []
+    with Grabber(device.open) as grabber:
+        readers = [threading.Thread(target=lambda: got.append(grabber.newest(-1, WAIT_S))) for _ in range(3)]
+        for reader in readers:
+            reader.start()
+        device.give(0)
+        for reader in readers:
+            reader.join()
+    assert [frame.index for frame in got] == [0, 0, 0]
+    assert got[0] is got[1] is got[2]
+
+
+def test_a_recorder_gets_all_that_are_held_in_order(device):
+    with Grabber(device.open, keep=4) as grabber:
+        for k in range(6):
+            device.give(k)
+        awaited(lambda: grabber.stats.frames == 6)
+        taken, after = [], -1
+        while (frame := grabber.following(after, 0)) is not None:
+            taken.append(after := frame.index)
+    assert taken == [2, 3, 4, 5]
+
+
+def test_a_lost_source_is_opened_again_and_counted_on(device):
+    with Grabber(device.open) as grabber:
+        device.give(0)
+        device.give(7)
+        assert grabber.newest(6, WAIT_S).index == 7
+        assert grabber.state == "running"
+        device.there = False
+        device.give(0, SourceLostError("unplugged"))
+        awaited(lambda: grabber.state == "reconnecting" and grabber.reason == "no such camera")
+        assert grabber.newest(7, timeout_s=0.01) is None
+        device.there = True
+        device.give(0)
+        device.give(1)
+        assert grabber.newest(8, WAIT_S).index == 9
+        assert (grabber.state, grabber.reason) == ("running", "")
+        assert grabber.stats.reopened == 1
+        assert grabber.stats.drops == 6
+    assert (
+        device.opened == device.closed - 1 == 2
+    )  # the lost one, and the second by the thread and the context
+
+
+def test_another_camera_is_not_taken_for_the_lost_one(device):
+    with Grabber(device.open) as grabber:
+        device.serial = "B"
+        device.give(0, SourceLostError("unplugged"))
+        awaited(lambda: "serial A" in grabber.reason)
+        assert grabber.state == "reconnecting"
+        device.serial = "A"
+        device.give(0)
+        assert grabber.newest(-1, WAIT_S) is not None
+
+
+def test_a_source_that_stands_still_is_said_to_be_reconnecting(device):
+    with Grabber(device.open, stall_s=0.05) as grabber:
+        device.give(0)
+        grabber.newest(-1, WAIT_S)
+        awaited(lambda: grabber.state == "reconnecting")
+        assert grabber.reason.startswith("no frame for 0.")
+        device.give(1)
+        grabber.newest(0, WAIT_S)
+        assert grabber.state == "running"
+
+
+def test_the_end_of_the_source_ends_the_waiting(device):
+    with Grabber(device.open) as grabber:
+        device.give(0)
+        grabber.newest(-1, WAIT_S)
+        device.give(0, "end")
+        assert grabber.newest(0) is None
+        assert (grabber.state, grabber.reason) == ("ended", "the source has no more frames")
+
+
+def test_an_error_of_a_file_reaches_the_consumer(device):
+    with Grabber(device.open) as grabber:
+        device.give(0, DataError("frame 3 is damaged"))
+        with pytest.raises(DataError, match="frame 3"):
+            grabber.newest()
+        assert grabber.state == "ended"
+
+
+def test_a_source_that_cannot_be_opened_at_first_raises(device):
+    device.there = False
+    with pytest.raises(SensorError, match="no such camera"), Grabber(device.open):
+        pass
+
+
+def test_age_and_rate_are_of_the_capture(device):
+    with Grabber(device.open) as grabber:
+        assert grabber.state == "starting"
+        assert grabber.stats.age_s is None
+        started = time.monotonic() - 1
+        for k in range(11):
+            device.frames.append(Frame(IMAGE, started + k / 50, 0, k))
+        awaited(lambda: grabber.stats.frames == 11)
+        assert grabber.stats.rate_hz == pytest.approx(50)
+        assert 0.8 <= grabber.stats.age_s < 2
+
+
+def test_takes_what_open_source_takes():
+    with Grabber("simulated") as grabber:
+        assert grabber.newest(-1, WAIT_S).image.shape == (240, 320, 3)
+        assert grabber.name == "simulated three-edges"
+        assert grabber.settings["fps"] == 60.0
+        assert grabber.serial is None
+    assert grabber.state == "ended"
+
+
+def test_the_facts_need_an_entered_grabber(device):
+    with pytest.raises(RuntimeError, match="with Grabber"):
+        _ = Grabber(device.open).name
+    with pytest.raises(ValueError, match="keep >= 1"):
+        Grabber(device.open, keep=0)
