@@ -43,6 +43,7 @@ NEIGHBOURS = {
     ("metrics", "ball"),
     ("view", "lens"),
     ("calibration_file", "confidence"),
+    ("reconstruction", "contact"),
     ("reconstruction", "normals"),
     ("design", "calibration"),
 }

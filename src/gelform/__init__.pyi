@@ -34,7 +34,9 @@ from .depth import Integration as Integration
 from .depth import edge_residuals as edge_residuals
 from .depth_sigma.sigma import depth_sigma_from_gradients_sigma as depth_sigma_from_gradients_sigma
 from .depth_sigma.sigma import DepthSigma as DepthSigma
-from .contact import contact_from_depth as contact_from_depth
+from .contact.mask import contact_from_depth as contact_from_depth
+from .contact.contacts import Contact as Contact
+from .contact.contacts import contacts_from_mask as contacts_from_mask
 from .calibration.presses.folder import read_presses as read_presses
 from .calibration.presses.video import presses_from_frames as presses_from_frames
 from .calibration.geometry.scale import Scale as Scale
@@ -55,9 +57,9 @@ from .importers.calibrations import import_calibration as import_calibration
 from .calibration_file import Calibration as Calibration
 from .calibration_file import load_calibration as load_calibration
 from .reconstruct import Reconstructor as Reconstructor
-from .reconstruction import Reconstruction as Reconstruction
-from .reconstruction import save_result as save_result
-from .reconstruction import load_result as load_result
+from .reconstruction.record import Reconstruction as Reconstruction
+from .reconstruction.file import save_result as save_result
+from .reconstruction.file import load_result as load_result
 from .plots.result import picture as picture
 from .plots.canvas import save_picture as save_picture
 from .metrics import press_errors as press_errors

@@ -1,5 +1,6 @@
 """`gelform info` speaks in words: no raw arrays, and every file of today and of the first version has its lines."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def test_a_result_in_words(run, calibration_file, press_folder, tmp_path):
     out = run("info", tmp_path / "0001.npz")[1]
     assert " mm, 0 at rest" in out
     assert "100 % of the pixels" in out
+    assert re.search(r"contact 1 +[\d.]+ mm², [\d.]+ mm³, axes [\d.]+ x [\d.]+ mm, [\d.]+ mm deep at", out)
 
 
 def test_what_is_unknown_is_said():
@@ -41,12 +43,14 @@ def test_what_is_unknown_is_said():
         "kind": "result", "size_px": [2, 4], "mm_per_px": None, "mm_per_px_sigma": None, "depth_px": [0.0, 2.5],
         "contact_px": 3, "known_px": 4, "zero": "mean", "solver": "dct", "curl_rms": 0.01,
         "findings": ["It is dark."], "calibration": "0",
+        "contacts": [{"area_px": 3, "area_mm2": None, "deepest_px": (1, 0), "cut_by_border": True}],
     }  # fmt: skip
     said = lines_of(facts)
     assert ("depth", "0.000 to 2.500 px, 0 at rest, zero by: mean") in said
     assert ("warning", "It is dark.") in said
     assert ("known", "50 % of the pixels; the others are filled") in said
     assert any("scale unknown" in text for _, text in said)
+    assert ("contact 1", "3 px, deepest at (1, 0), cut by the image's border") in said
 
 
 @pytest.mark.parametrize("kind", ["image", "video", "press folder"])

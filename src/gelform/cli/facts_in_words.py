@@ -7,6 +7,7 @@ from typing import Any
 
 Facts = Mapping[str, Any]
 Lines = list[tuple[str, str]]
+LISTED = 8  # contacts, the largest first; --json gives all
 HELD_OUT = {
     "normal_free_deg": "normals {:.1f}°",
     "radius_percent": "ball's radius {:.1f} %",
@@ -53,11 +54,24 @@ def _result(facts: Facts) -> Lines:
         ("image", f"{_size(facts['size_px'])}, {_scale(facts)}"),
         ("depth", f"{low:.3f} to {high:.3f} {unit}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
+        *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(facts["contacts"][:LISTED])],
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),
         ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} RMS"),
         *[("warning", message) for message in facts["findings"]],
         ("calibration", str(facts["calibration"])),
     ]
+
+
+def _contact(contact: Facts) -> str:
+    x, y = contact["deepest_px"]
+    cut = ", cut by the image's border" if contact["cut_by_border"] else ""
+    if contact["area_mm2"] is None:
+        return f"{contact['area_px']} px, deepest at ({x}, {y}){cut}"
+    major, minor = contact["axes_mm"]
+    return (
+        f"{contact['area_mm2']:.2f} mm², {contact['volume_mm3']:.3g} mm³, axes {major:.2f} x {minor:.2f} mm, "
+        f"{contact['deepest_mm']:.3f} mm deep at ({x}, {y}){cut}"
+    )
 
 
 def _plain(facts: Facts) -> Lines:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -88,6 +89,7 @@ def _result(path: Path) -> dict[str, Any]:
         "mm_per_px_sigma": result.mm_per_px_sigma,
         unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)],
         "contact_px": int(result.contact.sum()),
+        "contacts": [asdict(contact) for contact in result.contacts],
         "known_px": int(result.known.sum()),
         "zero": result.zero,
         "solver": result.solver,

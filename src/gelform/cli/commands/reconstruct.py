@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -137,6 +138,7 @@ def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[s
         "outputs": [str(one) for one in results.values()],
         **_peak(result),
         "contact_px": int(result.contact.sum()),
+        "contacts": [asdict(contact) for contact in result.contacts],
         "curl_rms": result.curl_rms,
         "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in result.health],
     }

@@ -1,30 +1,23 @@
-"""The Reconstruction record: what one frame gave; saved, loaded and shown."""
+"""The Reconstruction record: what one frame gave."""
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
-from os import PathLike
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.change import Finding
-from gelform.checks import check_finite, check_map, check_mm_per_px, check_number, check_within
-from gelform.errors import DataError, GelformError
+from gelform.checks import check_mm_per_px
+from gelform.contact import Contact, contacts_from_mask
+from gelform.errors import GelformError
 from gelform.normals import normals_from_gradients
-from gelform.npz_files import read_npz, write_npz
+from gelform.reconstruction.shown import shown_in_notebook
 
-KIND = "gelform result"
-FORMAT_VERSION = 3  # 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth
-MAX_BYTES = 4 * 2**30
-_OPTIONAL = ("depth_sigma_mm", "gradients_sigma", "observed_gradients")
-_MAPS = ("gradients", "confidence", "contact", "known", *_OPTIONAL)
+OPTIONAL = ("depth_sigma_mm", "gradients_sigma", "observed_gradients")
+MAPS = ("gradients", "confidence", "contact", "known", *OPTIONAL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +71,33 @@ class Reconstruction:
         shape = np.shape(self.depth)
         if len(shape) != 2:
             raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
-        for name in _MAPS:
+        for name in MAPS:
             wanted = (*shape, 2) if "gradients" in name else shape
             values = getattr(self, name)
-            if np.shape(values) != wanted and not (values is None and name in _OPTIONAL):
+            if np.shape(values) != wanted and not (values is None and name in OPTIONAL):
                 raise ValueError(f"Expected {name} of shape {wanted}, as depth, got {np.shape(values)}.")
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
         """Unit normals (H, W, 3), n_z > 0, of the gradients."""
         return normals_from_gradients(self.gradients)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The connected regions of `contact`, each measured; the largest first.
+
+        Worked out of contact and depth when asked for, and so known of results of every format.
+        """
+        return self._labelled[0]
+
+    @property
+    def contact_labels(self) -> NDArray[np.uint16]:
+        """Which contact (H, W) each pixel belongs to, by `Contact.label`; 0 where nothing touches."""
+        return self._labelled[1]
+
+    @cached_property
+    def _labelled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
+        return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px)
 
     @cached_property
     def albedo(self) -> NDArray[np.float32] | None:
@@ -149,15 +159,8 @@ class Reconstruction:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
-        picture = base64.b64encode(_depth_png(self.depth)).decode("ascii")
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
-            for name, value in [*self._figures().items(), *((f.name, f.message) for f in self.health)]
-        )
-        return (
-            "<div style='display:flex;gap:1em;align-items:flex-start'>"
-            f"<img alt='depth' src='data:image/png;base64,{picture}'/><table>{rows}</table></div>"
-        )
+        findings = ((finding.name, finding.message) for finding in self.health)
+        return shown_in_notebook(self.depth, (*self._figures().items(), *findings))
 
     def _figures(self) -> dict[str, str]:
         height, width = self.shape
@@ -165,7 +168,7 @@ class Reconstruction:
             return {
                 "height x width": f"{height}x{width} px, scale unknown",
                 "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px",
-                "contact": f"{np.count_nonzero(self.contact)} px",
+                "contacts": _counted(np.count_nonzero(self.contact), "px", len(self.contacts)),
                 "zero": self.zero,
                 "solver": self.solver,
             }
@@ -174,112 +177,11 @@ class Reconstruction:
         return {
             "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
             "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm",
-            "contact": f"{area:.1f} mm^2",
+            "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)),
             "zero": self.zero,
             "solver": self.solver,
         }
 
 
-def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a result as one `.npz` without pickles, under a temporary name first.
-
-    `numpy.load` gives its maps by name, and `mm_per_px`; `load_result` gives all of it. A result without a scale
-    holds `depth_px` instead of `depth_mm` and `mm_per_px`.
-
-    Raises
-    ------
-    DataError
-        The file is already there and `overwrite` is False, or it cannot be written.
-    """
-    check_map(result.depth, "depth")  # NaN is no depth
-    arrays = {name: getattr(result, name) for name in _MAPS if getattr(result, name) is not None}
-    if result.mm_per_px is None:
-        arrays["depth_px"] = result.depth
-    else:
-        arrays |= {"depth_mm": result.depth, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
-    meta = {name: getattr(result, name) for name in _META}
-    meta["health"] = [asdict(finding) for finding in result.health]
-    write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
-
-
-def load_result(path: str | PathLike[str]) -> Reconstruction:
-    """Read a result.
-
-    Raises
-    ------
-    DataError
-        The file is missing, truncated, altered, no result, or of a newer format: the message says which.
-    """
-    arrays, meta = read_npz(
-        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
-    )
-    try:
-        _check_contents(arrays, meta)
-        scaled = "depth_px" not in arrays
-        settings = {name: meta[name] for name in _META}
-        settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
-        maps: dict[str, Any] = {name: arrays.get(name) for name in _MAPS}
-        return Reconstruction(
-            depth=arrays["depth_mm" if scaled else "depth_px"],
-            mm_per_px=_pitch(arrays["mm_per_px"]) if scaled else None,
-            **maps,
-            **settings,
-        )
-    except KeyError as problem:
-        raise DataError(f"{path} is damaged: {problem} is missing. Reconstruct again.") from problem
-    except (TypeError, ValueError) as problem:
-        said = (
-            str(problem) if str(problem).startswith("Expected") else "what it holds does not make a result."
-        )
-        raise DataError(f"{path} is damaged: {said} Reconstruct again.") from problem
-
-
-def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
-    """Refuse NaN, arrays of other types and settings of the wrong kind; the record looks at shapes itself."""
-    for name, array in arrays.items():
-        wanted = np.bool_ if name in ("contact", "known") else np.floating
-        if not np.issubdtype(array.dtype, wanted):
-            raise TypeError(f"Expected {name} of another type, got {array.dtype}.")
-        check_finite(array, name)
-    for name in ("zero", "solver", "calibration_digest"):
-        if not isinstance(meta[name], str):
-            raise TypeError(f"Expected {name} as text, got {type(meta[name]).__name__}.")
-    check_within(meta["curl_rms"], "curl_rms", 0, np.inf)
-    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns"):
-        if meta[name] is not None:
-            check_number(meta[name], name)
-    for finding in meta["health"]:
-        if not isinstance(finding["name"], str) or not isinstance(finding["message"], str):
-            raise TypeError("Expected findings with a name and a message.")
-        check_number(finding["figure"], "figure")
-
-
-def _pitch(stored: NDArray[Any]) -> float | tuple[float, float]:
-    x, y = check_mm_per_px(stored)
-    return x if stored.ndim == 0 else (x, y)
-
-
-_META = (
-    "mm_per_px_sigma",
-    "zero",
-    "solver",
-    "curl_rms",
-    "health",
-    "index",
-    "time_s",
-    "wall_time_ns",
-    "calibration_digest",
-)
-
-
-def _depth_png(depth: NDArray[np.float32], width_px: int = 240) -> bytes:
-    """A small picture of the depth: dark at rest, bright where deep."""
-    low, high = float(depth.min()), float(depth.max())
-    levels = ((depth - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
-    scale = width_px / depth.shape[1]
-    size = (width_px, max(1, round(depth.shape[0] * scale)))
-    small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    done, png = cv2.imencode(".png", cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
-    if not done:
-        raise DataError(f"OpenCV cannot encode a picture of {depth.shape[0]}x{depth.shape[1]} px as PNG.")
-    return bytes(png.tobytes())
+def _counted(area: float, unit: str, count: int) -> str:
+    return f"{count} of {area} {unit}" + (" together" if count > 1 else "") if count else "none"

@@ -1,0 +1,6 @@
+"""Where something touches the gel, and what each contact measures."""
+
+from gelform.contact.contacts import Contact, contacts_from_mask
+from gelform.contact.mask import contact_from_depth
+
+__all__ = ["Contact", "contact_from_depth", "contacts_from_mask"]

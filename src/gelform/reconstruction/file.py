@@ -1,0 +1,110 @@
+"""Results as files: one `.npz` without pickles, read for ever."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.change import Finding
+from gelform.checks import check_finite, check_map, check_mm_per_px, check_number, check_within
+from gelform.errors import DataError
+from gelform.npz_files import read_npz, write_npz
+from gelform.reconstruction.record import MAPS, Reconstruction
+
+KIND = "gelform result"
+FORMAT_VERSION = 3  # 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth
+MAX_BYTES = 4 * 2**30
+_META = (
+    "mm_per_px_sigma",
+    "zero",
+    "solver",
+    "curl_rms",
+    "health",
+    "index",
+    "time_s",
+    "wall_time_ns",
+    "calibration_digest",
+)
+
+
+def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a result as one `.npz` without pickles, under a temporary name first.
+
+    `numpy.load` gives its maps by name, and `mm_per_px`; `load_result` gives all of it. A result without a scale
+    holds `depth_px` instead of `depth_mm` and `mm_per_px`.
+
+    Raises
+    ------
+    DataError
+        The file is already there and `overwrite` is False, or it cannot be written.
+    """
+    check_map(result.depth, "depth")  # NaN is no depth
+    arrays = {name: getattr(result, name) for name in MAPS if getattr(result, name) is not None}
+    if result.mm_per_px is None:
+        arrays["depth_px"] = result.depth
+    else:
+        arrays |= {"depth_mm": result.depth, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
+    meta = {name: getattr(result, name) for name in _META}
+    meta["health"] = [asdict(finding) for finding in result.health]
+    write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
+
+
+def load_result(path: str | PathLike[str]) -> Reconstruction:
+    """Read a result.
+
+    Raises
+    ------
+    DataError
+        The file is missing, truncated, altered, no result, or of a newer format: the message says which.
+    """
+    arrays, meta = read_npz(
+        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
+    )
+    try:
+        _check_contents(arrays, meta)
+        scaled = "depth_px" not in arrays
+        settings = {name: meta[name] for name in _META}
+        settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
+        maps: dict[str, Any] = {name: arrays.get(name) for name in MAPS}
+        return Reconstruction(
+            depth=arrays["depth_mm" if scaled else "depth_px"],
+            mm_per_px=_pitch(arrays["mm_per_px"]) if scaled else None,
+            **maps,
+            **settings,
+        )
+    except KeyError as problem:
+        raise DataError(f"{path} is damaged: {problem} is missing. Reconstruct again.") from problem
+    except (TypeError, ValueError) as problem:
+        said = (
+            str(problem) if str(problem).startswith("Expected") else "what it holds does not make a result."
+        )
+        raise DataError(f"{path} is damaged: {said} Reconstruct again.") from problem
+
+
+def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
+    """Refuse NaN, arrays of other types and settings of the wrong kind; the record looks at shapes itself."""
+    for name, array in arrays.items():
+        wanted = np.bool_ if name in ("contact", "known") else np.floating
+        if not np.issubdtype(array.dtype, wanted):
+            raise TypeError(f"Expected {name} of another type, got {array.dtype}.")
+        check_finite(array, name)
+    for name in ("zero", "solver", "calibration_digest"):
+        if not isinstance(meta[name], str):
+            raise TypeError(f"Expected {name} as text, got {type(meta[name]).__name__}.")
+    check_within(meta["curl_rms"], "curl_rms", 0, np.inf)
+    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns"):
+        if meta[name] is not None:
+            check_number(meta[name], name)
+    for finding in meta["health"]:
+        if not isinstance(finding["name"], str) or not isinstance(finding["message"], str):
+            raise TypeError("Expected findings with a name and a message.")
+        check_number(finding["figure"], "figure")
+
+
+def _pitch(stored: NDArray[Any]) -> float | tuple[float, float]:
+    x, y = check_mm_per_px(stored)
+    return x if stored.ndim == 0 else (x, y)

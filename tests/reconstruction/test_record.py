@@ -1,0 +1,50 @@
+"""What a result works out when asked, and which parts it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+
+def test_normals_are_computed_when_asked_for(result):
+    n = result.normals
+    assert n.shape == (24, 32, 3)
+    assert np.allclose(-n[..., :2] / n[..., 2:], result.gradients, atol=1e-5)
+    assert result.normals is n
+
+
+def test_contacts_are_those_of_the_mask_largest_first(result):
+    large, small = result.contacts
+    assert (large.area_px, small.area_px) == (24, 6)
+    assert (large.centroid_px, small.centroid_px) == ((6.5, 6.5), (30.5, 16.0))
+    assert large.area_mm2 == pytest.approx(24 * 0.0634**2)
+    assert (large.cut_by_border, small.cut_by_border) == (False, True)
+    for one in result.contacts:
+        assert np.array_equal(
+            result.contact_labels == one.label, result.contact & (result.contact_labels == one.label)
+        )
+    assert np.array_equal(result.contact_labels > 0, result.contact)
+    assert replace(result, contact=np.zeros_like(result.contact)).contacts == ()
+
+
+def test_without_a_scale_contacts_have_no_millimetres(result):
+    bare = replace(result, mm_per_px=None, mm_per_px_sigma=None)
+    assert bare.contacts[0].area_px == 24
+    assert bare.contacts[0].area_mm2 is bare.contacts[0].deepest_mm is None
+    assert "contacts: 2 of 30 px together" in repr(bare)
+
+
+def test_the_contacts_are_counted_where_it_shows_itself(result):
+    assert "contacts: 2 of 0.1 mm^2 together" in repr(result)
+    assert "contacts: none" in repr(replace(result, contact=np.zeros_like(result.contact)))
+
+
+def test_parts_of_other_shapes_are_refused(result):
+    with pytest.raises(ValueError, match=r"gradients of shape \(24, 32, 2\), as depth, got \(2, 24, 32\)"):
+        replace(result, gradients=np.moveaxis(result.gradients, -1, 0))
+    with pytest.raises(ValueError, match=r"contact of shape \(24, 32\)"):
+        replace(result, contact=result.contact[:-1])
+    with pytest.raises(ValueError, match="confidence"):
+        replace(result, confidence=None)
+    with pytest.raises(ValueError, match=r"depth of shape \(H, W\)"):
+        replace(result, depth=result.depth_mm[None])
