@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_path, check_positive, check_sensor_pitch, check_within
 from gelform.errors import DataError
-from gelform.sensors.png_bytes import SIGNATURE, png_of_pixels
+from gelform.sensors.jpeg_bytes import SIGNATURE as JPEG
+from gelform.sensors.jpeg_bytes import jpeg_fault
+from gelform.sensors.png_bytes import SIGNATURE as PNG
+from gelform.sensors.png_bytes import png_of_pixels
 from gelform.view import View
 
 if sys.version_info >= (3, 11):
@@ -24,7 +27,6 @@ else:
     import tomli as tomllib
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
-_JPEG = b"\xff\xd8\xff"
 
 
 @dataclass(frozen=True)
@@ -186,12 +188,12 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     """Pixels as OpenCV has them (BGR). The bytes are read by Python: names outside ASCII work everywhere."""
     if not content:
         raise DataError(f"{path} is empty. Copy or record it again.")
-    if content.startswith(SIGNATURE):
+    if content.startswith(PNG):
         content = png_of_pixels(content) or b""
-    elif content.startswith(_JPEG) and b"\xff\xd9" not in content[-1024:]:
-        content = b""  # some decoders fill what is missing with grey and say nothing
-    if not content:
-        raise DataError(f"{path} is truncated or damaged. Copy or record it again.")
+    fault = jpeg_fault(content) if content.startswith(JPEG) else None
+    if fault is not None or not content:
+        what = f": it {fault}" if fault else ""
+        raise DataError(f"{path} is truncated or damaged{what}. Copy or record it again.")
     try:
         with _opencv_silent():
             pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
