@@ -85,6 +85,12 @@ def calibration(presses, made_once):
     return made_once("calibration", lambda _: gelform.calibrate(presses))
 
 
+@pytest.fixture(scope="session")
+def lambertian_calibration(presses, made_once):
+    """The same folder, fitted as photometric stereo."""
+    return made_once("lambertian", lambda _: gelform.calibrate(presses, color_model="lambertian"))
+
+
 @pytest.fixture(params=usable_isas())
 def usable_isa(request) -> str:
     """Each instruction set that this processor runs: for `kernel.on(usable_isa)`."""

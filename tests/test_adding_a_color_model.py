@@ -11,7 +11,7 @@ import pytest
 
 import gelform
 from gelform import color_models
-from gelform.calibration.selection.candidates import color_model_names
+from gelform.calibration.selection.candidates import candidates_for, color_model_names
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "adding-a-color-model.md"
@@ -57,7 +57,7 @@ def test_every_file_that_the_page_names_is_there():
 
 def test_the_model_calibrates_by_name_and_is_tried_in_auto(added, presses, tmp_path):
     assert added in color_model_names()
-    calibration = gelform.calibrate(presses, color_model=added)
+    calibration = gelform.calibrate(presses.subset(range(8)), color_model=added)
     assert calibration.color_model.name == added
     calibration.save(tmp_path / "cal.npz")
     again = gelform.load_calibration(tmp_path / "cal.npz")
@@ -65,5 +65,4 @@ def test_the_model_calibrates_by_name_and_is_tried_in_auto(added, presses, tmp_p
     np.testing.assert_array_equal(
         gelform.Reconstructor(again)(image).depth_mm, gelform.Reconstructor(calibration)(image).depth_mm
     )
-    tried = gelform.calibrate(presses).report.candidates
-    assert any(one["candidate"].startswith(added) for one in tried)
+    assert added in [candidate.model for candidate in candidates_for("auto", len(presses.presses))]

@@ -77,7 +77,7 @@ class LambertianModel:
                 lambda exponent: _misfit(samples, _fitted_lights(samples, exponent), exponent),
                 bounds=RESPONSES,
                 method="bounded",
-                options={"xatol": 1e-7},
+                options={"xatol": 1e-4},
             )
             response = float(tried.x)
         lights = _fitted_lights(samples, response)

@@ -35,7 +35,7 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
         return plain(self, image)
 
     monkeypatch.setattr(Reconstructor, "from_image", counted)
-    report = gelform.calibrate(presses, color_model="lambertian").report
+    report = gelform.calibrate(presses.subset(range(8)), color_model="polynomial").report
     assert len(set(seen)) == sum(row.accepted for row in report.presses)
     assert all(seen.count(one) <= 2 for one in seen)  # twice where a fold chose otherwise
 
