@@ -58,7 +58,7 @@ def commands(work, out):
     """Each command that writes, with its output below `out`."""
     images = [work / f"image{k}.png" for k in range(3)]
     imported = ["--from", "gs_sdk", "--background", work / "rest.png", "--mm-per-px", "0.1"]
-    fitted = ["--model", "lambertian", "--report", out / "report"]
+    fitted = ["--model", "polynomial", "--report", out / "report"]
     return {
         "calibrate": ["calibrate", work / "presses", *fitted, "-o", out / "cal.npz"],
         "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
