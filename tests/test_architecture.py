@@ -30,7 +30,7 @@ LEVELS = [
     },
     {"reconstruct", "simulate"},
     {"sensors", "plots", "importers", "exporters"},
-    {"calibration", "design"},
+    {"calibration", "design", "streams"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line

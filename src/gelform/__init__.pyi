@@ -60,9 +60,6 @@ from .reconstruct import Reconstructor as Reconstructor
 from .reconstruction.record import Reconstruction as Reconstruction
 from .reconstruction.file import save_result as save_result
 from .reconstruction.file import load_result as load_result
-from .reconstruction import Reconstruction as Reconstruction
-from .reconstruction import save_result as save_result
-from .reconstruction import load_result as load_result
 from .streams.stream import stream as stream
 from .streams.stream import Stream as Stream
 from .plots.result import picture as picture

@@ -132,5 +132,7 @@ def _opener(source: Any) -> Callable[[], Source]:
         opener: Callable[[], Source] = source
         return opener
     if not hasattr(source, "live"):
-        raise TypeError(f"Expected a source: text, a path, a Source or a Grabber, got {type(source).__name__}.")
+        raise TypeError(
+            f"Expected a source: text, a path, a Source or a Grabber, got {type(source).__name__}."
+        )
     return lambda: source

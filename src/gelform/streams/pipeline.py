@@ -134,8 +134,8 @@ class Pipeline:
             image = self.memory.image_from_frame(frame)
         with self.meter.timed("reconstruct"):
             result = self.memory.result_from_image(image)
-        stamps = {"index": frame.index, "time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns}
-        return StreamFrame(image, replace(result, **stamps), frame.index, frame.time_s)
+        stamped = replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+        return StreamFrame(image, stamped, frame.index, frame.time_s)
 
     def _remember(self, out: HandOver[StreamFrame]) -> None:
         index = -1

@@ -57,7 +57,9 @@ class Smoothing:
         self._mean, self._share = depth.copy(), np.ones_like(depth)
 
     def _update(self, depth: NDArray[np.float32], step_s: float) -> None:
-        assert self._mean is not None and self._share is not None and self._last is not None
+        assert self._mean is not None
+        assert self._share is not None
+        assert self._last is not None
         self._measure_noise(depth - self._last)
         change = depth - self._mean
         nearby = cv2.blur(change, (NEARBY_PX, NEARBY_PX))
@@ -77,7 +79,8 @@ class Smoothing:
         self._noise = noise if self._noise == 0 else self._noise + NOISE_SHARE * (noise - self._noise)
 
     def _smoothed(self, result: Reconstruction) -> Reconstruction:
-        assert self._mean is not None and self._share is not None
+        assert self._mean is not None
+        assert self._share is not None
         depth = self._mean.copy()
         pitch = result.mm_per_px or 1.0
         pitches = (pitch, pitch) if isinstance(pitch, float) else pitch

@@ -156,8 +156,9 @@ class Stream:
         for seen in tuple(self._pipeline.recent):
             if seen.index == result.index:
                 return seen.image
-        raise LookupError(f"The image of frame {result.index} is not held any more: take both by newest() or pairs().")
-
+        raise LookupError(
+            f"The image of frame {result.index} is not held any more: take both by newest() or pairs()."
+        )
 
     @property
     def stats(self) -> StreamStats:
