@@ -30,7 +30,7 @@ LEVELS = [
     },
     {"reconstruct", "simulate"},
     {"sensors", "plots", "importers", "exporters"},
-    {"calibration", "design", "streams"},
+    {"calibration", "design"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line

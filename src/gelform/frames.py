@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,14 @@ class Frame:
         UTC, for records.
     index : int
         Counts the frames of a source from 0; a gap is a dropped frame.
+    encoded : the JPEG as the camera compressed it, for recorders; None where frames come uncompressed
     """
 
     image: NDArray[Any]
     time_s: float
     wall_time_ns: int
     index: int
+    encoded: bytes | None = field(default=None, repr=False)
 
 
 def pixels_digest(pixels: NDArray[Any]) -> str:

@@ -12,7 +12,7 @@ from gelform.sensors.source import open_source
 def test_simulated_comes_at_its_rate_and_counts():
     with gelform.open_source("simulated", rate_hz=100.0) as source:
         assert source.live
-        frames = [frame for frame, _ in zip(source, range(4))]
+        frames = [frame for _, frame in zip(range(4), source)]
     assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
     assert source.settings == {"width": 320, "height": 240, "fps": 100.0}
     assert frames[0].image.shape == (240, 320, 3)

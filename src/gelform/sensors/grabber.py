@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 
 from gelform.errors import SensorError, SourceLostError
@@ -15,6 +16,7 @@ from gelform.sensors.source import Source, open_source
 
 STALL_S = 0.5  # without a frame: robots' recorders give up then
 FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # between attempts to open a source again
+AGAIN_S = 0.25  # for the connection to a host that answered before: one that is off swallows attempts
 RATE_FRAMES = 60  # the rate is measured over so many frames
 
 
@@ -66,12 +68,10 @@ class Grabber:
         keep: int = 1,
         stall_s: float = STALL_S,
     ) -> None:
-        if not callable(source):
-            spec = source
-            source = lambda: open_source(spec)  # noqa: E731
         if keep < 1:
             raise ValueError(f"Expected keep >= 1, got {keep}.")
-        self._open = source
+        self._open = source if callable(source) else partial(open_source, source)
+        self._open_again = source if callable(source) else partial(open_source, source, timeout_s=AGAIN_S)
         self._stall_s = stall_s
         self._changed = threading.Condition()
         self._held: deque[Frame] = deque(maxlen=keep)
@@ -239,7 +239,7 @@ class Grabber:
         while not self._stop.wait(wait_s):
             wait_s = min(wait_s * WAIT_GROWTH, LONGEST_WAIT_S)
             try:
-                source = self._open()
+                source = self._open_again()
             except SensorError as problem:
                 self._set("reconnecting", str(problem))
                 continue

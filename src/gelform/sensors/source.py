@@ -10,12 +10,14 @@ from typing import Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.frames import Frame
+from gelform.sensors.mjpeg.url import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.touches import RATE_HZ, SimulatedTouches
 from gelform.sensors.video_files import is_video
 
 SIMULATED, DEFAULT_SENSOR = "simulated", "three-edges"
+ADDRESSES = ("http://", "https://")
 
 
 class Source(Protocol):
@@ -52,7 +54,13 @@ class Source(Protocol):
     ) -> None: ...
 
 
-def open_source(spec: str | PathLike[str], *, paced: bool = False, rate_hz: float | None = None) -> Source:
+def open_source(
+    spec: str | PathLike[str],
+    *,
+    paced: bool = False,
+    rate_hz: float | None = None,
+    timeout_s: float = OPEN_S,
+) -> Source:
     """Open a camera, a file, a folder or the simulated sensor.
 
     Parameters
@@ -60,9 +68,11 @@ def open_source(spec: str | PathLike[str], *, paced: bool = False, rate_hz: floa
     spec : what to open
 
         - "simulated", or "simulated:NAME" for another simulated sensor than three-edges, such as gelsight-mini
+        - http://... or https://...: a camera that pushes JPEG pictures (multipart/x-mixed-replace)
         - a video file or a folder of images
     paced : whether files play at the pace at which they were taken, instead of as fast as they are read
     rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
+    timeout_s : for the connection to an address
 
     Returns
     -------
@@ -80,13 +90,16 @@ def open_source(spec: str | PathLike[str], *, paced: bool = False, rate_hz: floa
         raise TypeError(f"Expected a source as text or a path, got {type(spec).__name__}.")
     if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
         return _simulated(spec, rate_hz)
+    if isinstance(spec, str) and spec.startswith(ADDRESSES):
+        return MjpegUrl(spec, timeout_s=timeout_s)
     path = Path(spec)
     if path.is_dir():
         return folder_playback(path, rate_hz=rate_hz, paced=paced)
     if is_video(path):
         return video_playback(path, paced=paced)
     raise DataError(
-        f"Expected {SIMULATED!r}, a video or a folder of images, got {str(spec)!r}, which is none of them."
+        f"Expected {SIMULATED!r}, a video, a folder of images or an address (http://...), got "
+        f"{str(spec)!r}, which is none of them."
     )
 
 

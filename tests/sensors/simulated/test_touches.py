@@ -46,7 +46,7 @@ def test_noise_is_new_in_each_frame_and_the_same_in_each_run(touches):
 
 def test_frames_are_not_given_before_their_time():
     with SimulatedTouches(SMALL, rate_hz=100.0) as source:
-        ages = [time.monotonic() - frame.time_s for frame, _ in zip(source, range(5))]
+        ages = [time.monotonic() - frame.time_s for _, frame in zip(range(5), source)]
     assert min(ages) >= 0
 
 
