@@ -18,8 +18,9 @@ from .sensors.backgrounds import read_background as read_background
 from .background.exposure import exposure_from_image as exposure_from_image
 from .background.change import color_change_from_image as color_change_from_image
 from .background.change import image_from_color_change as image_from_color_change
-from .markers import Markers as Markers
-from .markers import markers_from_image as markers_from_image
+from .markers.finder import Markers as Markers
+from .markers.finder import markers_from_image as markers_from_image
+from .markers.flow import MarkerFlow as MarkerFlow
 from .normals import normals_from_image as normals_from_image
 from .normals import image_from_normals as image_from_normals
 from .normals import normals_from_gradients as normals_from_gradients

@@ -44,10 +44,12 @@ def test_what_is_unknown_is_said():
         "contact_px": 3, "known_px": 4, "zero": "mean", "solver": "dct", "curl_rms": 0.01,
         "findings": ["It is dark."], "calibration": "0",
         "contacts": [{"area_px": 3, "area_mm2": None, "deepest_px": (1, 0), "cut_by_border": True}],
+        "markers": {"in_words": "2 of 3 seen"},
     }  # fmt: skip
     said = lines_of(facts)
     assert ("depth", "0.000 to 2.500 px, 0 at rest, zero by: mean") in said
     assert ("warning", "It is dark.") in said
+    assert ("markers", "2 of 3 seen") in said
     assert ("known", "50 % of the pixels; the others are filled") in said
     assert any("scale unknown" in text for _, text in said)
     assert ("contact 1", "3 px, deepest at (1, 0), cut by the image's border") in said

@@ -8,6 +8,7 @@ import pytest
 
 from gelform.background.change import Finding
 from gelform.errors import DataError, GelformError
+from gelform.markers import MarkerFlow
 from gelform.npz_files import write_npz
 from gelform.reconstruction import KIND, Reconstruction, load_result, save_result
 
@@ -20,6 +21,11 @@ def same(first, second):
         if isinstance(a, np.ndarray):
             assert a.dtype == b.dtype, entry.name
             assert a.tobytes() == b.tobytes(), entry.name
+        elif entry.name == "markers" and a is not None:
+            assert a.mm_per_px == b.mm_per_px
+            for name, values in a.arrays().items():
+                assert values.dtype == b.arrays()[name].dtype, name
+                np.testing.assert_array_equal(values, b.arrays()[name])
         else:
             assert a == b, entry.name
     assert first.contacts == second.contacts
@@ -35,7 +41,10 @@ def test_every_optional_part_comes_back(tmp_path, result):
         result, gradients_sigma=None, observed_gradients=None, mm_per_px=(0.06, 0.05), health=(), index=None
     )
     full = replace(result, depth_sigma_mm=result.confidence * 0.1)
-    for k, one in enumerate((bare, full)):
+    dots = np.arange(8, dtype=np.float32).reshape(4, 2)
+    flow = MarkerFlow(dots, dots + 1, np.arange(4) > 1, dots[:, 0] / 10, result.mm_per_px)
+    marked = replace(result, markers=flow)
+    for k, one in enumerate((bare, full, marked)):
         save_result(one, tmp_path / f"{k}.npz")
         same(one, load_result(tmp_path / f"{k}.npz"))
 

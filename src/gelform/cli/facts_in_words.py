@@ -55,6 +55,7 @@ def _result(facts: Facts) -> Lines:
         ("depth", f"{low:.3f} to {high:.3f} {unit}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
         *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(facts["contacts"][:LISTED])],
+        *([("markers", facts["markers"]["in_words"])] if facts["markers"] else []),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),
         ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} RMS"),
         *[("warning", message) for message in facts["findings"]],

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from gelform.background.change import Finding
 from gelform.checks import check_finite, check_map, check_mm_per_px, check_number, check_within
 from gelform.errors import DataError
+from gelform.markers import MarkerFlow
 from gelform.npz_files import read_npz, write_npz
 from gelform.reconstruction.record import MAPS, Reconstruction
 
 KIND = "gelform result"
-FORMAT_VERSION = 3  # 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth
+# 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth; 4: markers too
+FORMAT_VERSION = 4
 MAX_BYTES = 4 * 2**30
 _META = (
     "mm_per_px_sigma",
@@ -48,6 +50,8 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
         arrays["depth_px"] = result.depth
     else:
         arrays |= {"depth_mm": result.depth, "mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
+    if result.markers is not None:
+        arrays |= result.markers.arrays()
     meta = {name: getattr(result, name) for name in _META}
     meta["health"] = [asdict(finding) for finding in result.health]
     write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
@@ -65,14 +69,16 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=DataError
     )
     try:
+        dots = {name: arrays.pop(name) for name in list(arrays) if name.startswith("markers_")}
         _check_contents(arrays, meta)
-        scaled = "depth_px" not in arrays
+        mm_per_px = _pitch(arrays["mm_per_px"]) if "depth_px" not in arrays else None
         settings = {name: meta[name] for name in _META}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
         maps: dict[str, Any] = {name: arrays.get(name) for name in MAPS}
         return Reconstruction(
-            depth=arrays["depth_mm" if scaled else "depth_px"],
-            mm_per_px=_pitch(arrays["mm_per_px"]) if scaled else None,
+            depth=arrays["depth_px" if mm_per_px is None else "depth_mm"],
+            mm_per_px=mm_per_px,
+            markers=MarkerFlow.from_arrays(dots, mm_per_px),
             **maps,
             **settings,
         )

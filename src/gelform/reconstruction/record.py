@@ -13,6 +13,7 @@ from gelform.background.change import Finding
 from gelform.checks import check_mm_per_px
 from gelform.contact import Contact, contacts_from_mask
 from gelform.errors import GelformError
+from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
 from gelform.reconstruction.shown import shown_in_notebook
 
@@ -42,6 +43,7 @@ class Reconstruction:
     solver : the method that integrated
     curl_rms : RMS of `dp/dy - dq/dx` of the observed slopes, per pixel: how far they are from those of a surface
     health : findings that a user should know, each with its figure
+    markers : how far the gel's marker dots have moved; None where the gel has none
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : of the calibration that was used
     albedo_source : gives the albedo when it is asked for; not saved
@@ -61,6 +63,7 @@ class Reconstruction:
     solver: str = ""
     curl_rms: float = 0.0
     health: tuple[Finding, ...] = ()
+    markers: MarkerFlow | None = None
     index: int | None = None
     time_s: float | None = None
     wall_time_ns: int | None = None
@@ -163,12 +166,14 @@ class Reconstruction:
         return shown_in_notebook(self.depth, (*self._figures().items(), *findings))
 
     def _figures(self) -> dict[str, str]:
+        markers = {} if self.markers is None else {"markers": self.markers.in_words()}
         height, width = self.shape
         if self.mm_per_px is None:
             return {
                 "height x width": f"{height}x{width} px, scale unknown",
                 "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px",
                 "contacts": _counted(np.count_nonzero(self.contact), "px", len(self.contacts)),
+                **markers,
                 "zero": self.zero,
                 "solver": self.solver,
             }
@@ -178,6 +183,7 @@ class Reconstruction:
             "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
             "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm",
             "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)),
+            **markers,
             "zero": self.zero,
             "solver": self.solver,
         }

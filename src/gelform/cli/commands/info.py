@@ -90,6 +90,7 @@ def _result(path: Path) -> dict[str, Any]:
         unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)],
         "contact_px": int(result.contact.sum()),
         "contacts": [asdict(contact) for contact in result.contacts],
+        "markers": None if result.markers is None else result.markers.facts(),
         "known_px": int(result.known.sum()),
         "zero": result.zero,
         "solver": result.solver,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.markers import MarkerFinder, is_grid, markers_from_image
+from gelform.markers.finder import MarkerFinder, is_grid, markers_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
 

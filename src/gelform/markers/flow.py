@@ -1,0 +1,116 @@
+"""Where the gel's marker dots are now, against where they are at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.checks import check_finite, check_mm_per_px
+
+_SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerFlow:
+    """How far each dot of a gel has moved from rest: the gel's surface shears with it.
+
+    Dots keep their order from frame to frame.
+
+    Attributes
+    ----------
+    rest_px : (N, 2) float32, x and y, where the dots are on the untouched gel
+    now_px : (N, 2) float32, where they are in this image; of a dot that is not seen, where its neighbours say it is
+    seen : (N,) bool, whether the dot itself was measured
+    sigma_px : (N,) float32, one standard deviation of `now_px`, for x and y alike; large where not seen
+    mm_per_px : float or (x, y), mm; None where the scale is unknown
+    """
+
+    rest_px: NDArray[np.float32]
+    now_px: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    sigma_px: NDArray[np.float32]
+    mm_per_px: float | tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.rest_px)
+        for name, columns in _SHAPES.items():
+            got = np.shape(getattr(self, name))
+            if got != (count, *columns):
+                raise ValueError(f"Expected {name} of shape {(count, *columns)}, as rest_px, got {got}.")
+
+    def __len__(self) -> int:
+        return len(self.rest_px)
+
+    def __repr__(self) -> str:
+        return f"MarkerFlow({self.in_words()})"
+
+    @property
+    def displacement_px(self) -> NDArray[np.float32]:
+        """How far (N, 2) each dot has moved from rest, x to the right and y down, pixels."""
+        return self.now_px - self.rest_px
+
+    @property
+    def displacement_mm(self) -> NDArray[np.float32] | None:
+        """The same on the gel, mm; None where the scale is unknown."""
+        return None if self.mm_per_px is None else self.displacement_px * self._pitch
+
+    @property
+    def sigma_mm(self) -> NDArray[np.float32] | None:
+        """One standard deviation (N,) of the displacement, mm; None where the scale is unknown."""
+        return None if self.mm_per_px is None else self.sigma_px * self._pitch.max()
+
+    def in_words(self) -> str:
+        """One line for people: how many are seen, and how far these have moved."""
+        if not self.seen.any():
+            return f"none of {len(self)} seen"
+        scaled = self.displacement_mm
+        moved, unit = (self.displacement_px, "px") if scaled is None else (scaled, "mm")
+        away = np.linalg.norm(moved[self.seen], axis=1)
+        return (
+            f"{np.count_nonzero(self.seen)} of {len(self)} seen, moved {np.median(away):.3f} {unit} (median), "
+            f"{away.max():.3f} {unit} at most"
+        )
+
+    def facts(self) -> dict[str, Any]:
+        """All of it as JSON can say it; one list entry for each dot."""
+        millimetres = self.displacement_mm
+        return {
+            "in_words": self.in_words(),
+            **{name: getattr(self, name).tolist() for name in _SHAPES},
+            "displacement_px": self.displacement_px.tolist(),
+            "displacement_mm": None if millimetres is None else millimetres.tolist(),
+        }
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What a file keeps of it, by name; `from_arrays` takes them."""
+        return {f"markers_{name}": getattr(self, name) for name in _SHAPES}
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[Any]], mm_per_px: float | tuple[float, float] | None
+    ) -> MarkerFlow | None:
+        """The flow that `arrays` gave; None where there is none among these.
+
+        Raises
+        ------
+        KeyError
+            Some of its arrays are there and one is missing.
+        TypeError, ValueError
+            An array is of another type or shape, or not finite.
+        """
+        if not any(f"markers_{name}" in arrays for name in _SHAPES):
+            return None
+        parts = {name: arrays[f"markers_{name}"] for name in _SHAPES}
+        for name, values in parts.items():
+            if not np.issubdtype(values.dtype, np.bool_ if name == "seen" else np.floating):
+                raise TypeError(f"Expected markers_{name} of another type, got {values.dtype}.")
+            check_finite(values, f"markers_{name}")
+        return cls(**parts, mm_per_px=mm_per_px)
+
+    @property
+    def _pitch(self) -> NDArray[np.float32]:
+        return np.array(check_mm_per_px(self.mm_per_px), dtype=np.float32)
