@@ -45,6 +45,18 @@ static inline float dot(const float *a, const float *b, ptrdiff_t n) {
   return lanes_total(lanes);
 }
 
+// LANES values side by side. GCC and clang make of their arithmetic what the instruction set has: for loops over pixels
+// whose sums should stay in registers, where plain arrays would be stored and loaded at every step.
+typedef float lanes __attribute__((vector_size(LANES * sizeof(float))));
+
+static inline lanes load_lanes(const float *values) {
+  lanes x;
+  memcpy(&x, values, sizeof x);
+  return x;
+}
+
+static inline void store_lanes(float *values, lanes x) { memcpy(values, &x, sizeof x); }
+
 // Before a loop: its iterations do not depend on each other, though the compiler cannot see it.
 #if defined(__clang__)
 #define INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")

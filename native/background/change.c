@@ -4,9 +4,8 @@
 EXPORT int color_change(const uint8_t *image, const float *light, const float *scale, const float *untouched,
                         const float *gain, const float *taps, float *work, float *change, ptrdiff_t h, ptrdiff_t w,
                         ptrdiff_t s, ptrdiff_t t, ptrdiff_t n) {
-  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, 3 * w, t - 1, 0, work, NULL};
-  if (s != 3 * w || n < blurred_change_work(3 * w, t - 1)) return WRONG_SIZE;
-  rows.ring = work + 3 * w + 6 * rows.radius;
+  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, 3 * w, t - 1, 0, NULL, NULL, 0};
+  if (s != 3 * w || !place_ring(&rows, work, n)) return WRONG_SIZE;
   for (ptrdiff_t y = 0; y < h; y++) blurred_change_row(&rows, y, change + y * 3 * w);
   return OK;
 }

@@ -6,11 +6,11 @@ struct hierarchical {
   const float *nodes;      // (rows, columns, terms, 2), PIXELS pixels apart
   const int32_t *parents;  // (terms, 2)
   ptrdiff_t rows, columns, terms, w;
-  float *line, *planes, *p, *q;  // work: (columns, terms, 2), (3, padded), (padded), (padded)
+  float *line, *planes, *p, *q, *ramps;  // work: (columns, terms, 2), (3, padded), (padded), (padded), (terms, 4)
 };
 
 static ptrdiff_t hierarchical_work(ptrdiff_t columns, ptrdiff_t terms, ptrdiff_t w) {
-  return columns * terms * 2 + 5 * padded_width(w);
+  return columns * terms * 2 + 5 * padded_width(w) + terms * 4;
 }
 
 static void place_work(struct hierarchical *m, float *work) {
@@ -19,6 +19,7 @@ static void place_work(struct hierarchical *m, float *work) {
   m->planes = work + m->columns * m->terms * 2;
   m->p = m->planes + 3 * padded;
   m->q = m->p + padded;
+  m->ramps = m->q + padded;
   memset(m->planes, 0, sizeof(float) * 5 * padded);
 }
 
@@ -31,37 +32,41 @@ static void coefficients_of_row(const struct hierarchical *m, ptrdiff_t y) {
   for (ptrdiff_t k = 0; k < count; k++) line[k] = above[k] + v * (below[k] - above[k]);
 }
 
-static const float RAMP[PIXELS] = {0,      0.0625, 0.125,  0.1875, 0.25,  0.3125, 0.375,  0.4375,
-                                   0.5,    0.5625, 0.625,  0.6875, 0.75,  0.8125, 0.875,  0.9375};
-
-// p, q += product (start + ramp step), of PIXELS pixels.
-static inline void add_term(const float *restrict product, const float *restrict left, const float *restrict right,
-                            float beyond, float *restrict p, float *restrict q) {
-  const float p_step = right[0] - left[0], q_step = right[1] - left[1];
-  const float p_start = left[0] + beyond * p_step, q_start = left[1] + beyond * q_step;
-  for (int k = 0; k < PIXELS; k++) {
-    p[k] += product[k] * (p_start + RAMP[k] * p_step);
-    q[k] += product[k] * (q_start + RAMP[k] * q_step);
+// Coefficients of the pixels from `start` on: for each term those of p and q at the first pixel, and how much the next node's
+// are more.
+static void ramps_of_block(const struct hierarchical *m, ptrdiff_t start, float *restrict ramps) {
+  const ptrdiff_t last = m->columns - 2, count = m->terms * 2, node = start / PIXELS < last ? start / PIXELS : last;
+  const float beyond = (float)(start / PIXELS - node);  // a pixel on the last node has none to its right
+  const float *restrict left = m->line + node * count, *restrict right = left + count;
+  for (ptrdiff_t k = 0; k < count; k++) {
+    const float step = right[k] - left[k];
+    ramps[2 * k] = left[k] + beyond * step;
+    ramps[2 * k + 1] = step;
   }
 }
 
+static const lanes RAMP = {0,      0.0625, 0.125,  0.1875, 0.25,  0.3125, 0.375,  0.4375,
+                           0.5,    0.5625, 0.625,  0.6875, 0.75,  0.8125, 0.875,  0.9375};
+
 // Slopes of row y from its color change (w, 3).
 static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, const float *change, float *gradients) {
-  const ptrdiff_t stride = padded_width(m->w), last = m->columns - 2, count = m->terms * 2;
-  float products[MAX_TERMS][PIXELS];
+  const ptrdiff_t stride = padded_width(m->w), terms = m->terms;
+  const int32_t *parents = m->parents;
+  float *ramps = m->ramps;
+  lanes products[MAX_TERMS];
   coefficients_of_row(m, y);
   planes_of_row(change, m->planes, m->w, stride);
   for (ptrdiff_t start = 0; start < m->w; start += PIXELS) {
-    const ptrdiff_t node = start / PIXELS < last ? start / PIXELS : last;
-    const float *left = m->line + node * count, *right = left + count;
-    const float beyond = (float)(start / PIXELS - node);  // a pixel on the last node has none to its right
-    float p[PIXELS] = {0}, q[PIXELS] = {0};
-    for (ptrdiff_t t = 0; t < m->terms; t++) {
-      next_monomial(m->parents + 2 * t, m->planes + start, stride, products, t);
-      add_term(products[t], left + 2 * t, right + 2 * t, beyond, p, q);
+    lanes p = {0}, q = {0};
+    ramps_of_block(m, start, ramps);
+    for (ptrdiff_t t = 0; t < terms; t++) {
+      const lanes product = next_monomial(parents + 2 * t, m->planes + start, stride, products, t);
+      const float *ramp = ramps + 4 * t;
+      p += product * (ramp[0] + RAMP * ramp[1]);
+      q += product * (ramp[2] + RAMP * ramp[3]);
     }
-    memcpy(m->p + start, p, sizeof p);
-    memcpy(m->q + start, q, sizeof q);
+    store_lanes(m->p + start, p);
+    store_lanes(m->q + start, q);
   }
   row_of_slopes(m->p, m->q, gradients, m->w);
 }
@@ -73,7 +78,7 @@ static bool nodes_fit(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t 
 EXPORT int hierarchical_gradients(const float *change, const float *nodes, const int32_t *parents, float *work,
                                   float *gradients, ptrdiff_t h, ptrdiff_t w, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                   ptrdiff_t n) {
-  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL};
+  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL, NULL};
   if (!nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) || n < hierarchical_work(c, t, w))
     return WRONG_SIZE;
   place_work(&model, work);
@@ -87,13 +92,12 @@ EXPORT int hierarchical_from_image(const uint8_t *image, const float *light, con
                                    const int32_t *parents, float *work, float *change, float *gradients, ptrdiff_t h,
                                    ptrdiff_t w, ptrdiff_t s, ptrdiff_t k, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                    ptrdiff_t n) {
-  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, 3 * w, k - 1, 0, work, NULL};
-  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL};
+  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, 3 * w, k - 1, 0, NULL, NULL, 0};
+  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL, NULL};
   const ptrdiff_t own = blurred_change_work(3 * w, rows.radius);
   if (s != 3 * w || !nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) ||
-      n < own + hierarchical_work(c, t, w))
+      !place_ring(&rows, work, n) || n < own + hierarchical_work(c, t, w))
     return WRONG_SIZE;
-  rows.ring = work + 3 * w + 6 * rows.radius;
   place_work(&model, work + own);
   for (ptrdiff_t y = 0; y < h; y++) {
     blurred_change_row(&rows, y, change + y * 3 * w);

@@ -3,7 +3,7 @@
 #define GELFORM_MONOMIALS_H
 #include "../common.h"
 
-enum { PIXELS = 16, MAX_TERMS = 64 };  // PIXELS: of one row at a time, so that products and sums stay in registers
+enum { PIXELS = LANES, MAX_TERMS = 64 };  // PIXELS: of one row at a time, so that sums stay in registers
 
 // One row of a color change (w, 3) as three planes (3, stride).
 static inline void planes_of_row(const float *restrict change, float *restrict planes, ptrdiff_t w, ptrdiff_t stride) {
@@ -23,16 +23,9 @@ static inline void row_of_slopes(const float *restrict p, const float *restrict 
 }
 
 // products[t], a colour channel times the product of its parent, (parent, channel); a parent of -1 is 1.
-static inline void next_monomial(const int32_t *parent, const float *planes, ptrdiff_t stride,
-                                 float products[MAX_TERMS][PIXELS], ptrdiff_t t) {
-  const float *restrict channel = planes + parent[1] * stride;
-  float *restrict product = products[t];
-  if (parent[0] < 0) {
-    for (int k = 0; k < PIXELS; k++) product[k] = channel[k];
-    return;
-  }
-  const float *restrict before = products[parent[0]];
-  for (int k = 0; k < PIXELS; k++) product[k] = before[k] * channel[k];
+static inline lanes next_monomial(const int32_t *parent, const float *planes, ptrdiff_t stride, lanes *products, ptrdiff_t t) {
+  const lanes channel = load_lanes(planes + parent[1] * stride);
+  return products[t] = parent[0] < 0 ? channel : products[parent[0]] * channel;
 }
 
 // Terms follow their parents, and each channel is one of three.

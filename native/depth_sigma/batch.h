@@ -5,10 +5,7 @@
 
 #include "../solvers/multigrid/grid.h"
 
-enum { BATCH = 16 };
-
-// One value for each right side; GCC and clang make of its arithmetic what the instruction set has.
-typedef float lanes __attribute__((vector_size(BATCH * sizeof(float))));
+enum { BATCH = LANES };  // one lane for each right side
 
 // One level, as `struct level` has it: pixel (i, j), counted from 1, at `[i * stride + j]`, between zeros.
 struct batch_level {

@@ -97,7 +97,7 @@ def kernel_arguments(shape, degree, seed=0):
         np.float32
     )
     change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
-    work = np.empty(2 * nodes.shape[1] * len(terms) + 5 * (shape[1] + 15), dtype=np.float32)
+    work = np.empty((2 * nodes.shape[1] + 4) * len(terms) + 5 * (shape[1] + 15), dtype=np.float32)
     return change, nodes, monomial_parents(terms), work, np.empty((*shape, 2), dtype=np.float32)
 
 

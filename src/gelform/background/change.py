@@ -15,6 +15,7 @@ from gelform.background.exposure import Exposure, block_means
 from gelform.checks import check_image, check_values, check_within
 
 MAX_CONDITION = 30.0
+LANES = 16  # of native/common.h: the kernel's rows are as long as a whole number of them
 MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0
 RESPONSES = 0.05, 20.0
 Matrix = tuple[tuple[float, ...], ...]
@@ -199,7 +200,8 @@ class PendingChange:
         """How many floats of work the kernel needs: a row with its border, and the rows that a blur reaches."""
         scale, taps = self.arguments[2], self.arguments[5]
         radius = len(taps) - 1
-        return 2 * len(scale) * (radius + 1) + 6 * radius
+        whole = -(-len(scale) // LANES) * LANES
+        return len(scale) + 6 * radius + LANES + (2 * radius + 1) * whole
 
     def write(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
         """Compute the color change into `out` (H, W, 3), and return it."""
