@@ -15,7 +15,7 @@ TESTS = Path(__file__).parent
 ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
     {"errors", "checks", "_native", "progress", "pool", "resample"},
-    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files"},
+    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files", "medians"},
     {"color_models", "solvers", "markers", "background", "zero"},
     {
         "normals",
@@ -40,6 +40,7 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__in
 # Whose same-level neighbours they may use, said in ARCHITECTURE.md.
 NEIGHBOURS = {
     ("_native", "errors"),
+    ("checks", "_native"),
     ("metrics", "ball"),
     ("view", "lens"),
     ("calibration_file", "confidence"),

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from gelform import checks
 from gelform.checks import (
     as_array,
     check_gradients,
@@ -20,6 +21,7 @@ from gelform.checks import (
     check_values,
     check_within,
 )
+from kernel_agreement import assert_kernel_agrees
 
 IMAGE = np.full((4, 5, 3), 100, dtype=np.uint8)
 
@@ -187,3 +189,17 @@ def test_paths_that_no_file_has(path):
 def test_what_is_no_path(path):
     with pytest.raises(TypeError, match="as text or a Path"):
         check_path(path)
+
+
+@pytest.mark.parametrize("shape", [(1,), (15, 3), (40, 33, 2), (71, 67)])
+def test_the_range_is_that_of_numpy(shape):
+    values = np.random.default_rng(0).standard_normal(shape).astype(np.float32)
+    for extreme in (-7.5, 9.0):
+        values.ravel()[-1] = extreme
+        assert_kernel_agrees(
+            checks._range, lambda v, _: np.array([v.min(), v.max()]), values, np.zeros(2, np.float32)
+        )
+    for bad in (np.nan, np.inf, -np.inf):
+        values.ravel()[len(values.ravel()) // 2] = bad
+        assert np.isnan(checks.value_range(values)).all()
+    assert checks.value_range(values[:0]) == (0.0, 0.0)

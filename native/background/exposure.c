@@ -1,5 +1,5 @@
 // Where log ratios of brightness crowd, in three channels at once.
-#include "../common.h"
+#include "../select.h"
 
 enum { BINS = 240, WINDOW = 6 };
 static const double SPAN = 1.2;  // logs are sought within +-SPAN
@@ -49,4 +49,48 @@ EXPORT int crowd_of_ratios(const float *logs, const double *half_widths, double 
     for (int c = 0; c < 3; c++) center[c] += sums[c] / inside;
   }
   return (int)inside;
+}
+
+// Ratios of blocks (n, 3) to untouched ones, of those that are neither dark nor saturated in any channel; returns how many.
+EXPORT int lit_ratios(const float *blocks, const float *untouched, float dark, float bright, float *ratios, ptrdiff_t n,
+                      ptrdiff_t most) {
+  int count = 0;
+  if (most <= n) return WRONG_SIZE;  // one row is written behind the last that counts
+  for (ptrdiff_t k = 0; k < n; k++) {
+    bool lit = true;
+    for (int c = 0; c < 3; c++) {
+      const float a = blocks[3 * k + c], b = untouched[3 * k + c];
+      lit = lit && smaller(a, b) > dark && larger(a, b) < bright;
+      ratios[3 * count + c] = a / b;
+    }
+    count += lit;
+  }
+  return count;
+}
+
+// Sums over both sets of blocks of (a - mean)^2, (b - mean)^2, (a - mean) (b - mean), with a: seen, scaled; b: untouched. Only
+// the blocks that changed least take part: `last` of them are nearer to the untouched ones than the last that does.
+EXPORT int least_changed_sums(const float *seen, const float *untouched, const float *scale, int64_t last, float *work,
+                              double *sums, ptrdiff_t n, ptrdiff_t m) {
+  if (last < 0 || last >= n || m < 2 * n) return WRONG_SIZE;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    work[k] = 0;
+    for (int c = 0; c < 3; c++) work[k] += fabsf(seen[3 * k + c] * scale[c] - untouched[3 * k + c]);
+  }
+  const float farthest = kth_smallest(work, n, last, (uint32_t *)(work + n));
+  double mean_a = 0, mean_b = 0;
+  ptrdiff_t count = 0;
+  for (ptrdiff_t k = 0; k < 3 * n; k++) {
+    if (work[k / 3] > farthest) continue;
+    mean_a += seen[k] * scale[k % 3], mean_b += untouched[k];
+    count++;
+  }
+  mean_a /= count, mean_b /= count;
+  sums[0] = sums[1] = sums[2] = 0;
+  for (ptrdiff_t k = 0; k < 3 * n; k++) {
+    if (work[k / 3] > farthest) continue;
+    const double a = seen[k] * scale[k % 3] - mean_a, b = untouched[k] - mean_b;
+    sums[0] += a * a, sums[1] += b * b, sums[2] += a * b;
+  }
+  return (int)count;
 }

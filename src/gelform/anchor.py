@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.medians import medians_where
 from gelform.solvers.dct import DctSolver
 
 # How close to 0 gel of untouched colour is: beside a press it is drawn down a little.
@@ -49,7 +50,7 @@ class RestAnchor:
         share = cv2.resize(untouched.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
         depth = self._solver(slopes.reshape(rows, columns, 2)).depth_mm
         rest = share >= min(UNTOUCHED_SHARE, float(share.max()))
-        depth -= np.float32(np.median(depth[rest]))
+        depth -= medians_where(depth[..., None], rest)[0]
         weight = np.float32(self.hold) / (1 + (depth / np.float32(PRESSED_MM)) ** 2) ** 2
         anchor: NDArray[np.float32] = cv2.resize(weight, self.shape[::-1], interpolation=cv2.INTER_LINEAR)
         anchor *= untouched

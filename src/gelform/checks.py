@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
+
+_range = Kernel("range_f32", "f32[...] values, out f32[2] range")
+
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1.0
 MM_PER_PX = 1e-6, 1e3  # what square sums of float32 can hold, and far beyond any sensor
 LARGEST = 1e18  # squares of it, and sums of those, fit into float32
@@ -159,7 +163,7 @@ def check_map(
         wanted = f"({shape[0]}, {shape[1]})" if shape is not None else "(H, W)"
         raise ValueError(f"Expected {name} of shape {wanted}, got {array.shape}.")
     array = check_finite(_as_float(array, name, dtype), name)
-    if nonnegative and float(array.min()) < 0:
+    if nonnegative and value_range(array)[0] < 0:
         raise ValueError(f"Expected {name} >= 0, got {array.min():g}.")
     return array
 
@@ -240,14 +244,25 @@ def check_within(value: float, name: str, low: float, high: float) -> float:
 
 def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
     """Return the array if every value is finite, and its square too: NaN is refused at the door, always."""
-    # NaN comes through both; two passes are quicker than one that asks each value.
-    if array.size and not (float(array.min()) >= -LARGEST and float(array.max()) <= LARGEST):
+    low, high = value_range(array)
+    if not (low >= -LARGEST and high <= LARGEST):
         bad = int(np.count_nonzero(~(np.abs(array.astype(np.float64)) <= LARGEST)))
         raise ValueError(
             f"Expected finite {name}, got {bad} values that are NaN or infinite (or beyond {LARGEST:g}). "
             "Put any finite value there and say where with mask=."
         )
     return array
+
+
+def value_range(array: NDArray[Any]) -> tuple[float, float]:
+    """The least and the largest value; NaN where a value is NaN or infinite, 0 where there is none."""
+    if not array.size:
+        return 0.0, 0.0
+    if array.dtype != np.float32 or not array.flags.c_contiguous:
+        return float(array.min()), float(array.max())
+    found = np.empty(2, dtype=np.float32)
+    _range(array, found)
+    return float(found[0]), float(found[1])
 
 
 def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArray[Any]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_mask
+from gelform.medians import medians_where
 
 MEDIAN_SAMPLES = 5_000
 
@@ -49,11 +50,11 @@ def zero_depth(
 def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
     step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
-    lattice = region[::step, ::step]
-    if np.count_nonzero(lattice) < MEDIAN_SAMPLES / 20:
-        step, lattice = 1, region
-    median: NDArray[np.float32] = np.median(maps[..., ::step, ::step][..., lattice], axis=-1)
-    return median
+    if np.count_nonzero(region[::step, ::step]) < MEDIAN_SAMPLES / 20:
+        step = 1
+    stack = np.ascontiguousarray(maps, dtype=np.float32).reshape(-1, *region.shape, 1)
+    medians = [medians_where(one, region, step)[0] for one in stack]
+    return np.array(medians, dtype=np.float32).reshape(maps.shape[:-2])
 
 
 def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from gelform._native.parameter import is_finite, parameters_of, sizes_of
-from gelform.solvers import inputs
-from kernel_agreement import assert_kernel_agrees
 
 DECLARATION = "finite f32[h,w,3] image, u8[h,w]? mask, out f32[...,2] slopes, grid* grid, f32 factor"
 
@@ -65,16 +63,3 @@ def test_finite_is_finite_wherever_the_hole_is(dtype):
             values[at] = bad
             assert not is_finite(values)
             values[at] = 1
-
-
-@pytest.mark.parametrize("shape", [(1,), (15, 3), (40, 33, 2)])
-def test_magnitude_is_that_of_numpy(shape):
-    values = np.random.default_rng(0).standard_normal(shape).astype(np.float32)
-    for largest in (-7.5, 9.0):
-        values.ravel()[-1] = largest
-        assert_kernel_agrees(
-            inputs._magnitude,
-            lambda v, _: np.abs(v).max(keepdims=True).ravel(),
-            values,
-            np.zeros(1, np.float32),
-        )

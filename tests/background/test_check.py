@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.background import check
 from gelform.background.check import (
     background_digest,
     check_background,
@@ -12,6 +13,7 @@ from gelform.background.check import (
 )
 from gelform.errors import CalibrationError
 from gelform.sensors.files import read_image
+from kernel_agreement import assert_kernel_agrees
 from made.touched_images import SHAPE, scene, touched
 
 
@@ -203,3 +205,22 @@ def test_another_exposure_gives_the_same_depth_of_real_presses(data):
     for press in presses.presses[1::20]:
         plain, other = reconstruct(press.image), reconstruct(brighter(press.image))
         assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.004
+
+
+def sums_by_numpy(seen, rest, scale, last, *_):
+    scaled = seen * scale
+    distance = np.abs(scaled - rest).sum(axis=1)
+    least = distance <= np.sort(distance)[last]
+    a, b = (values[least].astype(np.float64) for values in (scaled, rest))
+    a, b = a - a.mean(), b - b.mean()
+    return np.array([(a * a).sum(), (b * b).sum(), (a * b).sum()])
+
+
+@pytest.mark.parametrize("last", [0, 17, 79])
+def test_sums_over_the_least_changed_blocks_are_those_of_numpy(last):
+    rng = np.random.default_rng(3)
+    rest = rng.uniform(20, 200, (80, 3)).astype(np.float32)
+    seen = (rest * 1.1 + rng.normal(0, 8, rest.shape)).astype(np.float32)
+    scale = np.array([0.9, 0.91, 0.92], np.float32)
+    work, sums = np.empty(160, np.float32), np.empty(3)
+    assert_kernel_agrees(check._least_changed_sums, sums_by_numpy, seen, rest, scale, last, work, sums)

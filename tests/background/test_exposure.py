@@ -118,3 +118,16 @@ def test_the_kernel_agrees_with_numpy(count):
     logs[: count // 3] += rng.uniform(-0.5, 0.5, (count // 3, 3)).astype(np.float32)
     arguments = logs, exposure.HALF_WIDTHS_LOG, np.empty(3), np.empty(count)
     assert_kernel_agrees(exposure._crowd_of_ratios, crowd, *arguments)
+
+
+def test_the_lit_ratios_are_those_of_numpy():
+    rng = np.random.default_rng(2)
+    seen, rest = rng.uniform(1, 254, (2, 50, 3)).astype(np.float32)
+    lit = ((np.minimum(seen, rest) > 20) & (np.maximum(seen, rest) < 240)).all(axis=1)
+    ratios = np.zeros((51, 3), np.float32)
+    count = exposure._lit_ratios(seen, rest, 20.0, 240.0, ratios)
+    assert 0 < count == np.count_nonzero(lit) < 50
+    np.testing.assert_array_equal(ratios[:count], (seen / rest)[lit])
+    assert_kernel_agrees(
+        exposure._lit_ratios, lambda *_: ratios.copy(), seen, rest, 20.0, 240.0, np.zeros_like(ratios)
+    )

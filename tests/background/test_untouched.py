@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from gelform.background import untouched as untouched_pixels
 from gelform.background.change import color_change_from_image
 from gelform.background.untouched import (
     MIN_UNTOUCHED,
     reference_from_color_change,
     untouched_from_color_change,
 )
+from kernel_agreement import assert_kernel_agrees
 from made.touched_images import scene, touched
 
 SHAPE = (40, 60)
@@ -71,3 +73,20 @@ def test_the_bias_is_the_median_slope_of_the_untouched(shape):
     np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), atol=2e-3)
     if shape[0] * shape[1] < 5000:  # no lattice is needed
         np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize("hidden", [None, np.arange(40 * 60).reshape(SHAPE) % 3 == 0])
+def test_the_kernel_finds_what_numpy_finds(step, hidden):
+    change = np.random.default_rng(4).normal(0.1, 0.05, (*SHAPE, 3)).astype(np.float32)
+
+    def near(change, hidden, common, out, square, step):
+        found = np.square(change - common).sum(axis=-1) < square
+        if hidden is not None:
+            found &= ~hidden
+        out[::step, ::step] = found[::step, ::step]
+        return out
+
+    common = np.full(3, 0.1, np.float32)
+    arguments = change, hidden, common, np.zeros(SHAPE, bool), 0.007, step
+    assert_kernel_agrees(untouched_pixels._near_common, near, *arguments)

@@ -22,6 +22,7 @@ DTYPES = {
     "bool": np.dtype(np.bool_),
 }
 NUMBERS = {"f32": ctypes.c_float, "f64": ctypes.c_double, "i32": ctypes.c_int32, "i64": ctypes.c_int64}
+_byref, _from_buffer = ctypes.byref, ctypes.c_char.from_buffer  # four times as fast as array.ctypes.data
 _WRITTEN = re.compile(r"(out |finite )?(\w+)(\[[\w.,]*\]|\*|)(\??) (\w+)")
 
 
@@ -56,6 +57,12 @@ class Parameter:
         TypeError, ValueError
             It is not, or it holds NaN where that was to be checked.
         """
+        if self.role != "finite" and type(array) is np.ndarray and array.dtype is DTYPES[self.kind]:
+            try:  # what most arrays are, writeable and in C order, is what this takes; others are looked at below
+                # numpy's stubs know its buffer from Python 3.12 on
+                return _byref(_from_buffer(array))  # type: ignore[arg-type]
+            except (TypeError, ValueError):
+                pass
         if array is None and self.optional:
             return None
         if not isinstance(array, np.ndarray) or array.dtype != DTYPES[self.kind]:
@@ -70,9 +77,6 @@ class Parameter:
             raise ValueError(f"expected {self.name}, which is written, to be writeable.")
         if self.role == "finite" and not is_finite(array):
             raise ValueError(f"expected finite {self.name}, got NaN or infinity.")
-        if flags.writeable and array.size:
-            # four times as fast as array.ctypes.data; numpy's stubs know its buffer from Python 3.12 on
-            return ctypes.byref(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
         return array.ctypes.data
 
     def match_axes(self, shape: tuple[int, ...] | None, sizes: dict[str, int]) -> None:

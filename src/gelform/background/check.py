@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.background.exposure import Exposure, block_means, exposure_from_blocks
 from gelform.errors import CalibrationError
 from gelform.frames import pixels_digest
@@ -20,6 +21,11 @@ CORRELATION_REFUSE = 0.8
 PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
 TOUCHED_SHARE = 0.4
 MIN_FRAMES = 8
+
+_least_changed_sums = Kernel(
+    "least_changed_sums",
+    "f32[n,3] seen, f32[n,3] untouched, f32[3] scale, i64 last, out f32[m] work, out f64[3] sums",
+)
 
 
 @dataclass(frozen=True)
@@ -178,12 +184,12 @@ def _correlation(
 
     None where the untouched image is featureless: it can neither agree nor disagree. 0 where only the image is.
     """
-    scaled = seen if gain is None else seen * (1 / gain).astype(np.float32)
-    distance = np.einsum("...c->...", np.abs(scaled - untouched))
-    last = min(int((1 - TOUCHED_SHARE) * distance.size), distance.size - 1)
-    least_changed = distance <= np.partition(distance, last, axis=None)[last]
-    a, b = (values[least_changed].ravel().astype(np.float64) for values in (scaled, untouched))
-    a, b = a - a.mean(), b - b.mean()
-    if b @ b < 1e-4 * b.size:
+    blocks = seen.size // 3
+    scale = np.ones(3, dtype=np.float32) if gain is None else (1 / gain).astype(np.float32)
+    last = min(int((1 - TOUCHED_SHARE) * blocks), blocks - 1)
+    sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
+    count = _least_changed_sums(seen.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
+    of_seen, of_untouched, of_both = sums.tolist()
+    if of_untouched < 1e-4 * count:
         return None
-    return float(a @ b / np.sqrt((a @ a) * (b @ b))) if a @ a >= 1e-4 * a.size else 0.0
+    return of_both / (of_seen * of_untouched) ** 0.5 if of_seen >= 1e-4 * count else 0.0

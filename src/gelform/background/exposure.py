@@ -22,6 +22,9 @@ DARK, BRIGHT = 6.0, 250.0  # mean levels of a block between which its ratio tell
 HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])  # what counts as untouched, round by round
 MIN_SHARE, FULL_SHARE = 0.15, 0.3
 
+_lit_ratios = Kernel(
+    "lit_ratios", "f32[n,3] blocks, f32[n,3] untouched, f32 dark, f32 bright, out f32[most,3] ratios"
+)
 _crowd_of_ratios = Kernel(
     "crowd_of_ratios", "f32[n,3] logs, f64[rounds] half_widths, out f64[3] center, out f64[n] distances"
 )
@@ -100,11 +103,11 @@ def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
 
 def exposure_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> Exposure:
     """`exposure_from_image` of images that `block_means` has averaged."""
-    usable = (np.minimum(blocks, untouched) > DARK) & (np.maximum(blocks, untouched) < BRIGHT)
-    lit = usable[..., 0] & usable[..., 1] & usable[..., 2]  # numpy is slow over axes of 3
-    if not lit.any():
+    ratios = np.empty((blocks.size // 3 + 1, 3), dtype=np.float32)
+    lit = _lit_ratios(blocks.reshape(-1, 3), untouched.reshape(-1, 3), DARK, BRIGHT, ratios)
+    if not lit:
         return Exposure(None, 0.0, np.inf, np.inf)
-    logs = np.log(blocks[lit] / untouched[lit])
+    logs = np.log(ratios[:lit])
     center, distances = np.empty(3), np.empty(len(logs))
     inside = _crowd_of_ratios(logs, HALF_WIDTHS_LOG, center, distances)
     quarter, half = len(distances) // 4, len(distances) // 2

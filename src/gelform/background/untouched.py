@@ -7,11 +7,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.background.check import Finding
+from gelform.medians import medians_where
 
 MIN_UNTOUCHED = 0.02
 SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and shares
 EXPOSURE_STEP_PX = 8
+
+_near_common = Kernel(
+    "near_common",
+    "f32[h,w,3] change, bool[h,w]? hidden, f32[3] common, out bool[h,w] near, f32 square, i64 step",
+)
 
 
 class Reference(NamedTuple):
@@ -49,43 +56,36 @@ def reference_from_color_change(
     hidden : (H, W), pixels that markers hide: never untouched
     """
     common = _common_change(color_change)
-    step = max(1, round((gradients.shape[0] * gradients.shape[1] / SAMPLES) ** 0.5))
-    lattice = np.s_[::step, ::step]
-    untouched = _is_near(color_change[lattice], common, threshold)
-    if hidden is not None:
-        untouched &= ~hidden[lattice]
-    share = np.count_nonzero(untouched) / untouched.size
+    height, width = gradients.shape[:2]
+    step = max(1, round((height * width / SAMPLES) ** 0.5))
+    near, count = _near(color_change, common, threshold, hidden, step)
+    share = count / (-(-height // step) * -(-width // step))
     if share >= MIN_UNTOUCHED:
-        return Reference(common, threshold, _medians(gradients[lattice][untouched]), None, ())
+        return Reference(common, threshold, medians_where(gradients, near, step)[0], None, ())
     size = np.linalg.norm(color_change, axis=-1)
     least = size <= np.quantile(size, MIN_UNTOUCHED)
     message = f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
     finding = Finding("few_untouched", message, share)
-    return Reference(common, threshold, _medians(gradients[least]), least, (finding,))
+    return Reference(common, threshold, medians_where(gradients, least)[0], least, (finding,))
 
 
 def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
     """Pixels (H, W) whose colour did not change: |change - what most pixels have in common| < threshold."""
-    return _is_near(color_change, _common_change(color_change), threshold)
+    change = np.ascontiguousarray(color_change, dtype=np.float32)
+    return _near(change, _common_change(change), threshold)[0]
 
 
 def _common_change(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
-    coarse = color_change[::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
-    return _medians(coarse.reshape(-1, 3))
+    return medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
 
 
-def _is_near(
-    color_change: NDArray[np.float32], common: NDArray[np.float32], threshold: float
-) -> NDArray[np.bool_]:
-    away = color_change - common
-    near: NDArray[np.bool_] = np.einsum("...c,...c->...", away, away) < np.float32(threshold) ** 2
-    return near
-
-
-def _medians(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Median (C,) of each column of values (N, C), without sorting them."""
-    columns = np.ascontiguousarray(values.T)
-    middle = (len(values) - 1) // 2, len(values) // 2
-    columns.partition(middle, axis=1)
-    medians: NDArray[np.float32] = columns[:, list(middle)].mean(axis=1)
-    return medians
+def _near(
+    color_change: NDArray[np.float32],
+    common: NDArray[np.float32],
+    threshold: float,
+    hidden: NDArray[np.bool_] | None = None,
+    step: int = 1,
+) -> tuple[NDArray[np.bool_], int]:
+    """Pixels (H, W) near the common change, of every `step`-th row and column, and their number."""
+    near = np.zeros(color_change.shape[:2], dtype=bool)
+    return near, _near_common(color_change, hidden, common, near, np.float32(threshold) ** 2, step)

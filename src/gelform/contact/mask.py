@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import LARGEST, check_map, check_mm_per_px, check_number, check_positive
+from gelform.medians import medians_where
 
 NOISE_SAMPLES = 5_000
 
@@ -74,13 +75,9 @@ def contact_from_depth(
 
 def _noise_mm(depth: NDArray[Any]) -> float:
     """Standard deviation of the untouched gel: the median of its negative depths, as of half a Gaussian."""
-    sample = depth.ravel()[:: max(1, depth.size // NOISE_SAMPLES)]
-    below = sample[sample < 0]
-    if not below.size:
-        return 0.0
-    middle = (below.size - 1) // 2, below.size // 2
-    below.partition(middle)
-    return -1.4826 * float(below[list(middle)].mean())
+    values = depth.reshape(-1, 1, 1)
+    (median,), _ = medians_where(values, values[..., 0] < 0, max(1, depth.size // NOISE_SAMPLES))
+    return -1.4826 * float(median)
 
 
 def _patches(depth: NDArray[Any], threshold: float, rim_fraction: float, min_px: float) -> NDArray[np.bool_]:

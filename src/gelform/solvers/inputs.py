@@ -7,15 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform._native import Kernel
-from gelform.checks import as_array, check_map
+from gelform.checks import as_array, check_map, value_range
 from gelform.solvers import SOLVERS
 from gelform.solvers.seam import Weights
 
 # So that no sum of their squares over a frame overflows in float32.
 HIGHEST_SLOPE = 1e15
-
-_magnitude = Kernel("magnitude_f32", "f32[...] values, out f32[1] largest")
 
 
 def checked_solver(solver: str) -> str:
@@ -38,11 +35,11 @@ def check_slopes(gradients: NDArray[np.float32]) -> None:
     ValueError
         A slope is beyond `HIGHEST_SLOPE`.
     """
-    largest = np.empty(1, dtype=np.float32)
-    _magnitude(gradients, largest)
-    if largest[0] > HIGHEST_SLOPE:
+    low, high = value_range(gradients)
+    largest = max(high, -low)
+    if largest > HIGHEST_SLOPE:
         raise ValueError(
-            f"Expected slopes up to {HIGHEST_SLOPE:.0e} mm/mm, got {largest[0]:.1e}: what they add up to is beyond "
+            f"Expected slopes up to {HIGHEST_SLOPE:.0e} mm/mm, got {largest:.1e}: what they add up to is beyond "
             "float32. Mark such pixels with weights of 0 and put any small value there."
         )
 

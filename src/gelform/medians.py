@@ -1,0 +1,35 @@
+"""Medians of maps over chosen pixels, without sorting them: what a frame has in common, bias, noise, zero."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+
+_medians_where = Kernel(
+    "medians_where",
+    "f32[h,w,c] values, bool[h,w]? chosen, i64 step, out f32[n] work, out f32[c] medians",
+)
+
+
+def medians_where(
+    values: NDArray[np.float32], chosen: NDArray[np.bool_] | None = None, step: int = 1
+) -> tuple[NDArray[np.float32], int]:
+    """Median of each channel of a map, over the chosen pixels of every `step`-th row and column.
+
+    Parameters
+    ----------
+    values : (H, W, C) float32, C order, without NaN
+    chosen : (H, W), all pixels by default
+    step : >= 1
+
+    Returns
+    -------
+    medians : (C,) float32, the mean of the two middle values where their number is even; 0 where none is chosen
+    count : over how many pixels
+    """
+    height, width, channels = values.shape
+    medians = np.empty(channels, dtype=np.float32)
+    work = np.empty(2 * -(-height // step) * -(-width // step), dtype=np.float32)
+    return medians, _medians_where(values, chosen, step, work, medians)
