@@ -12,6 +12,8 @@ from gelform.errors import DataError, SensorError
 from gelform.frames import Frame
 from gelform.sensors.mjpeg.url import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
+from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback
+from gelform.sensors.recordings.mcap_reader import mcap_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.touches import RATE_HZ, SimulatedTouches
 from gelform.sensors.video_files import is_video
@@ -69,7 +71,7 @@ def open_source(
 
         - "simulated", or "simulated:NAME" for another simulated sensor than three-edges, such as gelsight-mini
         - http://... or https://...: a camera that pushes JPEG pictures (multipart/x-mixed-replace)
-        - a video file or a folder of images
+        - *.mcap, a video file, or a folder of images (one that `gelform record` wrote has its times)
     paced : whether files play at the pace at which they were taken, instead of as fast as they are read
     rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : for the connection to an address
@@ -93,12 +95,17 @@ def open_source(
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
     path = Path(spec)
+    if path.suffix.lower() == ".mcap":
+        return mcap_playback(path, paced=paced)
     if path.is_dir():
+        if is_recorded_folder(path):
+            return recorded_folder_playback(path, paced=paced)
         return folder_playback(path, rate_hz=rate_hz, paced=paced)
     if is_video(path):
         return video_playback(path, paced=paced)
     raise DataError(
-        f"Expected {SIMULATED!r}, a video, a folder of images or an address (http://...), got "
+        f"Expected {SIMULATED!r}, a video, a folder of images, a recording (*.mcap) or "
+        f"an address (http://...), got "
         f"{str(spec)!r}, which is none of them."
     )
 

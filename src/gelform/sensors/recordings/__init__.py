@@ -1,0 +1,14 @@
+"""Frames of a camera kept as they came, and played again: MCAP files (extra `mcap`) and folders of images."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "facts": ["RecordingFacts"],
+        "image_folder": ["FolderRecording", "recorded_folder_playback"],
+        "mcap_reader": ["mcap_playback", "mcap_summary"],
+        "mcap_writer": ["McapRecording"],
+        "record": ["Recording", "RecordStats", "new_recording", "record"],
+    },
+)

@@ -1,0 +1,93 @@
+"""What a recording says of its camera, and each frame's bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.sensors.mjpeg.jpeg import image_from_jpeg
+
+FORMAT_VERSION = 1
+PNG_LEVEL = 1  # of 9: the fastest; the next ones save 5 % of the bytes and take twice as long
+
+
+@dataclass(frozen=True)
+class RecordingFacts:
+    """Which camera was recorded, and how it was set.
+
+    Attributes
+    ----------
+    name, serial, settings, rate_hz : as of a `Source`
+    calibration_digest : of the calibration that was in use; empty where none was
+    library_version : of gelform
+    """
+
+    name: str
+    serial: str | None = None
+    settings: Mapping[str, float | str] = field(default_factory=dict)
+    rate_hz: float | None = None
+    calibration_digest: str = ""
+    library_version: str = ""
+
+    def to_json(self) -> str:
+        """All of it as one JSON object."""
+        content = {**vars(self), "settings": dict(self.settings), "format_version": FORMAT_VERSION}
+        return json.dumps(content)
+
+    @classmethod
+    def from_json(cls, text: str, where: str) -> RecordingFacts:
+        """What `to_json` wrote; DataError where it is damaged or of a newer format."""
+        try:
+            content: dict[str, Any] = json.loads(text)
+            version = content.pop("format_version")
+            if version > FORMAT_VERSION:
+                raise DataError(
+                    f"{where} has format version {version}, written by gelform {content.get('library_version')}; this "
+                    f"one reads up to {FORMAT_VERSION}. Install that release."
+                )
+            return cls(**content)
+        except (ValueError, TypeError, KeyError, AttributeError) as problem:
+            raise DataError(f"{where} is damaged: what it says of its camera cannot be read.") from problem
+
+
+def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
+    """("jpeg", the bytes as the camera sent them), or ("png", the pixels without loss)."""
+    if frame.encoded is not None:
+        return "jpeg", frame.encoded
+    done, content = cv2.imencode(
+        ".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]
+    )
+    if not done:
+        raise ValueError(f"Expected a frame that PNG can hold, got one of shape {frame.image.shape}.")
+    return "png", content.tobytes()
+
+
+def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np.uint8]:
+    """The pixels (H, W, 3) uint8 RGB of what `encoded_from_frame` gave; JPEGs reduced as the camera's frames were.
+
+    Raises
+    ------
+    DataError
+        The bytes are damaged.
+    """
+    if content.startswith(b"\xff\xd8"):
+        image = image_from_jpeg(content, reduction)
+    else:
+        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
+        image = None if pixels is None else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
+    if image is None:
+        raise DataError(f"{where} is damaged: its picture cannot be decoded.")
+    return image
+
+
+def reduction_in(settings: Mapping[str, float | str]) -> int:
+    """By how much the camera's JPEGs were reduced while they were decoded."""
+    return int(float(settings.get("reduced", 1)))

@@ -1,0 +1,117 @@
+"""Frames into a folder of images with their times, and back: a recording without any extra."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.sensors.playback import Playback
+from gelform.sensors.recordings.facts import (
+    RecordingFacts,
+    encoded_from_frame,
+    image_from_encoded,
+    reduction_in,
+)
+
+TIMES, FACTS, COLUMNS = "frames.csv", "recording.json", "index,time_s,wall_time_ns,image"
+SUFFIX = {"png": ".png", "jpeg": ".jpg"}
+
+
+class FolderRecording:
+    """A folder that is being written: an image per frame, `frames.csv` with their times, `recording.json`.
+
+    Each line of `frames.csv` is written after its image and given to the system at once: a recorder that is killed
+    loses the frame it was at.
+
+    Parameters
+    ----------
+    path : a new or empty folder
+    facts : of the camera
+
+    Raises
+    ------
+    DataError
+        The folder holds something already or cannot be written.
+    """
+
+    def __init__(self, path: Path, facts: RecordingFacts) -> None:
+        self.path = path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if any(path.iterdir()):
+                raise DataError(f"{path} is there already and not empty. Give another name, or empty it.")
+            (path / FACTS).write_text(facts.to_json(), encoding="utf-8")
+            self._times = (path / TIMES).open("x", encoding="ascii", newline="\n")
+            self._times.write(COLUMNS + "\n")
+        except OSError as problem:
+            raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
+        self._first_s: float | None = None
+
+    def write(self, frame: Frame) -> int:
+        """Add a frame; the bytes that it takes."""
+        self._first_s = frame.time_s if self._first_s is None else self._first_s
+        picture_format, content = encoded_from_frame(frame)
+        name = f"{frame.index:08d}{SUFFIX[picture_format]}"
+        time_s = frame.time_s - self._first_s
+        try:
+            (self.path / name).write_bytes(content)
+            self._times.write(f"{frame.index},{time_s:.6f},{frame.wall_time_ns},{name}\n")
+            self._times.flush()
+        except OSError as problem:
+            raise DataError(
+                f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
+            ) from problem
+        return len(content)
+
+    def flush_if_due(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        """Close the table."""
+        self._times.close()
+
+
+def is_recorded_folder(path: Path) -> bool:
+    """Whether a folder was written by a FolderRecording."""
+    return (path / FACTS).is_file() and (path / TIMES).is_file()
+
+
+def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
+    """The frames of a recorded folder, their `time_s` counted from the first.
+
+    Raises
+    ------
+    DataError
+        Its tables are damaged; in a loop: an image is missing or damaged.
+    """
+    facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
+    return Playback(
+        lambda: _frames(path, reduction_in(facts.settings)),
+        name=facts.name,
+        rate_hz=facts.rate_hz,
+        serial=facts.serial,
+        settings=facts.settings,
+        paced=paced,
+    )
+
+
+def _frames(path: Path, reduction: int) -> Iterator[Frame]:
+    lines = (path / TIMES).read_text(encoding="ascii", errors="replace").splitlines(keepends=True)
+    if not lines or lines[0].strip() != COLUMNS:
+        raise DataError(f"Expected the columns {COLUMNS} in {path / TIMES}, got {lines[:1]}.")
+    for line in lines[1:]:
+        if not line.endswith("\n"):
+            return  # the recorder was killed while it wrote
+        try:
+            index, time_s, wall_time_ns, name = line.strip().split(",")
+            file = path / Path(name).name
+            content = file.read_bytes()
+            frame = (float(time_s), int(wall_time_ns), int(index))
+        except ValueError as problem:
+            raise DataError(f"{path / TIMES} is damaged: {line.strip()!r} is no line of it.") from problem
+        except OSError as problem:
+            raise DataError(f"Cannot read {problem.filename}: {problem.strerror}.") from problem
+        image = image_from_encoded(content, reduction, str(file))
+        yield Frame(image, *frame, content if file.suffix == ".jpg" else None)

@@ -1,0 +1,93 @@
+"""Record what a grabber reads: every frame it holds, in their order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from gelform import __version__
+from gelform.frames import Frame
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.mcap_writer import McapRecording
+
+KEPT_FRAMES = 32  # of a grabber for `record`: half a second in which the disk may stand still
+WAIT_S = 0.25
+
+
+class Recording(Protocol):
+    """A file or folder that takes frames."""
+
+    path: Path
+
+    def write(self, frame: Frame) -> int:
+        """Add a frame; the bytes that it takes."""
+
+    def flush_if_due(self) -> None:
+        """Give what was gathered to the system, where it is time."""
+
+    def close(self) -> None:
+        """Finish it."""
+
+
+@dataclass(frozen=True)
+class RecordStats:
+    """Of a recording: frames written, frames that are missing between them, bytes, seconds from first to last."""
+
+    frames: int
+    missing: int
+    written_bytes: int
+    duration_s: float
+
+
+def new_recording(path: Path, grabber: Grabber, *, calibration_digest: str = "") -> Recording:
+    """A recording of what a grabber reads: an MCAP file where the name ends so, else a folder of images."""
+    rate = grabber.source.rate_hz
+    facts = RecordingFacts(
+        grabber.name, grabber.serial, grabber.settings, rate, calibration_digest, __version__
+    )
+    return (McapRecording if path.suffix.lower() == ".mcap" else FolderRecording)(path, facts)
+
+
+def record(
+    grabber: Grabber,
+    recording: Recording,
+    *,
+    seconds: float | None = None,
+    frames: int | None = None,
+    going_on: Callable[[RecordStats], bool] = lambda _: True,
+) -> RecordStats:
+    """Write frames until enough are there, the source ends, or `going_on` says False.
+
+    Parameters
+    ----------
+    grabber : entered; one with `keep=KEPT_FRAMES` loses nothing while the disk is busy
+    recording : is not closed
+    seconds, frames : how long, or how many; without end where both are None
+    going_on : is told after each frame, and four times a second while none comes
+    """
+    stats, after, first_s = RecordStats(0, 0, 0, 0.0), -1, time.monotonic()
+    while going_on(stats) and (frames is None or stats.frames < frames):
+        if seconds is not None and time.monotonic() - first_s > seconds:
+            break
+        frame = grabber.following(after, WAIT_S)
+        if frame is None:
+            if grabber.state == "ended":
+                break
+            recording.flush_if_due()
+            continue
+        if stats.frames == 0:
+            first_s, after = frame.time_s, frame.index - 1
+        written = recording.write(frame)
+        stats = RecordStats(
+            stats.frames + 1,
+            stats.missing + frame.index - after - 1,
+            stats.written_bytes + written,
+            frame.time_s - first_s,
+        )
+        after = frame.index
+    return stats

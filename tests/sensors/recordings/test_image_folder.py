@@ -1,0 +1,63 @@
+"""A recording as a folder of images: there and back, killed, damaged."""
+
+import numpy as np
+import pytest
+
+from gelform.errors import DataError
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import TIMES, FolderRecording, recorded_folder_playback
+from gelform.sensors.source import open_source
+from made.recorded import frames
+
+FACTS = RecordingFacts("a camera", "S1", {"gain": 3.0}, 50.0, "abc")
+
+
+def recorded(path, given):
+    recording = FolderRecording(path, FACTS)
+    for frame in given:
+        recording.write(frame)
+    recording.close()
+    return path
+
+
+def test_the_same_frames_at_the_same_times(tmp_path):
+    given = frames(6)
+    source = open_source(recorded(tmp_path / "r", given))
+    taken = list(source)
+    assert (source.name, source.serial, source.settings) == ("a camera", "S1", {"gain": 3.0})
+    for before, after in zip(given, taken):
+        np.testing.assert_array_equal(after.image, before.image)
+        assert (after.index, after.wall_time_ns) == (before.index, before.wall_time_ns)
+        assert after.time_s == pytest.approx(before.time_s - given[0].time_s, abs=1e-6)
+
+
+def test_jpegs_stay_as_the_camera_made_them(tmp_path):
+    given = frames(2, encoded=True)
+    taken = list(recorded_folder_playback(recorded(tmp_path / "r", given)))
+    assert [frame.encoded for frame in taken] == [frame.encoded for frame in given]
+
+
+def test_a_line_that_is_not_finished_is_where_the_recorder_was_killed(tmp_path):
+    folder = recorded(tmp_path / "r", frames(6))
+    text = (folder / TIMES).read_text()
+    (folder / TIMES).write_text(text[:-5])
+    assert len(list(recorded_folder_playback(folder))) == 5
+
+
+def test_a_folder_with_something_in_it_is_kept(tmp_path):
+    recorded(tmp_path / "r", frames(1))
+    with pytest.raises(DataError, match="not empty"):
+        FolderRecording(tmp_path / "r", FACTS)
+
+
+def test_damage_says_where(tmp_path):
+    folder = recorded(tmp_path / "r", frames(3))
+    (folder / "00000001.png").unlink()
+    with pytest.raises(DataError, match=r"Cannot read .*00000001\.png"):
+        list(recorded_folder_playback(folder))
+    (folder / TIMES).write_text((folder / TIMES).read_text().replace("00000000.png", "x,y"))
+    with pytest.raises(DataError, match=r"frames\.csv is damaged"):
+        list(recorded_folder_playback(folder))
+    (folder / TIMES).write_text("a,b\n")
+    with pytest.raises(DataError, match="Expected the columns"):
+        list(recorded_folder_playback(folder))

@@ -1,0 +1,100 @@
+"""MCAP files that are being written: readable after a kill, and by others."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gelform.errors import DataError
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.mcap_reader import mcap_playback, mcap_summary
+from gelform.sensors.recordings.mcap_writer import McapRecording
+from made.recorded import START_NS, frames
+
+reader = pytest.importorskip("mcap.reader", reason="the extra mcap is not installed")
+
+RECORDER = """
+import sys, time
+from dataclasses import replace
+from pathlib import Path
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.mcap_writer import McapRecording
+from made.recorded import frames
+recording, index = McapRecording(Path(sys.argv[1]), RecordingFacts("camera")), 0
+while True:
+    frame = replace(frames(1)[0], time_s=time.monotonic(), wall_time_ns=time.time_ns(), index=index)
+    recording.write(frame)
+    print(index, flush=True)
+    index += 1
+    time.sleep(0.01)
+"""
+
+
+def test_other_readers_find_topic_schema_and_index(tmp_path):
+    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera", "S1"))
+    for frame in frames(6):
+        recording.write(frame)
+    recording.close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        other = reader.make_reader(file)
+        messages = list(other.iter_messages())
+        assert len(other.get_summary().chunk_indexes) >= 1
+    schema, channel, first = messages[0]
+    assert (schema.name, channel.topic) == ("sensor_msgs/msg/CompressedImage", "/gelform/image/compressed")
+    assert (first.log_time, len(messages)) == (START_NS, 6)
+
+
+def test_stamps_follow_the_monotonic_clock_where_the_other_is_set(tmp_path):
+    from dataclasses import replace
+
+    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
+    for k, frame in enumerate(frames(3)):
+        recording.write(replace(frame, wall_time_ns=frame.wall_time_ns - k * 10**12))
+    recording.close()
+    times = [frame.time_s for frame in mcap_playback(tmp_path / "a.mcap")]
+    assert times == pytest.approx([0, 0.023, 0.04], abs=1e-6)
+
+
+def test_what_a_killed_recorder_wrote_is_read_up_to_the_last_second(tmp_path):
+    path = tmp_path / "a.mcap"
+    tests = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
+    there = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, tests])}
+    recorder = subprocess.Popen([sys.executable, "-c", RECORDER, path], stdout=subprocess.PIPE, env=there)
+    try:
+        until = time.monotonic() + 30
+        written = 0
+        while written < 120 and time.monotonic() < until:
+            written = int(recorder.stdout.readline())
+    finally:
+        recorder.send_signal(signal.SIGKILL)
+        rest = recorder.communicate()[0].split()
+    last = int(rest[-1]) if rest else written
+    taken = list(mcap_playback(path))
+    assert [frame.index for frame in taken] == list(range(len(taken)))
+    assert not mcap_summary(path).finished
+    assert len(taken) >= 20
+    seconds = (last - taken[-1].index) * 0.01
+    assert seconds < 1.0
+
+
+def test_a_file_that_is_there_is_kept(tmp_path):
+    (tmp_path / "a.mcap").write_text("mine")
+    with pytest.raises(DataError, match="there already"):
+        McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
+    assert (tmp_path / "a.mcap").read_text() == "mine"
+    with pytest.raises(DataError, match="Cannot write"):
+        McapRecording(tmp_path / "none" / "a.mcap", RecordingFacts("camera"))
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_a_full_disk_says_so(tmp_path):
+    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, recording._file.fileno())
+    os.close(full)
+    recording.write(frames(1, shape=(240, 320))[0])
+    with pytest.raises(DataError, match="No space left"):
+        recording._flush()
