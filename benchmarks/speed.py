@@ -102,11 +102,11 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         ),
         "untouched, gamut, sigma, confidence": lambda: sigma(image, change, gradients, unbiased),
         "anchor at rest": lambda: anchor(gradients, untouched),
-        "depth (dct), residual, curl": lambda: gelform.integrate(
-            gradients, mm_per_px=pitch, zero=untouched, solver="dct"
+        "depth (dct), curl": lambda: (
+            gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
         ),
-        "depth (weighted, anchored), residual, curl": lambda: gelform.integrate(
-            gradients, mm_per_px=pitch, **how
+        "depth (weighted, anchored), curl": lambda: (
+            gelform.integrate(gradients, mm_per_px=pitch, **how).curl_rms
         ),
         "sigma of depth": lambda: depth_sigma(both, **how),
         "slopes of the depth and their sigma": lambda: (

@@ -148,6 +148,14 @@ def test_the_kernel_of_curl_agrees_with_numpy(shape):
         return np.array([(0.25 * turn.astype(float) ** 2)[inner].sum(), inner.sum()])
 
     assert_kernel_agrees(gradients._curl_squares, numpy_squares, slopes, known, np.empty(2))
+    everywhere = np.ones_like(known)
+    assert_kernel_agrees(
+        gradients._curl_squares,
+        lambda g, _, out: numpy_squares(g, everywhere, out),
+        slopes,
+        None,
+        np.empty(2),
+    )
 
 
 def mean_of_known_2x2(values, known, coarse, coarse_known):

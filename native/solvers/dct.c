@@ -2,10 +2,17 @@
 // Rows of work arrays may be longer than the frame's: `stride` of them, of which `w` count.
 #include "../common.h"
 
-// Inner pixels of a row: neighbours' slopes along it, and across from the rows above and below.
-static void inner_pixels(const float *restrict here, const float *restrict above, const float *restrict below, float sx, float sa,
-                         float sb, float *restrict right, ptrdiff_t w) {
-  for (ptrdiff_t j = 1; j < w - 1; j++)
+// Inner pixels of a row: neighbours' slopes along it, and across from the rows above and below. p and q alternate: every other
+// value that is worked out is of no use, which is quicker than to part them first.
+static void inner_pixels(const float *here, const float *above, const float *below, float sx, float sa, float sb, float *restrict right,
+                         ptrdiff_t w) {
+  ptrdiff_t j = 1;
+  for (; 2 * j + 1 + LANES <= 2 * w - 1; j += LANES / 2) {
+    const lanes along = load_lanes(here + 2 * j - 2) - load_lanes(here + 2 * j + 2);
+    const lanes flow = sx * along + (sa * load_lanes(above + 2 * j + 1) - sb * load_lanes(below + 2 * j + 1));
+    for (int k = 0; k < LANES / 2; k++) right[j + k] = flow[2 * k];
+  }
+  for (; j < w - 1; j++)
     right[j] = sx * (here[2 * j - 2] - here[2 * j + 2]) + (sa * above[2 * j + 1] - sb * below[2 * j + 1]);
 }
 

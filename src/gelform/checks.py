@@ -184,6 +184,8 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) ->
     """Return the pixel pitch as (x, y) in mm; one number stands for square pixels."""
     if mm_per_px is None:
         raise ValueError("Expected mm_per_px, got None. Give the pixel pitch in mm, for example 0.0634.")
+    if type(mm_per_px) is float and MM_PER_PX[0] <= mm_per_px <= MM_PER_PX[1]:  # as each frame gives it
+        return mm_per_px, mm_per_px
     try:
         values = np.atleast_1d(np.asarray(mm_per_px, dtype=np.float64))
     except (TypeError, ValueError, OverflowError):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -32,27 +32,45 @@ class Integration:
         The method that ran.
     iterations : int
         0 for a direct method; of a stack, the most that a frame took.
-    residual : float
-        RMS over the edges of recovered minus given slope, mm/mm: what no surface can satisfy. Edges between
-        known pixels only, all alike.
-    curl_rms : float
-        RMS of `dp/dy - dq/dx`, in slope per pixel.
-    islands : int
-        Regions whose depths are not connected by any known slope; of a stack, the most in a frame.
     known : (..., H, W) bool
         False where depth was filled without information.
     tolerance : float
         Estimated largest error of the iteration, relative to the range of depth; 0 for a direct method.
+    gradients : (..., H, W, 2), that it was found from
+    mm_per_px : (x, y), mm
+
+    Its other figures, over known pixels only, are worked out when they are asked for.
     """
 
     depth_mm: NDArray[np.float32]
     solver: str
     iterations: int
-    residual: float
-    curl_rms: float
-    islands: int
     known: NDArray[np.bool_]
-    tolerance: float = 0.0
+    tolerance: float
+    gradients: NDArray[np.float32] = field(repr=False)
+    mm_per_px: tuple[float, float]
+
+    @cached_property
+    def residual(self) -> float:
+        """RMS over the edges of recovered minus given slope, mm/mm: what no surface can satisfy."""
+        depth, gradients, known = self._stacked()
+        return residual_rms(depth, gradients, known, *self.mm_per_px)
+
+    @cached_property
+    def curl_rms(self) -> float:
+        """RMS of `dp/dy - dq/dx`, in slope per pixel."""
+        _, gradients, known = self._stacked()
+        return curl_rms(gradients, None if known.all() else known)
+
+    @cached_property
+    def islands(self) -> int:
+        """Regions whose depths are not connected by any known slope; of a stack, the most in a frame."""
+        return max(int(_islands(known).max()) for known in self._stacked()[2])
+
+    def _stacked(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+        """Depth and known (N, H, W), gradients (N, H, W, 2)."""
+        shape = (-1, *self.known.shape[-2:])
+        return self.depth_mm.reshape(shape), self.gradients.reshape(*shape, 2), self.known.reshape(shape)
 
 
 @dataclass(frozen=True)
@@ -139,11 +157,10 @@ def integrate(
         depth_mm=solution.depth_mm,
         solver=request.solver,
         iterations=solution.iterations,
-        residual=_residual(solution, request),
-        curl_rms=_curl_rms(request.gradients, solution.known),
-        islands=max(int(_islands(known).max()) for known in solution.known.reshape(-1, *request.shape)),
         known=solution.known,
         tolerance=solution.tolerance,
+        gradients=request.gradients,
+        mm_per_px=request.pitch,
     )
 
 
@@ -242,8 +259,12 @@ def _solved(request: _Request) -> Solution:
 
 def _placed(depth: NDArray[np.float32], request: _Request) -> NDArray[np.float32]:
     """Each island at its own zero, then levelled, then filled beyond the mask."""
-    mask = np.ones(request.shape, dtype=bool) if request.mask is None else request.mask
-    labels = _islands(mask) if request.mask is not None else mask.view(np.uint8)
+    mask = request.mask
+    if mask is None:
+        if request.anchor is None or not request.anchor.any():
+            depth -= zero_depth(depth, request.zero, request.region)
+        return _levelled(depth, request, request.region)
+    labels = _islands(mask)
     for island in range(1, int(labels.max()) + 1):
         inside = labels == island
         if request.anchor is None or not request.anchor[inside].any():
@@ -262,20 +283,6 @@ def _levelled(
 
 def _islands(known: NDArray[np.bool_]) -> NDArray[Any]:
     """Labels of the 4-connected regions, from 1."""
+    if known.all():
+        return known.view(np.uint8)
     return cv2.connectedComponents(known.astype(np.uint8), connectivity=4)[1]
-
-
-def _residual(solution: Solution, request: _Request) -> float:
-    """RMS over edges between known pixels."""
-    shape = (-1, *request.shape)
-    return residual_rms(
-        solution.depth_mm.reshape(shape),
-        request.gradients.reshape(*shape, 2),
-        solution.known.reshape(shape),
-        *request.pitch,
-    )
-
-
-def _curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
-    shape = (-1, *known.shape[-2:])
-    return curl_rms(gradients.reshape(*shape, 2), known.reshape(shape))

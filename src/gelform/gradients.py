@@ -19,7 +19,7 @@ from gelform.checks import (
 )
 
 _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
-_curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w] known, out f64[2] result")
+_curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
 _coarser_known = Kernel(
     "coarser_known",
     "f32[h,w,c] values, bool[h,w] known, out f32[rows,columns,c] coarse, out bool[rows,columns] coarse_known",
@@ -101,8 +101,11 @@ def curl_from_gradients(gradients: ArrayLike, *, mm_per_px: float | Sequence[flo
     return (_slope(g[..., 0], -2) / hy - _slope(g[..., 1], -1) / hx).astype(np.float32)
 
 
-def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
-    """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) off the border, slope per pixel."""
+def curl_rms(gradients: NDArray[np.float32], known: NDArray[np.bool_] | None) -> float:
+    """RMS of the curl of gradients (N, H, W, 2) over known pixels (N, H, W) off the border, slope per pixel.
+
+    None stands for all pixels.
+    """
     found = np.empty(2)
     _curl_squares(gradients, known, found)
     return float(np.sqrt(found[0] / found[1])) if found[1] else 0.0

@@ -38,12 +38,15 @@ def zero_depth(
     depth: NDArray[np.float32],
     zero: str | NDArray[np.bool_],
     region: NDArray[np.bool_],
-    inside: NDArray[np.bool_],
+    inside: NDArray[np.bool_] | None = None,
 ) -> np.float32:
-    """Depth of the zero of one island: its mean where `zero` says so or no zero pixel is inside, else their median."""
-    within = region & inside
+    """Depth of the zero of one island: its mean where `zero` says so or no zero pixel is inside, else their median.
+
+    `inside` is the island; None stands for the whole frame.
+    """
+    within = region if inside is None else region & inside
     if (isinstance(zero, str) and zero == "mean") or not within.any():
-        return np.float32(depth[inside].mean(dtype=np.float64))
+        return np.float32((depth if inside is None else depth[inside]).mean(dtype=np.float64))
     return np.float32(median_over(depth, within))
 
 
@@ -52,9 +55,10 @@ def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray
     step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
     if np.count_nonzero(region[::step, ::step]) < MEDIAN_SAMPLES / 20:
         step = 1
-    stack = np.ascontiguousarray(maps, dtype=np.float32).reshape(-1, *region.shape, 1)
-    medians = [medians_where(one, region, step)[0] for one in stack]
-    return np.array(medians, dtype=np.float32).reshape(maps.shape[:-2])
+    if maps.ndim > 2:
+        return np.stack([median_over(one, region) for one in maps])
+    values = np.ascontiguousarray(maps, dtype=np.float32)[..., None]
+    return medians_where(values, region, step)[0].reshape(())
 
 
 def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
