@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gelform.lens import Lens
@@ -23,6 +23,13 @@ def test_distortion_is_browns():
     np.testing.assert_allclose(seen, [220 * xd + 158, 210 * yd + 121], atol=1e-9)
 
 
+def test_a_principal_point_may_lie_outside_the_frame():
+    """Of a frame cut from a larger one."""
+    points = np.array([[250.0, 40.0], [10.0, 200.0]])
+    seen = Lens((220.0, 210.0, -158.0, -121.0)).frame_px_from_rectified_px(points)
+    np.testing.assert_allclose(seen, points, atol=1e-9)
+
+
 def test_perspective_comes_first():
     homography = (1.02, 0.03, -4.0, -0.02, 0.97, 3.0, 1e-4, -2e-4, 1.0)
     x, y, w = np.reshape(homography, (3, 3)) @ [100.0, 200.0, 1.0]
@@ -33,7 +40,7 @@ def test_perspective_comes_first():
 numbers = st.floats(-1, 1)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.tuples(*[numbers] * 10))
 def test_every_point_comes_back(u):
     distortion = (0.25 * u[0], 0.05 * u[1], 0.01 * u[2], 0.01 * u[3])
@@ -50,8 +57,22 @@ def test_every_point_comes_back(u):
     )
     lens = Lens(CAMERA, distortion, tilt)
     points = np.random.default_rng(0).uniform([40, 30], [280, 210], (50, 2))
+    flat = Lens(CAMERA, (), tilt).frame_px_from_rectified_px(points)
+    square = np.sum(((flat - CAMERA[2:]) / CAMERA[:2]) ** 2, axis=1)
+    unfolded = 1 + 3 * distortion[0] * square + 5 * distortion[1] * square**2
+    assume(unfolded.min() > 0.2)  # beyond a fold two points are seen at one place
     back = lens.rectified_px_from_frame_px(lens.frame_px_from_rectified_px(points))
     np.testing.assert_allclose(back, points, atol=1e-6)
+
+
+@pytest.mark.parametrize("distortion", [(0.25,), (0.8,), (-0.12,), (-0.25, 0.06), (0.0, 0.0, 0.05, -0.04)])
+def test_points_come_back_from_the_frames_corners(distortion):
+    """Steps of the distortion alone would shrink too slowly there, or grow, and say nothing of it."""
+    lens = Lens((220.0, 210.0, 160.0, 120.0), distortion)
+    x, y = np.meshgrid(np.linspace(-60, 380, 12), np.linspace(-60, 300, 10))
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    back = lens.rectified_px_from_frame_px(lens.frame_px_from_rectified_px(points))
+    np.testing.assert_allclose(back, points, atol=1e-8)
 
 
 VIEWS = [
@@ -98,7 +119,10 @@ def test_settings_come_back():
     ("given", "text"),
     [
         ({"camera": [1, 2, 3]}, "camera as 4 numbers, got 3"),
+        ({"camera": [*CAMERA, 1]}, "camera as 4 numbers, got 5"),
         ({"camera": [0, 200, 1, 1]}, "focal lengths > 0"),
+        ({"camera": [200, 0, 1, 1]}, "focal lengths > 0"),
+        ({"camera": CAMERA, "perspective": [1, 0, 0, 0, 1, 0, 0, 0, 1, 0]}, "9 numbers, got 10"),
         ({"camera": CAMERA, "distortion": [0] * 8}, "up to 5 numbers, got 8"),
         ({"camera": CAMERA, "perspective": [1, 0, 0, 1, 0, 0, 0, 0, 1]}, "singular"),
         ({"camera": CAMERA, "distortion": ["a"]}, "distortion as numbers"),
