@@ -1,131 +1,217 @@
-"""Do the tests notice? Each statement of a module is changed in turn, and its tests are run: a survivor needs a test.
+"""Do the tests notice? Statements of a module are changed in turn, and the tests that execute them are run.
 
     pip install "gelform[dev]"
-    python benchmarks/mutation.py anchor contact --limit 60       # some modules, some mutants of each, spread evenly
-    python benchmarks/mutation.py                                 # the whole path: hours
+    python benchmarks/mutation.py anchor contact --limit 40 --seed 1     # some modules, a random sample of each
+    python benchmarks/mutation.py                                        # the whole path: hours
 
-Works on a copy of the checkout; Cosmic Ray makes the mutants. Writes results/mutation.json: counts by module, and the
-survivors with their lines. Not part of CI.
+A survivor needs a test, or is equivalent: `mutants/equivalent.json` says which are, and why. Works on a copy of the
+checkout. Tests of real data are skipped, so that what is noticed is noticed everywhere. Writes results/mutation.json.
+Not part of CI.
 """
 
 from __future__ import annotations
 
 import argparse
+import compileall
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from report import RESULTS, write
+from mutants.c_code import Kernels, c_mutants
+from mutants.covered import Test, executing_tests, within_budget
+from mutants.forked import covering_tests, passes, source_digest
+from mutants.mutant import Mutant, sample
+from mutants.python_code import python_mutants
 
 ROOT = Path(__file__).resolve().parents[1]
-TIMEOUT_S = 60
-# Each module with the quick tests that have to notice: those of its own and those of the path around it.
-MODULES: dict[str, tuple[str, ...]] = {
-    "anchor": ("tests/test_anchor.py", "tests/test_reconstruct_truth.py"),
-    "contact": ("tests/test_contact.py",),
-    "reconstruct": ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py"),
-    "depth": ("tests/test_depth.py",),
-    "normals": ("tests/test_normals.py",),
-    "background/untouched": ("tests/background/test_untouched.py", "tests/test_reconstruct_truth.py"),
-    "background/check": ("tests/background/test_check.py",),
-    "background/exposure": ("tests/background/test_exposure.py",),
-    "confidence/frame_sigma": ("tests/confidence/test_frame_sigma.py", "tests/test_reconstruct_truth.py"),
-    "health/levels": ("tests/health",),
-    "health/torn": ("tests/health",),
-    "health/frame_health": ("tests/health", "tests/test_reconstruct_faults.py"),
-    "health/depth_limit": ("tests/health/test_depth_limit.py",),
+RESULTS = Path(__file__).parent / "results"
+EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
+PATH_TESTS = (
+    "tests/test_reconstruct_truth.py",
+    "tests/test_reconstruct_faults.py",
+    "tests/test_reconstruct.py",
+)
+RELATED = {  # files of tests that hold what a module does beside its own
+    "view": ("tests/test_lens.py",),
+    "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
+    "native/solvers/residual.c": ("tests/test_depth.py",),
+    "native/gradients/slopes.c": ("tests/test_depth.py",),
+    "native/checks/finite.c": ("tests/test_checks.py",),
 }
+ROOMS = ("background", "confidence", "depth_sigma", "color_models", "color_models/_shared")
+ROOMS += ("calibration/selection", "calibration/circles", "contact", "contacts", "markers")
+FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth", "contact", "markers")
 
 
-def cosmic_ray(*arguments: str, folder: Path) -> str:
-    """What a command of Cosmic Ray says; its failure ends the run."""
-    environment = {**os.environ, "PYTHONPATH": f"{folder / 'src'}:{folder / 'benchmarks'}:{folder / 'tests'}"}
-    done = subprocess.run(
-        [sys.executable, "-m", "cosmic_ray.cli", *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
-    if done.returncode:
-        raise SystemExit(f"cosmic-ray {' '.join(arguments)}: {done.stderr[-2000:] or done.stdout[-2000:]}")
-    return done.stdout
-
-
-def mutants_of(module: str, limit: int, folder: Path) -> list[dict[str, Any]]:
-    """Each mutant that was tried, with the place and whether the tests noticed."""
-    tests = " ".join(MODULES[module])
-    command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider {tests}"
-    (folder / "mutation.toml").write_text(
-        f'[cosmic-ray]\nmodule-path = "src/gelform/{module}.py"\ntimeout = {TIMEOUT_S}\n'
-        f'excluded-modules = []\ntest-command = "{command}"\n[cosmic-ray.distributor]\nname = "local"\n'
-    )
-    session = folder / "mutation.sqlite"
-    session.unlink(missing_ok=True)
-    cosmic_ray("init", "mutation.toml", session.name, folder=folder)
-    _keep(session, limit)
-    cosmic_ray("exec", "mutation.toml", session.name, folder=folder)
-    return [
-        _mutant(*json.loads(line)) for line in cosmic_ray("dump", session.name, folder=folder).splitlines()
+def modules() -> list[str]:
+    """The modules of the path."""
+    source = ROOT / "src" / "gelform"
+    files = [name for name in FILES if (source / f"{name}.py").is_file()]
+    rooms = [
+        f"{room}/{path.stem}"
+        for room in ROOMS
+        for path in sorted((source / room).glob("*.py"))
+        if path.stem != "__init__"
     ]
+    return files + rooms
 
 
-def _keep(session: Path, limit: int) -> None:
-    """Leave `limit` mutants in a session, evenly over the module."""
-    import sqlite3
+def own_tests(module: str) -> str:
+    """A module's own test file; of C, that of the same name."""
+    room, _, name = module.removeprefix("native/").rpartition("/")
+    return str(Path("tests") / room / f"test_{Path(name).stem}.py")
 
-    with sqlite3.connect(session) as database:
-        jobs = [
-            job for (job,) in database.execute("select job_id from mutation_specs order by start_pos_row")
+
+def candidates(module: str, wide: bool) -> list[str]:
+    """Its own test file and those of the whole path; `wide`: those of its room and of calibrating too."""
+    room = module.removeprefix("native/").rpartition("/")[0]
+    found = [own_tests(module), *RELATED.get(module, ()), *PATH_TESTS]
+    if wide or module.startswith("native/"):
+        found += [f"tests/test_{room}.py"]
+        found += [
+            str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests" / room).glob("test_*.py")) if room
         ]
-        kept = (
-            {jobs[k * len(jobs) // limit] for k in range(limit)} if limit and limit < len(jobs) else set(jobs)
+        found += ["tests/calibration/test_fit.py"] if module.startswith("calibration") else []
+    return [test for test in dict.fromkeys(found) if (ROOT / test).exists()]
+
+
+class Trial:
+    """Mutants of one file in a copy of the checkout, each run against the tests that execute its line."""
+
+    def __init__(self, module: str, folder: Path, kept: Path, budget_s: float, wide: bool) -> None:
+        self.module, self.folder, self.budget_s = module, folder, budget_s
+        self.native = module.startswith("native/")
+        self.file = folder / (module if self.native else f"src/gelform/{module}.py")
+        self.source = self.file.read_text(encoding="utf-8")
+        self.mutants = (c_mutants if self.native else python_mutants)(self.source)
+        self.tests = covering_tests(
+            folder, candidates(module, wide), {f"src/gelform/{one}.py" for one in modules()}, kept
         )
-        for table in ("mutation_specs", "work_items"):
-            for job in set(jobs) - kept:
-                database.execute(f"delete from {table} where job_id = ?", (job,))
+
+    def judged(self, mutants: Sequence[Mutant]) -> dict[str, Any]:
+        """Counts of the mutants that the tests notice, and those that they miss."""
+        known = {
+            (entry["before"], entry["after"]): entry["because"]
+            for entry in json.loads(EQUIVALENT.read_text(encoding="utf-8"))
+            if entry["module"] == self.module
+        }
+        counts = {"noticed": 0, "equivalent": 0}
+        missed = []
+        for one in mutants:
+            chosen = self._tests(one)
+            if (one.before, one.after) in known:
+                counts["equivalent"] += 1
+            elif self._noticed(one, chosen):
+                counts["noticed"] += 1
+            else:
+                missed.append(
+                    {"line": one.line, "change": one.change, "before": one.before, "after": one.after}
+                )
+                print(
+                    f"  {self.module}:{one.line} ({len(chosen)} tests)\n    - {one.before}\n    + {one.after}",
+                    flush=True,
+                )
+        return {"mutants": len(mutants), **counts, "missed": missed}
+
+    def _tests(self, one: Mutant) -> list[Test]:
+        own = own_tests(self.module)
+        if self.native:
+            return within_budget(self.tests, own, self.budget_s)
+        executing = executing_tests(self.tests, self.file, self.source, one.line)
+        return within_budget(executing, own, self.budget_s)
+
+    def _noticed(self, one: Mutant, tests: list[Test]) -> bool:
+        if not tests:
+            return False
+        self.file.write_text(one.source, encoding="utf-8")
+        try:
+            if self.native and not kernels(self.folder).changed(self.file):
+                return True  # the compiler notices
+            return not passes(
+                self.folder, [test.name for test in tests], 20 + 4 * sum(test.seconds for test in tests)
+            )
+        finally:
+            self.file.write_text(self.source, encoding="utf-8")
+            if self.native:
+                kernels(self.folder).changed(self.file)
 
 
-def _mutant(item: dict[str, Any], result: dict[str, Any] | None) -> dict[str, Any]:
-    mutation = item["mutations"][0]
-    noticed = result is not None and (
-        result["test_outcome"] == "killed" or result["worker_outcome"] != "normal"
-    )
-    return {
-        "line": mutation["start_pos"][0],
-        "change": mutation["operator_name"].removeprefix("core/"),
-        "noticed": noticed,
-        "diff": "" if noticed or result is None else result["diff"],
-    }
+@cache
+def kernels(folder: Path) -> Kernels:
+    """The compiled kernels of the copy."""
+    return Kernels(folder)
+
+
+def copied(folder: Path) -> Path:
+    """A copy of the checkout that mutants are written into."""
+    ignored = shutil.ignore_patterns(".git", "results", "__pycache__", ".venv*", "build", "dist", ".*_cache")
+    copy = Path(shutil.copytree(ROOT, folder / "gelform", ignore=ignored))
+    compileall.compile_dir(copy / "src", quiet=1)
+    return copy
+
+
+def again(trial: Trial) -> dict[str, Any]:
+    """The counts of the last run with what it missed tried once more."""
+    before = json.loads((RESULTS / "mutation.json").read_text())["modules"][trial.module]
+    wanted = {(one["before"], one["after"]) for one in before["missed"]}
+    once = {(one.before, one.after): one for one in trial.mutants}
+    gone = len(before["missed"]) - sum(pair in once for pair in wanted)
+    found = trial.judged([once[pair] for pair in wanted if pair in once])
+    counts = {name: before[name] + found[name] for name in ("noticed", "equivalent")}
+    return {**before, "mutants": before["mutants"] - gone, **counts, "missed": found["missed"]}
+
+
+def record(module: str, figures: dict[str, Any]) -> None:
+    """Put one module's counts into results/mutation.json."""
+    child = os.fork()  # this process must not import gelform: the forked ones import their own
+    if not child:
+        from report import write
+
+        path = RESULTS / "mutation.json"
+        before = json.loads(path.read_text())["modules"] if path.exists() else {}
+        write("mutation", {"modules": {**before, module: figures}})
+        os._exit(0)
+    os.waitpid(child, 0)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("modules", nargs="*", default=list(MODULES), metavar="MODULE")
+    parser.add_argument("modules", nargs="*", default=modules(), metavar="MODULE")
     parser.add_argument("--limit", type=int, default=0, help="mutants of each module; 0: all")
+    parser.add_argument("--seed", type=int, default=1, help="of the sample")
+    parser.add_argument("--budget", type=float, default=10, help="seconds of tests of a mutant")
+    parser.add_argument("--missed", action="store_true", help="only what the last run missed, by more tests")
+    parser.add_argument("--keep", type=Path, help="folder for what later runs can use again")
     asked = parser.parse_args()
-    before = RESULTS / "mutation.json"
-    modules = json.loads(before.read_text())["modules"] if before.exists() else {}
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary) / "gelform"
-        shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(".git", "results", "__pycache__"))
+        folder = copied(Path(temporary))
+        kept = asked.keep or Path(temporary) / "kept"
+        made = kept / f"made-{source_digest(folder)}"
+        made.mkdir(parents=True, exist_ok=True)
+        os.environ |= {
+            "GELFORM_DATA": "absent",
+            "GELFORM_MADE": str(made),
+            "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        }
         for module in asked.modules:
-            mutants = mutants_of(module, asked.limit, folder)
-            missed = [mutant for mutant in mutants if not mutant["noticed"]]
-            print(f"{module}: {len(mutants)} mutants, {len(missed)} not noticed")
-            for mutant in missed:
-                print(f"  line {mutant['line']}: {mutant['change']}\n{mutant['diff']}")
-            modules[module] = {
-                "mutants": len(mutants),
-                "noticed": len(mutants) - len(missed),
-                "missed": missed,
-            }
-            write("mutation", {"modules": modules})
+            shutil.rmtree((folder / "src" / "gelform" / module).parent / "__pycache__", ignore_errors=True)
+            trial = Trial(module, folder, kept, asked.budget, asked.missed)
+            if asked.missed:
+                figures = again(trial)
+            else:
+                mutants = sample(trial.mutants, asked.limit, f"{asked.seed} {module}")
+                figures = {"of": len(trial.mutants), "seed": asked.seed, **trial.judged(mutants)}
+            print(
+                f"{module}: {figures['mutants']} of {figures['of']} mutants, {figures['noticed']} noticed, "
+                f"{figures['equivalent']} equivalent, {len(figures['missed'])} missed",
+                flush=True,
+            )
+            record(module, figures)
 
 
 if __name__ == "__main__":

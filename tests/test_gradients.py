@@ -66,6 +66,12 @@ def test_curl_of_a_surface_is_zero_and_of_a_rotation_is_not(pitch):
     assert curl_from_gradients(rotation, mm_per_px=pitch) == pytest.approx(np.full((12, 17), 2.0), abs=1e-4)
 
 
+def test_curl_of_several_frames_is_that_of_each():
+    slopes = np.random.default_rng(0).normal(size=(2, 5, 6, 2))
+    each = [curl_from_gradients(of_frame, mm_per_px=(0.05, 0.08)) for of_frame in slopes]
+    np.testing.assert_array_equal(curl_from_gradients(slopes, mm_per_px=(0.05, 0.08)), each)
+
+
 class TestFill:
     @settings(max_examples=30, deadline=None)
     @given(seed=st.integers(0, 10**6))

@@ -1,11 +1,14 @@
 """A view maps pixel areas: what is seen stays where it was to a fraction of a pixel, there and back."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from gelform.lens import Lens
 from gelform.view import FLIPS, View, frame_from_image, frame_px_from_image_px, image_from_frame
 
 
@@ -40,9 +43,10 @@ VIEWS = [
     View((300, 400), crop=(57.1, 42.9, 285.7, 214.3), image_shape=(40, 60), flip="x"),
     View((301, 403), image_shape=(20, 30)),
 ]
+IDEAL = Lens((380.0, 390.0, 190.0, 160.0))  # without distortion, straight above: it shows what no lens shows
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=str)
+@pytest.mark.parametrize("view", [*VIEWS, *(replace(view, lens=IDEAL) for view in VIEWS)], ids=str)
 def test_a_plane_is_seen_where_it_is(view):
     image = image_from_frame(ramp(view.frame_shape), view)
     inner = np.s_[1:-1, 1:-1]
@@ -50,6 +54,15 @@ def test_a_plane_is_seen_where_it_is(view):
     scale = max(1, view.frame_shape[1] / view.shape[1])
     assert np.abs(image - ramp_seen_through(view))[inner].max() < 0.02 * scale
     assert image.shape == (*view.shape, 3)
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_points_lie_where_the_plane_says(view):
+    """The frame's plane at the point that an image pixel comes from is what that pixel shows."""
+    y, x = np.mgrid[: view.shape[0], : view.shape[1]]
+    there = frame_px_from_image_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
+    plane = 40 + 0.31 * (there[:, 0] + 0.5) + 0.17 * (there[:, 1] + 0.5)
+    np.testing.assert_allclose(plane.reshape(view.shape), ramp_seen_through(view)[..., 0], atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -86,10 +99,11 @@ def test_reducing_by_a_whole_number_averages_areas():
     assert np.allclose(image, frame.reshape(4, 7, 6, 7, 3).mean(axis=(1, 3)), atol=1e-3)
 
 
-def test_reducing_strongly_does_not_alias():
+@pytest.mark.parametrize("lens", [None, IDEAL])
+def test_reducing_strongly_does_not_alias(lens):
     stripes = np.zeros((480, 640, 3), dtype=np.uint8)
     stripes[:, ::2] = 200
-    image = image_from_frame(stripes, View((480, 640), (3.3, 2.2, 600, 450), image_shape=(60, 80)))
+    image = image_from_frame(stripes, View((480, 640), (3.3, 2.2, 600, 450), "none", (60, 80), lens))
     assert np.abs(image.astype(float) - 100)[1:-1, 1:-1].max() < 15
     plain = cv2.resize(stripes, (80, 60), interpolation=cv2.INTER_NEAREST)
     assert np.abs(plain.astype(float) - 100).max() == 100
@@ -164,6 +178,9 @@ def test_settings_come_back(view):
         ({"frame_shape": "big"}, r"\(height, width\)"),
         ({"frame_shape": [4, 4], "crop": [0, 0, 5, 4]}, "ending at column 5 and row 4"),
         ({"frame_shape": [4, 4], "crop": [0, 0, 0, 4]}, "size > 0"),
+        ({"frame_shape": [4, 4], "crop": [0, 0, 4, 0]}, "size > 0"),
+        ({"frame_shape": [4, 4], "crop": [-1, 0, 4, 4]}, "left, top >= 0"),
+        ({"frame_shape": [4, 4], "crop": [0, -1, 4, 4]}, "left, top >= 0"),
         ({"frame_shape": [4, 4], "crop": [0, 0, float("nan"), 4]}, "left, top, width, height"),
     ],
 )

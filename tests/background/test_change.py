@@ -120,7 +120,7 @@ def light_and_image(crosstalk, response, seed=0):
 CROSSTALK = ((1.0, 0.15, 0.02), (0.1, 1.0, 0.2), (0.0, 0.12, 1.0))
 
 
-@pytest.mark.parametrize("response", [1.0, 0.45])
+@pytest.mark.parametrize("response", [1.0, 0.45, 2.0])
 @pytest.mark.parametrize("crosstalk", [None, CROSSTALK])
 def test_change_is_that_of_the_light(crosstalk, response):
     """Response and crosstalk undone: the change is what the three lights did, each in its own channel."""
@@ -135,7 +135,7 @@ def test_change_is_that_of_the_light(crosstalk, response):
     )
 
 
-@pytest.mark.parametrize("response", [1.0, 0.45])
+@pytest.mark.parametrize("response", [1.0, 0.45, 2.0])
 @pytest.mark.parametrize("crosstalk", [None, CROSSTALK])
 def test_gains_act_in_front_of_crosstalk_and_response(crosstalk, response):
     mixing = np.eye(3) if crosstalk is None else np.asarray(crosstalk)
@@ -148,7 +148,7 @@ def test_gains_act_in_front_of_crosstalk_and_response(crosstalk, response):
     np.testing.assert_allclose(brighter, plain, atol=2e-3)
 
 
-@pytest.mark.parametrize("response", [1.0, 0.45])
+@pytest.mark.parametrize("response", [1.0, 0.45, 2.0])
 @pytest.mark.parametrize("crosstalk", [None, CROSSTALK])
 def test_the_image_of_a_change_is_its_image(crosstalk, response):
     settings = ChangeSettings(crosstalk=crosstalk, response=response)

@@ -56,11 +56,6 @@ class ChangeSettings:
         if self.crosstalk is not None:
             object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether images are taken as they are: neither response nor crosstalk is undone."""
-        return self.crosstalk is None and self.response == 1
-
 
 def _checked_crosstalk(crosstalk: Any) -> Matrix:
     matrix = check_values(crosstalk, "crosstalk", (3, 3), np.float64)

@@ -1,0 +1,1 @@
+"""Mutation testing: changed statements of Python and C, and the tests that have to notice."""
