@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,11 +15,27 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 
 _range = Kernel("range_f32", "f32[...] values, out f32[2] range")
+T = TypeVar("T")
 
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1.0
 MM_PER_PX = 1e-6, 1e3  # what square sums of float32 can hold, and far beyond any sensor
 LARGEST = 1e18  # squares of it, and sums of those, fit into float32
 MAX_PATH, MAX_NAME = 4096, 255
+
+
+def check_is(value: Any, kind: type[T], name: str) -> T:
+    """Return what is of a kind, such as a View or a Reconstruction."""
+    if not isinstance(value, kind):
+        raise TypeError(f"Expected {name} as {kind.__name__}, got {type(value).__name__}.")
+    return value
+
+
+def check_list(values: Any, name: str, kind: type[Any] | None = None) -> list[Any]:
+    """Return a list of what a sequence or an array holds; `kind` is that of each."""
+    is_array = isinstance(values, np.ndarray) and values.ndim > 0
+    if isinstance(values, (str, bytes)) or not (is_array or isinstance(values, Sequence)):
+        raise TypeError(f"Expected {name} as a list, got {type(values).__name__}.")
+    return [one if kind is None else check_is(one, kind, f"each of {name}") for one in values]
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
@@ -187,9 +203,12 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) ->
     if type(mm_per_px) is float and MM_PER_PX[0] <= mm_per_px <= MM_PER_PX[1]:  # as each frame gives it
         return mm_per_px, mm_per_px
     try:
-        values = np.atleast_1d(np.asarray(mm_per_px, dtype=np.float64))
+        values = np.atleast_1d(np.asarray(mm_per_px))
+        if values.dtype.kind not in "fiuO":
+            raise TypeError
+        values = values.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"Expected mm_per_px as a number or (x, y), got {mm_per_px!r}.") from None
+        raise TypeError(f"Expected mm_per_px as a number or (x, y), got {mm_per_px!r:.60}.") from None
     if values.shape not in ((1,), (2,)):
         raise ValueError(f"Expected mm_per_px as a number or (x, y), got shape {values.shape}.")
     if not np.all(np.isfinite(values)) or float(values.min()) <= 0:
@@ -234,6 +253,14 @@ def check_number(value: float, name: str) -> float:
         return float(value)
     except OverflowError:
         return float("inf")
+
+
+def check_numbers(values: Any, name: str, count: int) -> tuple[float, ...]:
+    """Return so many finite numbers as a tuple of floats, such as a point (x, y)."""
+    numbers = tuple(check_number(value, f"each of {name}") for value in check_list(values, name))
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"Expected {name} as {count} finite numbers, got {values!r:.80}.")
+    return numbers
 
 
 def check_within(value: float, name: str, low: float, high: float) -> float:

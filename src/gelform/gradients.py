@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.checks import (
-    check_finite,
     check_gradients,
     check_map,
     check_mask,
     check_mm_per_px,
     check_normals,
+    check_values,
 )
 
 _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
@@ -132,11 +132,11 @@ def fill_unknown(values: ArrayLike, known: ArrayLike) -> NDArray[np.float32]:
     ValueError, TypeError
         Values of another shape or not finite, or a mask that is not boolean or knows no pixel.
     """
-    array = np.asarray(values, dtype=np.float32)
+    array = check_values(values, "values")
     if array.ndim != 3:
         raise ValueError(f"Expected values of shape (H, W, C), got {array.shape}.")
     where = check_mask(known, shape=array.shape[:2], name="known")
-    return _filled(check_finite(array, "values").copy(), where)
+    return _filled(array.copy(), where)
 
 
 # Sweeps of relaxation per level; more change the depth of trial scenes by less than 0.02 um.

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
+from gelform.checks import check_image, check_is
 from gelform.lens import Lens
 from gelform.resample import averaged, box_centres, maps_of_positions, pixel_maps, pixel_positions, remapped
 
@@ -137,8 +137,7 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
     ValueError, TypeError
         Another size, or no RGB image (see `checks.check_image`).
     """
-    if not isinstance(view, View):
-        raise TypeError(f"Expected a View, such as calibration.view, got {type(view).__name__}.")
+    check_is(view, View, "view")
     pixels = check_image(frame, name="frame")
     shape = (pixels.shape[0], pixels.shape[1])
     if view.frame_shape not in (None, shape):
@@ -179,6 +178,7 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
     ValueError, TypeError
         The image is not of the size that the view gives.
     """
+    check_is(view, View, "view")
     pixels = check_image(image, shape=view.shape)
     if view.is_identity:
         return pixels

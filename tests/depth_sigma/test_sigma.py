@@ -193,7 +193,7 @@ def test_a_hole_without_any_slope_follows_its_fill():
 
 
 def test_prepared_settings_and_arguments_are_checked():
-    with pytest.raises(ValueError, match="Expected probes >= 2, got 1"):
+    with pytest.raises(ValueError, match="Expected probes between 2 and 10000, got 1"):
         DepthSigma(SHAPE, mm_per_px=PITCH, probes=1)
     with pytest.raises(ValueError, match=r"gradients_sigma of shape \(72, 96, 2\), got \(4, 5\)"):
         DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones((4, 5)))
@@ -208,8 +208,8 @@ def test_prepared_settings_and_arguments_are_checked():
     [
         ({"gradients_sigma": np.ones((4, 5))}, r"gradients_sigma of shape \(H, W, 2\), got \(4, 5\)"),
         ({"gradients_sigma": np.zeros((4, 5, 2))}, "Expected gradients_sigma > 0, got 0"),
-        ({"correlation_px": -1.0}, "Expected correlation_px >= 0"),
-        ({"correlation_px": 3.0, "correlated_share": 1.5}, "Expected correlated_share within 0-1"),
+        ({"correlation_px": -1.0}, "Expected correlation_px between 0 and"),
+        ({"correlation_px": 3.0, "correlated_share": 1.5}, "Expected correlated_share between 0 and 1"),
     ],
 )
 def test_bad_input_is_refused(change, text):

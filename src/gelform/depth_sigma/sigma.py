@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_map, check_mask, check_mm_per_px
+from gelform.checks import as_array, check_map, check_mask, check_mm_per_px, check_numbers, check_within
 from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, sigma_of_pixels
 from gelform.depth_sigma.closed_form import (
     correlation_of_blocks,
@@ -30,6 +30,7 @@ from gelform.zero import Level, Zero, fitted_surface, zero_region
 # Probes are solved on blocks (sigma is smooth): about so many of them, of so many pixels across.
 BLOCKS = 2300
 BLOCK_PX = 2, 6
+MOST_PX, MOST_PROBES = 20_000, 10_000
 # Variance of the probes is averaged over so many blocks (standard deviation).
 SMOOTHING_BLOCKS = 0.6
 
@@ -70,11 +71,14 @@ class DepthSigma:
         probes: int = 32,
         rng: np.random.Generator | None = None,
     ) -> None:
-        self.shape = shape[0], shape[1]
+        height, width = check_numbers(shape, "shape", 2)
+        self.shape = shape = (
+            int(check_within(height, "height", 1, MOST_PX)),
+            int(check_within(width, "width", 1, MOST_PX)),
+        )
         self.pitch = check_mm_per_px(mm_per_px)
         self.share = _checked_share(correlation_px, correlated_share)
-        if probes < 2:
-            raise ValueError(f"Expected probes >= 2, got {probes}.")
+        probes = int(check_within(probes, "probes", 2, MOST_PROBES))
         block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
         blocks = block_rows_and_columns(self.shape, block)
         rng = rng or np.random.default_rng(0)
@@ -208,14 +212,15 @@ def _prepared(
 
 def _checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
     """Standard deviations (H, W, 1 or 2)."""
-    sigma = np.asarray(gradients_sigma)
+    sigma = as_array(gradients_sigma, "gradients_sigma")
     size = sigma.shape[:2]
     alike = shape is not None and sigma.shape == tuple(shape)
     if not alike and (sigma.ndim != 3 or sigma.shape[2] != 2 or shape not in (None, size)):
         wanted = "(H, W, 2)" if shape is None else f"({shape[0]}, {shape[1]}, 2)"
         raise ValueError(f"Expected gradients_sigma of shape {wanted}, got {sigma.shape}.")
-    flat = sigma.reshape(size[0], -1)
-    flat = check_map(flat, "gradients_sigma", nonnegative=True)
+    if sigma.size == 0:
+        raise ValueError(f"Expected gradients_sigma of some pixels, got none: shape {sigma.shape}.")
+    flat = check_map(sigma.reshape(size[0], -1), "gradients_sigma", nonnegative=True)
     if flat.min() == 0:
         raise ValueError("Expected gradients_sigma > 0, got 0: no slope is known exactly.")
     return flat.reshape(*size, -1)
@@ -229,10 +234,8 @@ def _checked_weights(weights: ArrayLike, shape: tuple[int, int]) -> NDArray[np.f
 
 
 def _checked_share(correlation_px: float, correlated_share: float) -> float:
-    if not 0 <= correlation_px < np.inf:
-        raise ValueError(f"Expected correlation_px >= 0, got {correlation_px}.")
-    if not 0 <= correlated_share <= 1:
-        raise ValueError(f"Expected correlated_share within 0-1, got {correlated_share}.")
+    check_within(correlation_px, "correlation_px", 0, MOST_PX)
+    check_within(correlated_share, "correlated_share", 0, 1)
     return correlated_share if correlation_px > 0 else 0.0
 
 

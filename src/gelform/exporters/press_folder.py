@@ -8,7 +8,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from gelform.checks import check_image, check_mm_per_px, check_positive
+from gelform.checks import check_image, check_is, check_list, check_mm_per_px, check_path, check_positive
 from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
 from gelform.exporters.simulated_press import truth_from_press
 from gelform.progress import Progress, no_progress
@@ -52,10 +52,12 @@ def save_press_folder(
     ValueError
         Lists of different lengths, images of different sizes, numbers that are not positive.
     """
-    target = Path(folder)
+    target = check_path(folder, "folder as a path")
+    images = check_list(images, "images")
     rows = _rows(len(images), ball_diameters_mm, centers_px, contact_radii_px)
-    if truths is not None and len(truths) != len(images):
+    if truths is not None and len(check_list(truths, "truths", Mapping)) != len(images):
         raise ValueError(f"Expected {len(images)} truths, one per image, got {len(truths)}.")
+    check_is(name, str, "name")
     pitch = check_mm_per_px(mm_per_px)[0]
     height, width = check_image(background, name="background").shape[:2]
     with written_whole(target) as partial:
@@ -80,7 +82,7 @@ def save_simulated_presses(
     progress: Progress = no_progress,
 ) -> Path:
     """Write what `simulate_ball_presses` gave as a press folder with labels and truth."""
-    presses = simulated.presses
+    presses = check_is(simulated, SimulatedPresses, "simulated").presses
     return save_press_folder(
         folder,
         background=simulated.background,
@@ -109,8 +111,11 @@ def _rows(
         ("centers_px", centers_px),
         ("contact_radii_px", radii_px),
     ):
-        if values is not None and len(values) != count:
-            raise ValueError(f"Expected {count} {what}, one per image, got {len(values)}.")
+        if values is None and what != "ball_diameters_mm":
+            continue
+        length = len(check_list(values, what))
+        if length != count:
+            raise ValueError(f"Expected {count} {what}, one per image, got {length}.")
     rows = []
     for k in range(count):
         diameter = check_positive(diameters_mm[k], "ball_diameter_mm")

@@ -15,7 +15,7 @@ from gelform import __version__
 from gelform.background.average import noise_from_image
 from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration
-from gelform.checks import check_image, check_sensor_pitch
+from gelform.checks import check_image, check_is, check_path, check_sensor_pitch
 from gelform.color_models import ColorModel
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
 from gelform.importers.tables import read_lut
@@ -69,7 +69,10 @@ def import_calibration(
     ValueError
         An unknown package, or an option that it does not take, or lacks.
     """
-    options = _options(package, position, flip_depth)
+    path = check_path(path)
+    options = _options(check_is(package, str, "package"), position, flip_depth)
+    if sensor_name is not None:
+        check_is(sensor_name, str, "sensor_name")
     image = check_image(background, name="background").astype(np.float32)
     model = PACKAGES[package](path, image, **options)
     change = ChangeSettings("subtract", 0.0, LUT_BLUR_PX if package == "lut" else 0.0)
@@ -100,12 +103,14 @@ def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, 
     """What the package's reader takes beside the file and the background."""
     if package not in PACKAGES:
         raise ValueError(f"Expected a package among {', '.join(PACKAGES)}, got {package!r}.")
+    if position is not None:
+        check_is(position, str, "position")
     if position not in (("zeros", "true") if package in POSITIONED else (None,)):
         raise ValueError(
             f"Expected position ('zeros' as its program feeds it, or 'true') for {' and '.join(POSITIONED)} and no "
             f"other, got {position!r} for {package}."
         )
-    if flip_depth and package != "lut":
+    if check_is(flip_depth, bool, "flip_depth") and package != "lut":
         raise ValueError(
             f"Expected flip_depth for lut only, whose tables differ in sign, got it for {package}."
         )

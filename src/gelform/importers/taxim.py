@@ -69,7 +69,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
             declared = sum(member.file_size for member in archive.infolist())
         if declared > MAX_BYTES:
             raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (
         OSError,

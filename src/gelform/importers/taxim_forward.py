@@ -112,7 +112,7 @@ class TaximLook:
 def is_taxim_forward(path: str | PathLike[str]) -> bool:
     """Whether a file is an archive with Taxim's members; what else it is, `load_calibration` says."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             return set(MEMBERS) <= set(file.files)
     except (
         OSError,
@@ -139,7 +139,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     if path.stat().st_size > MAX_BYTES:
         raise DataError(f"Expected Taxim's tables of at most {MAX_BYTES >> 20} MB, got {path}.")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             missing = [name for name in MEMBERS if name not in file.files]
             if missing:
                 raise DataError(f"{path} lacks {', '.join(missing)}: expected Taxim's {', '.join(MEMBERS)}.")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image, check_mm_per_px
+from gelform.checks import check_image, check_is, check_mm_per_px
 from gelform.plots.canvas import (
     BLUE,
     INK,
@@ -45,7 +45,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
     ValueError
         The image is of another size than the result.
     """
-    shape = result.shape
+    shape = check_is(result, Reconstruction, "result").shape
     shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)
     row, column = deepest_px(_depth(result))
     heights = _heights(shape[0] / shape[1], 3 if shown is None else 4, len(result.health))

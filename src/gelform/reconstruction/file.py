@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.change import Finding
-from gelform.checks import check_finite, check_map, check_mm_per_px, check_number, check_within
+from gelform.checks import check_finite, check_is, check_map, check_mm_per_px, check_number, check_within
 from gelform.errors import DataError
 from gelform.markers import MarkerFlow
 from gelform.npz_files import read_npz, write_npz
@@ -44,7 +44,7 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
     DataError
         The file is already there and `overwrite` is False, or it cannot be written.
     """
-    check_map(result.depth, "depth")  # NaN is no depth
+    check_map(check_is(result, Reconstruction, "result").depth, "depth")  # NaN is no depth
     arrays = {name: getattr(result, name) for name in MAPS if getattr(result, name) is not None}
     if result.mm_per_px is None:
         arrays["depth_px"] = result.depth

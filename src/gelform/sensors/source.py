@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
+from gelform.checks import check_path
 from gelform.errors import DataError, SensorError
 from gelform.frames import Frame
 from gelform.sensors.mjpeg.url import OPEN_S, MjpegUrl
@@ -94,7 +94,7 @@ def open_source(
         return _simulated(spec, rate_hz)
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
-    path = Path(spec)
+    path = check_path(spec, "a source")
     if path.suffix.lower() == ".mcap":
         return mcap_playback(path, paced=paced)
     if path.is_dir():

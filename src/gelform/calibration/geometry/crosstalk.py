@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.background.change import ChangeSettings, light_from_image
-from gelform.checks import check_image
+from gelform.checks import check_image, check_list
 from gelform.errors import DataError
 
 NAMES = ("red", "green", "blue")
@@ -69,6 +69,7 @@ def crosstalk_from_frames(
     DataError
         A frame is too dark or saturated, or brightest in another channel than its own (the order is wrong).
     """
+    frames = check_list(frames, "frames")
     if len(frames) != 3:
         raise ValueError(f"Expected three frames, of the red, green and blue LEDs alone, got {len(frames)}.")
     linear = ChangeSettings(response=response)

@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from gelform.calibration.geometry.scale import Scale
-from gelform.checks import check_image, check_positive
+from gelform.checks import check_image, check_list, check_numbers, check_positive
 from gelform.errors import DataError
 from gelform.lens import Lens
 from gelform.view import View
 
 MAX_RESIDUAL_PX = 0.5
 PITCH_SIGMA = 0.002  # of a printed grid
+MOST_POINTS = 1000  # along a side
 CENTER_PRIOR = (
     0.05  # standard deviation of the optical axis about the frame's middle, as a share of its width
 )
@@ -77,16 +78,19 @@ def view_from_grid(
     DataError
         The grid is not found in an image, or its points are over 0.5 px off the model: it is bent, or another pattern.
     """
-    if kind not in ("checkerboard", "dots") or len(pattern) != 2 or min(pattern) < 3:
+    columns, rows = (int(number) for number in check_numbers(pattern, "pattern", 2))
+    if (
+        kind not in ("checkerboard", "dots")
+        or not 3 <= min(columns, rows) <= max(columns, rows) <= MOST_POINTS
+    ):
         raise ValueError(
             f"Expected kind 'checkerboard' or 'dots' and a pattern of 3x3 points or more, got {kind!r}, {pattern}."
         )
     pitch = check_positive(pitch_mm, "pitch_mm")
-    frames = [check_image(image, name="grid image") for image in images]
+    frames = [check_image(image, name="grid image") for image in check_list(images, "images")]
     if not frames or any(frame.shape != frames[0].shape for frame in frames):
         raise ValueError("Expected one grid image or more, all of one size.")
-    seen = [_points_of_grid(frame, pattern, kind, k) for k, frame in enumerate(frames)]
-    columns, rows = pattern
+    seen = [_points_of_grid(frame, (columns, rows), kind, k) for k, frame in enumerate(frames)]
     y, x = np.mgrid[:rows, :columns] * pitch
     grid = np.stack([x.ravel() - x.mean(), y.ravel() - y.mean()], axis=1)
     shape = (frames[0].shape[0], frames[0].shape[1])

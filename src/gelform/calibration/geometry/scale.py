@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelform.checks import check_positive
+from gelform.checks import LARGEST, check_list, check_numbers, check_positive, check_within
 from gelform.errors import DataError
 from gelform.sensors.profiles import profile_named
 
@@ -64,7 +64,10 @@ def scale_from_points(
     ValueError
         The points are nearer than 10 `sigma_px`, or a length is not positive.
     """
-    distance_px = float(np.hypot(a_px[0] - b_px[0], a_px[1] - b_px[1]))
+    a, b = check_numbers(a_px, "a_px", 2), check_numbers(b_px, "b_px", 2)
+    check_positive(distance_mm, "distance_mm")
+    check_positive(sigma_px, "sigma_px")
+    distance_px = float(np.hypot(a[0] - b[0], a[1] - b[1]))
     if not (np.isfinite(distance_px) and distance_px > 10 * sigma_px):
         raise ValueError(
             f"Expected two points at least {10 * sigma_px:g} px apart, got {distance_px:.3g} px. "
@@ -77,6 +80,7 @@ def scale_from_points(
 def scale_from_lengths(mm: float, px: float, sigma_mm: float, sigma_px: float, source: str) -> Scale:
     """mm/px of one length known in both, with the uncertainty of both."""
     pitch = check_positive(mm, "length_mm") / check_positive(px, "length_px")
+    sigma_mm = check_within(sigma_mm, "sigma_mm", 0, LARGEST)
     return Scale(pitch, float(pitch * np.hypot(sigma_mm / mm, sigma_px / px)), source)
 
 
@@ -88,6 +92,7 @@ def combined_scale(scales: Sequence[Scale]) -> Scale:
     DataError
         Two of them are more than four standard deviations apart: one is wrong, and a mean would hide it.
     """
+    scales = check_list(scales, "scales", Scale)
     if not scales:
         raise ValueError(f"Expected one scale or more, from {SOURCES}, got none.")
     for i, a in enumerate(scales):

@@ -10,6 +10,7 @@ import numpy as np
 from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import Press, Presses, as_presses
+from gelform.checks import check_is
 from gelform.errors import DataError
 from gelform.frames import pixels_digest
 from gelform.view import View, image_from_frame, image_px_from_frame_px
@@ -17,6 +18,7 @@ from gelform.view import View, image_from_frame, image_px_from_frame_px
 
 def with_scale(presses: Presses | str | PathLike[str], scale: Scale) -> Presses:
     """The presses, or those of a path, at a measured scale."""
+    check_is(scale, Scale, "scale")
     presses = as_presses(presses)
     return replace(
         presses,
@@ -28,6 +30,7 @@ def with_scale(presses: Presses | str | PathLike[str], scale: Scale) -> Presses:
 
 def with_crosstalk(presses: Presses | str | PathLike[str], crosstalk: Crosstalk) -> Presses:
     """The presses of channels whose crosstalk is known: the calibration undoes it before its color model."""
+    check_is(crosstalk, Crosstalk, "crosstalk")
     presses = as_presses(presses)
     return replace(presses, geometry=replace(presses.geometry, crosstalk=crosstalk))
 
@@ -46,6 +49,8 @@ def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -
     DataError
         The presses have a view of their own already, or are of another size than the view's frames.
     """
+    check_is(view, View, "view")
+    check_is(source, str, "source")
     presses = as_presses(presses)
     if not presses.view.is_identity:
         raise DataError(

@@ -51,7 +51,7 @@ def _gs_sdk_rows(folder: Path) -> Iterator[Listed]:
 
 def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
     try:
-        with np.load(path, allow_pickle=False) as label:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as label:
             x, y = (float(v) for v in np.ravel(label["center"]))
             circle = x, y, float(label["radius"])
             if not np.isfinite(circle).all():
@@ -160,7 +160,7 @@ def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
             raise DataError(
                 f"{pack} says that it holds {size / 2**30:.1f} GiB (at most {MAX_PACK_BYTES >> 30})."
             )
-        with np.load(pack, allow_pickle=False) as data:
+        with pack.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
             missing = [name for name in TAXIM_ARRAYS if name not in data.files]
             if missing:
                 raise DataError(

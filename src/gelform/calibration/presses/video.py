@@ -23,6 +23,7 @@ from gelform.calibration.presses.stills import (
     touch_threshold,
     untouched,
 )
+from gelform.checks import check_is, check_path
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.progress import Progress, no_progress
@@ -72,7 +73,9 @@ def presses_from_frames(
         No frame, no scale, no untouched stretch, no contact, none that stands still, or an iterator of more
         than 1 GiB.
     """
-    view = _ViewOfFrames(ReadOptions(sensor, mm_per_px, ball_diameter_mm, None, crop), Path(name))
+    check_is(frames, Iterable, "frames")  # type: ignore[type-abstract]
+    place = check_path(check_is(name, str, "name"), "name")
+    view = _ViewOfFrames(ReadOptions(sensor, mm_per_px, ball_diameter_mm, None, crop), place)
     if iter(frames) is frames:
         frames = _kept(frames, view)
     return _presses(lambda only: _chosen(frames, only), view, background, name, progress)
@@ -130,6 +133,7 @@ def _kept(frames: Iterable[Frame], view: _ViewOfFrames) -> list[Frame]:
 
 def _chosen(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Frame]:
     for position, frame in enumerate(frames):
+        check_is(frame, Frame, "each frame")
         if only is None or position in only:
             yield Frame(frame.image, frame.time_s, frame.wall_time_ns, position)
 
@@ -137,14 +141,20 @@ def _chosen(frames: Iterable[Frame], only: Container[int] | None) -> Iterator[Fr
 def _presses(
     read: Reader, view: _ViewOfFrames, background: NDArray[Any] | None, name: str, progress: Progress
 ) -> Presses:
-    thumbs = Thumbnails()
+    thumbs, shape = Thumbnails(), (0, 0)
     for count, frame in enumerate(read(None)):
-        thumbs.add(view(frame.image), frame.index, frame.time_s)
+        image = view(frame.image)
+        shape = image.shape
+        thumbs.add(image, frame.index, frame.time_s)
         if count % 25 == 0:
             progress(count, 0, "looking through the frames")
     if not thumbs.index:
         raise DataError(f"No frame in {name}. Expected a sequence that shows the untouched gel and presses.")
     rest_reference = None if background is None else image_from_frame(background, view.view or View())
+    if rest_reference is not None and rest_reference.shape != shape:
+        raise DataError(
+            f"Expected a background of the frames' size, {shape[:2]} px, got {rest_reference.shape[:2]}."
+        )
     rest, found = _analysed(thumbs, rest_reference, name)
     picked = {thumbs.index[still.best]: still for stretch in found for still in stretch.stills}
     at_rest = _spread(np.flatnonzero(rest), BACKGROUND_FRAMES)

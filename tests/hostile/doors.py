@@ -1,0 +1,186 @@
+"""Every public function with arguments that are right: the tests replace one by one with something odd."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gelform
+from hostile.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
+
+PLACE = tempfile.TemporaryDirectory(prefix="gelform-doors-")
+FOLDER = Path(PLACE.name)
+DEPTH = depth_of(Touch()).astype(np.float32)
+GRADIENTS = gelform.gradients_from_depth(DEPTH, mm_per_px=MM_PER_PX)
+NORMALS = gelform.normals_from_gradients(GRADIENTS)
+IMAGE, REST, UNTOUCHED = image_of(Touch()), background(), image_of(None)
+CHANGE = gelform.color_change_from_image(IMAGE, REST)
+MASK = DEPTH > 0
+WEIGHTS = np.where(MASK, 1.0, 0.5).astype(np.float32)
+SIGMA = np.full((*SHAPE, 2), 0.05, np.float32)
+PITCH = {"mm_per_px": MM_PER_PX}
+RESULT = gelform.Reconstructor(calibration())(IMAGE)
+FRAME = gelform.Frame(IMAGE, 0.0, 0, 0)
+SCALE = gelform.Scale(0.1, 0.001, "two marks")
+FOLDER_OF_PRESSES = {
+    "background": UNTOUCHED, "images": [IMAGE, IMAGE], "ball_diameters_mm": [8.0, 8.0], "name": "known gel",
+    "centers_px": [(40.0, 30.0)] * 2, "contact_radii_px": [17.0, 17.0], **PITCH,
+}  # fmt: skip
+PRESSES = gelform.read_presses(gelform.save_press_folder(FOLDER / "presses", **FOLDER_OF_PRESSES))
+
+
+def gain(image: Any, background: Any) -> np.ndarray:
+    return gelform.exposure_from_image(image, background).believed_gain
+
+
+def depth_sigma(shape: Any, gradients_sigma: Any, **settings: Any) -> np.ndarray:
+    return gelform.DepthSigma(shape, **settings)(gradients_sigma)
+
+
+def saved_presses(**arguments: Any) -> Path:
+    return gelform.save_press_folder(Path(tempfile.mkdtemp(dir=FOLDER)), **arguments)
+
+
+def saved_result(result: Any) -> None:
+    gelform.save_result(result, FOLDER / "result.npz", overwrite=True)
+
+
+def saved_picture(picture: Any) -> None:
+    gelform.save_picture(FOLDER / "picture.png", picture, overwrite=True)
+
+
+def all_frames(spec: Any) -> int:
+    with gelform.open_source(spec) as source:
+        return sum(1 for _, _ in zip(range(2), source))
+
+
+DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "image_from_frame": (gelform.image_from_frame, {"frame": IMAGE, "view": gelform.View()}),
+    "color_change_from_image": (gelform.color_change_from_image, {"image": IMAGE, "background": REST}),
+    "image_from_color_change": (gelform.image_from_color_change, {"color_change": CHANGE, "background": REST}),
+    "exposure_from_image": (gain, {"image": IMAGE, "background": REST}),
+    "background_from_frames": (gelform.background_from_frames, {"frames": [IMAGE, IMAGE, IMAGE]}),
+    "markers_from_image": (gelform.markers_from_image, {"image": IMAGE, "background": REST}),
+    "normals_from_image": (gelform.normals_from_image, {"image": NORMALS @ LIGHTS.T, "lights": LIGHTS}),
+    "image_from_normals": (gelform.image_from_normals, {"normals": NORMALS, "lights": LIGHTS, "albedo": WEIGHTS}),
+    "lights_from_normals": (
+        gelform.lights_from_normals,
+        {"image": np.maximum(NORMALS @ LIGHTS.T, 0), "normals": NORMALS, "albedo": WEIGHTS},
+    ),
+    "normals_from_gradients": (gelform.normals_from_gradients, {"gradients": GRADIENTS}),
+    "gradients_from_normals": (gelform.gradients_from_normals, {"normals": NORMALS}),
+    "gradients_from_depth": (gelform.gradients_from_depth, {"depth_mm": DEPTH, **PITCH}),
+    "depth_from_gradients": (gelform.depth_from_gradients, {"gradients": GRADIENTS, **PITCH}),
+    "integrate": (
+        gelform.integrate,
+        {"gradients": GRADIENTS, **PITCH, "weights": WEIGHTS, "mask": MASK, "anchor": WEIGHTS, "zero": MASK},
+    ),
+    "edge_residuals": (gelform.edge_residuals, {"depth_mm": DEPTH, "gradients": GRADIENTS, **PITCH}),
+    "contact_from_depth": (gelform.contact_from_depth, {"depth_mm": DEPTH, **PITCH}),
+    "curl_from_gradients": (gelform.curl_from_gradients, {"gradients": GRADIENTS, **PITCH}),
+    "fill_unknown": (gelform.fill_unknown, {"values": GRADIENTS, "known": MASK}),
+    "frame_from_image": (gelform.frame_from_image, {"image": IMAGE, "view": gelform.View(SHAPE, flip="x")}),
+    "depth_sigma_from_gradients_sigma": (
+        gelform.depth_sigma_from_gradients_sigma,
+        {"gradients_sigma": SIGMA, **PITCH, "weights": WEIGHTS, "mask": MASK, "anchor": WEIGHTS, "zero": MASK, "probes": 8},
+    ),
+    "DepthSigma": (
+        depth_sigma,
+        {"shape": SHAPE, "gradients_sigma": SIGMA, **PITCH, "correlation_px": 1.0, "correlated_share": 0.5, "probes": 8},
+    ),
+    "contacts_from_mask": (gelform.contacts_from_mask, {"contact": MASK, "depth": DEPTH, **PITCH}),
+    "press_errors": (
+        gelform.press_errors,
+        {"depth_mm": DEPTH, "gradients": GRADIENTS, "circle_px": (40.0, 30.0, 17.0), "ball_radius_mm": 4.0, **PITCH},
+    ),
+    "Scale": (gelform.Scale, {"mm_per_px": 0.1, "sigma": 0.001, "source": "two marks"}),
+    "combined_scale": (gelform.combined_scale, {"scales": [SCALE, SCALE]}),
+    "scale_from_profile": (gelform.scale_from_profile, {"name": "digit"}),
+    "scale_from_points": (
+        gelform.scale_from_points,
+        {"a_px": (3.0, 4.0), "b_px": (60.0, 50.0), "distance_mm": 7.0, "sigma_px": 0.5, "sigma_mm": 0.01},
+    ),
+    "scale_from_punch": (
+        gelform.scale_from_punch, {"image": IMAGE, "background": REST, "diameter_mm": 4.0, "sigma_mm": 0.01}
+    ),
+    "scale_from_thread": (
+        gelform.scale_from_thread, {"image": IMAGE, "background": REST, "pitch_mm": 0.5, "sigma_mm": 0.01}
+    ),
+    "scale_from_stage": (
+        gelform.scale_from_stage,
+        {"first": IMAGE, "second": image_of(Touch(x_px=48)), "background": REST, "distance_mm": 0.8, "sigma_mm": 0.01},
+    ),
+    "crosstalk_from_frames": (
+        gelform.crosstalk_from_frames, {"frames": [UNTOUCHED] * 3, "dark": IMAGE // 9, "response": 1.0}
+    ),
+    "view_from_grid": (
+        gelform.view_from_grid,
+        {"images": [IMAGE], "pattern": (5, 4), "pitch_mm": 1.0, "kind": "dots", "pitch_sigma_mm": 0.01},
+    ),
+    "import_calibration": (
+        gelform.import_calibration,
+        {"path": "nowhere.pth", "package": "gs_sdk", "background": REST, "mm_per_px": 0.1, "sensor_name": "x"},
+    ),
+    "read_image": (gelform.read_image, {"path": "nowhere.png"}),
+    "read_background": (gelform.read_background, {"paths": "nowhere.png"}),
+    "load_calibration": (gelform.load_calibration, {"path": "nowhere.npz"}),
+    "load_result": (gelform.load_result, {"path": "nowhere.npz"}),
+    "Video": (gelform.Video, {"path": "nowhere.avi"}),
+    "open_source": (all_frames, {"spec": "nowhere"}),
+    "read_presses": (gelform.read_presses, {"path": FOLDER / "presses", "mm_per_px": 0.1, "sensor": None, "crop": None}),
+    "presses_from_frames": (
+        gelform.presses_from_frames,
+        {"frames": [FRAME] * 3, "ball_diameter_mm": 8.0, **PITCH, "background": REST, "name": "x"},
+    ),
+    "with_scale": (gelform.with_scale, {"presses": PRESSES, "scale": SCALE}),
+    "with_view": (gelform.with_view, {"presses": PRESSES, "view": gelform.View(), "source": "a grid"}),
+    "with_crosstalk": (gelform.with_crosstalk, {"presses": PRESSES, "crosstalk": None}),
+    "evaluate": (gelform.evaluate, {"calibration": calibration(), "presses": PRESSES}),
+    "calibrate": (gelform.calibrate, {"presses": PRESSES, "color_model": "lambertian", "start": None}),
+    "picture": (gelform.picture, {"result": RESULT, "image": IMAGE}),
+    "save_picture": (saved_picture, {"picture": IMAGE}),
+    "save_result": (saved_result, {"result": RESULT}),
+    "save_press_folder": (saved_presses, FOLDER_OF_PRESSES),
+    "Lens": (
+        lambda **s: gelform.image_from_frame(IMAGE, gelform.View(SHAPE, lens=gelform.Lens(**s))),
+        {
+            "camera": (80.0, 80.0, 40.0, 32.0),
+            "distortion": (0.01, 0.0, 0.0, 0.0),
+            "perspective": (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0),
+        },
+    ),
+    "Frame": (lambda **s: gelform.Reconstructor(calibration())(gelform.Frame(**{**vars(FRAME), **s})), {"image": IMAGE}),
+    "Reconstructor": (lambda frame: gelform.Reconstructor(calibration())(frame), {"frame": IMAGE}),
+}  # fmt: skip
+
+SETTINGS = {
+    "integrate": (
+        lambda **s: gelform.integrate(GRADIENTS, mm_per_px=MM_PER_PX, **s),
+        ("solver", "zero", "level", "weights", "anchor", "mask"),
+    ),
+    "contact_from_depth": (
+        lambda **s: gelform.contact_from_depth(DEPTH, mm_per_px=MM_PER_PX, **s),
+        ("min_depth_mm", "noise_factor", "rim_fraction", "min_area_mm2"),
+    ),
+    "ChangeSettings": (
+        lambda **s: gelform.color_change_from_image(IMAGE, REST, gelform.ChangeSettings(**s)),
+        ("method", "offset", "blur_px", "crosstalk", "response"),
+    ),
+    "View": (
+        lambda **s: gelform.image_from_frame(IMAGE, gelform.View(**{"frame_shape": SHAPE, **s})),
+        ("frame_shape", "crop", "flip", "image_shape", "lens"),
+    ),
+    "Reconstructor": (
+        lambda **s: gelform.Reconstructor(**{"calibration": calibration(), **s})(IMAGE),
+        ("calibration", "background", "solver", "depth_sigma"),
+    ),
+}  # fmt: skip
+
+# What no argument of a user's goes into: records of results, made by the functions above, and a Protocol.
+RECORDS = ("Calibration", "Contact", "Frame", "Integration", "Markers", "Reconstruction", "Source")
+# Tried with nothing right at all: what is right is long to make, or a thread.
+ALL_ODD = ("save_simulated_presses", "Grabber")
