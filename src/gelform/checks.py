@@ -74,13 +74,7 @@ def check_values(
 
 
 def check_path(path: Any, what: str = "a path") -> Path:
-    """Return a path that a file system can have.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No text, or text that is no path: empty, too long, or with a zero byte.
-    """
+    """Return a path that a file system can have: text that is neither empty nor too long, without a zero byte."""
     if not isinstance(path, (str, PathLike)):
         raise TypeError(f"Expected {what} as text or a Path, got {type(path).__name__}.")
     text = os.fspath(path)
@@ -299,9 +293,7 @@ def _as_float(array: NDArray[Any], name: str, dtype: Any = np.float32) -> NDArra
         np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
     ):
         raise TypeError(f"Expected {name} as numbers, got {array.dtype}.")
-    with np.errstate(
-        over="ignore", under="ignore"
-    ):  # what does not fit becomes infinite, and is refused as that
+    with np.errstate(over="ignore", under="ignore"):  # what does not fit becomes infinite: refused as that
         return np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
 
 
