@@ -181,6 +181,15 @@ SETTINGS = {
 }  # fmt: skip
 
 # What no argument of a user's goes into: records of results, made by the functions above, and a Protocol.
-RECORDS = ("Calibration", "Contact", "Frame", "Integration", "Markers", "Reconstruction", "Source")
+RECORDS = (
+    "Calibration",
+    "Contact",
+    "Frame",
+    "Integration",
+    "MarkerFlow",
+    "Markers",
+    "Reconstruction",
+    "Source",
+)
 # Tried with nothing right at all: what is right is long to make, or a thread.
 ALL_ODD = ("save_simulated_presses", "Grabber")
