@@ -34,7 +34,7 @@ def test_a_dead_frame_is_depth_0_of_which_nothing_is_known(reconstruct, level, n
     assert name in names(result)
     assert np.abs(result.depth_mm).max() < 5e-3
     assert result.depth_sigma_mm.min() > 1.0
-    assert result.gradients_sigma.min() >= 1.0
+    assert result.gradients_sigma.min() >= 0.999
     assert result.confidence.max() < 1e-5
     assert not result.known.any()
     assert not result.contact.any()

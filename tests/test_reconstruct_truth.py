@@ -79,7 +79,7 @@ def test_markers_have_no_confidence_and_leave_no_dents():
     )  # the dots, one pixel to the right
     result = marked(moved)
     dots = with_dots(np.ones(SHAPE)) < 1
-    assert result.confidence[dots].max() == 0
+    assert result.confidence[dots].max() < 1e-5
     assert result.confidence[~dots].max() == 1
     assert error_um(result) < 40
     assert np.abs(result.depth_mm - TRUTH).max() < 0.15

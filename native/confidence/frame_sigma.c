@@ -1,20 +1,19 @@
-// Which pixels are untouched, their slopes without bias, the slopes' deviation and confidence: one pass over a frame.
+// Which pixels are untouched, their slopes without bias, and the slopes' deviation by law and colour: one pass over a frame.
 #include "../common.h"
 
 enum { PIXELS = 64 };  // at a time: unpacked to lines, on which the arithmetic is vectors
-static const float CLIPPED_VARIANCE = 1;
 
 // What does not depend on the pixel; see PreparedSigma.
 struct settings {
   const float *common, *bias, *law, *gamut, *low;
-  float square, steps, grows, rest, clean, bins_per_change, worth;
+  float square, steps, grows, rest, bins_per_change, worth;
   int32_t law_size, gamut_size;
 };
 
 struct lines {
   float r[PIXELS], g[PIXELS], b[PIXELS], p[PIXELS], q[PIXELS];
   float beyond[PIXELS], variance[PIXELS], fraction[PIXELS], square[PIXELS];
-  int32_t untouched[PIXELS], clipped[PIXELS], index[PIXELS];
+  int32_t untouched[PIXELS], index[PIXELS];
 };
 
 static inline void unpack(struct lines *restrict l, const float *restrict change, const float *restrict gradients,
@@ -29,22 +28,6 @@ static inline void find_untouched(struct lines *restrict l, const struct setting
   for (int k = 0; k < PIXELS; k++) {
     const float dr = l->r[k] - r, dg = l->g[k] - g, db = l->b[k] - b;
     l->untouched[k] = dr * dr + dg * dg + db * db < square;
-  }
-}
-
-static inline void find_clipped_bytes(struct lines *restrict l, const uint8_t *restrict image, ptrdiff_t n) {
-  for (ptrdiff_t k = 0; k < n; k++) {
-    const uint8_t r = image[3 * k], g = image[3 * k + 1], b = image[3 * k + 2];
-    const uint8_t low = r < g ? (r < b ? r : b) : (g < b ? g : b), high = r > g ? (r > b ? r : b) : (g > b ? g : b);
-    l->clipped[k] = (low == 0) | (high == 255);
-  }
-}
-
-static inline void find_clipped_floats(struct lines *restrict l, const float *restrict image, ptrdiff_t n) {
-  for (ptrdiff_t k = 0; k < n; k++) {
-    const float low = smaller(image[3 * k], smaller(image[3 * k + 1], image[3 * k + 2]));
-    const float high = larger(image[3 * k], larger(image[3 * k + 1], image[3 * k + 2]));
-    l->clipped[k] = (low <= 0) | (high >= 255);
   }
 }
 
@@ -83,25 +66,16 @@ static inline void variance_by_law(struct lines *restrict l, const struct settin
     l->variance[k] = l->fraction[k] <= end ? l->variance[k] : grows * l->square[k];
 }
 
-static inline void deviation_and_confidence(const struct lines *restrict l, const struct settings *restrict s,
-                                            const float *restrict place, float *restrict sigma,
-                                            float *restrict confidence, ptrdiff_t n) {
-  const float rest = s->rest, clean = s->clean;
-  for (ptrdiff_t k = 0; k < n; k++) {
-    float variance = (l->untouched[k] ? rest : l->variance[k] * place[k]) + l->beyond[k] * l->beyond[k];
-    variance = (l->clipped[k] != 0) & (variance < CLIPPED_VARIANCE) ? CLIPPED_VARIANCE : variance;
-    sigma[k] = sqrtf(variance);
-    confidence[k] = smaller(clean / variance, 1);
-  }
+static inline void deviation(const struct lines *restrict l, const struct settings *restrict s,
+                             const float *restrict place, float *restrict sigma, ptrdiff_t n) {
+  const float rest = s->rest;
+  for (ptrdiff_t k = 0; k < n; k++)
+    sigma[k] = sqrtf((l->untouched[k] ? rest : l->variance[k] * place[k]) + l->beyond[k] * l->beyond[k]);
 }
 
-// A pixel that a marker hides is not untouched, and its slope says nothing.
+// A pixel that a marker hides is not untouched.
 static inline void hide_untouched(struct lines *restrict l, const bool *restrict hidden, ptrdiff_t n) {
   for (ptrdiff_t k = 0; k < n; k++) l->untouched[k] = l->untouched[k] & !hidden[k];
-}
-
-static inline void hide_confidence(const bool *restrict hidden, float *restrict confidence, ptrdiff_t n) {
-  for (ptrdiff_t k = 0; k < n; k++) confidence[k] = hidden[k] ? 0 : confidence[k];
 }
 
 static inline void write_back(const struct lines *restrict l, float *restrict gradients, bool *restrict untouched,
@@ -111,16 +85,15 @@ static inline void write_back(const struct lines *restrict l, float *restrict gr
 }
 
 // `given`: untouched pixels that were decided elsewhere, or NULL. `bias` is subtracted from the gradients.
-EXPORT int frame_sigma(const uint8_t *image, const float *light, const float *change, const bool *hidden,
-                       const bool *given, const float *common, const float *bias, const float *place,
-                       const float *law, const float *gamut, const float *low, float *gradients, bool *untouched,
-                       float *sigma, float *confidence, float square, float steps, float grows, float rest,
-                       float clean, float bins_per_change, float worth, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t,
+EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common,
+                       const float *bias, const float *place, const float *law, const float *gamut, const float *low,
+                       float *gradients, bool *untouched, float *sigma, float square, float steps, float grows,
+                       float rest, float bins_per_change, float worth, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t,
                        ptrdiff_t g) {
-  const struct settings s = {common, bias,  law,   gamut,           low,   square,     steps,     grows,
-                             rest,   clean, bins_per_change, worth, (int32_t)t, (int32_t)g};
+  const struct settings s = {common, bias,  law,  gamut,           low,   square,     steps,
+                             grows,  rest,  bins_per_change, worth, (int32_t)t, (int32_t)g};
   struct lines l = {0};
-  if (t < 2 || (image == NULL) == (light == NULL)) return WRONG_SIZE;
+  if (t < 2) return WRONG_SIZE;
   for (ptrdiff_t start = 0; start < h * w; start += PIXELS) {
     const ptrdiff_t n = h * w - start < PIXELS ? h * w - start : PIXELS;
     unpack(&l, change + 3 * start, gradients + 2 * start, bias, n);
@@ -128,13 +101,10 @@ EXPORT int frame_sigma(const uint8_t *image, const float *light, const float *ch
     if (given != NULL)
       for (ptrdiff_t k = 0; k < n; k++) l.untouched[k] = given[start + k];
     else if (hidden != NULL) hide_untouched(&l, hidden + start, n);
-    if (image != NULL) find_clipped_bytes(&l, image + 3 * start, n);
-    else find_clipped_floats(&l, light + 3 * start, n);
     distance_from_gamut(&l, &s);
     variance_by_law(&l, &s);
-    deviation_and_confidence(&l, &s, place + start, sigma + start, confidence + start, n);
+    deviation(&l, &s, place + start, sigma + start, n);
     write_back(&l, gradients + 2 * start, untouched + start, n);
-    if (hidden != NULL) hide_confidence(hidden + start, confidence + start, n);
   }
   return OK;
 }

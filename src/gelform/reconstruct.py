@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,17 +15,25 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.anchor import RestAnchor
 from gelform.background.change import PreparedBackground
 from gelform.background.check import Finding, background_digest, check_own_background
-from gelform.background.untouched import reference_from_color_change
+from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_image
 from gelform.color_models.seam import gradients_from_pending
-from gelform.confidence import PreparedSigma, UnknownSigma, solved_sigma, with_model_sigma
+from gelform.confidence import (
+    Explanation,
+    PreparedSigma,
+    UnknownSigma,
+    explanation_of,
+    prepared_causes,
+    solved_sigma,
+    with_model_sigma,
+)
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
 from gelform.gradients import slopes_of_solution
-from gelform.health import DepthLimit, FrameHealth, check_untouched_image
+from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFinder
 from gelform.pool import Pool
 from gelform.reconstruction import Reconstruction
@@ -35,8 +43,20 @@ from gelform.view import image_from_frame
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
 USUAL_WIDTH_MM = 20.0
 USUAL_SIGMA = 0.05
-LEAST_WEIGHT = 1e-6  # where nothing at all is seen, so that there is an equation to solve: of a gel at rest
-LOST_SIGMA = 1.0  # of a slope of which the frame says nothing, mm/mm
+
+
+class _Read(NamedTuple):
+    """What an image says of the slopes; see `Reconstructor._read`."""
+
+    faults: FrameFaults
+    markers: NDArray[np.bool_] | None
+    drifted: tuple[Finding, ...]
+    reference: Reference
+    observed: NDArray[np.float32]
+    observed_sigma: NDArray[np.float32] | None
+    untouched: NDArray[np.bool_]
+    sigma: NDArray[np.float32]
+    confidence: NDArray[np.float32]
 
 
 class Reconstructor:
@@ -93,9 +113,17 @@ class Reconstructor:
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
         self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
         self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
-        self._sigma: PreparedSigma | UnknownSigma = UnknownSigma()
+        self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
         if calibration.slope_sigma is not None:
             self._sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
+        self._causes = prepared_causes(
+            self.background,
+            calibration.change,
+            clean=self._clean,
+            levels=calibration.settings.get("image_noise"),
+            gamut=calibration.gamut,
+            forward=calibration.forward,
+        )
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
@@ -138,31 +166,22 @@ class Reconstructor:
         CalibrationError
             The background is clearly not of this image, or the image is BGR.
         """
-        faults = self._health(self._checked(image, "image"))
-        image = faults.image  # what says nothing shows the untouched gel, and has no weight below
-        exposure, drifted = self._untouched_image.compare(image)
-        hidden = faults.hidden(self._marker_pixels(image))
         with self._pool.one() as change:
-            pending = self._untouched_image.pending(image, exposure)
-            observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
-            reference = reference_from_color_change(
-                change, observed, self.calibration.untouched_change, hidden
-            )
-            untouched, sigma, confidence = self._sigma(image, change, observed, reference, hidden)
-            faults.widen(sigma, LOST_SIGMA)
+            read = self._read(self._checked(image, "image"), change)
             albedo = self._albedo_source(change)
-        observed_sigma, confidence = with_model_sigma(sigma, confidence, model_sigma, self._clean)
-        if hidden is not None and hidden.all():
-            confidence[:] = LEAST_WEIGHT
+        faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
+        confidence, untouched = read.confidence, read.untouched
         solution, depth_sigma = self._integrate(observed, confidence, untouched, observed_sigma)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
+        if depth_sigma is not None:
+            np.minimum(depth_sigma, self._limit.ignorance_mm, out=depth_sigma)
         faults.widen(depth_sigma, self._limit.ignorance_mm)
         scaled = self.calibration.mm_per_px is not None
         return Reconstruction(
             depth=depth_mm if scaled else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=slopes_of_solution(depth_mm, (self._pitch, self._pitch)),
-            gradients_sigma=solved_sigma(observed_sigma, hidden, self._solved_factor),
+            gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
             observed_gradients=observed,
             confidence=confidence,
             contact=contact_from_depth(depth_mm, mm_per_px=self._pitch),
@@ -172,9 +191,49 @@ class Reconstructor:
             zero="untouched",
             solver=solution.solver,
             curl_rms=solution.curl_rms,
-            health=(*self.findings, *faults.findings, *drifted, *reference.findings, *too_deep),
+            health=(*self.findings, *faults.findings, *read.drifted, *read.reference.findings, *too_deep),
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
+        )
+
+    def explain(self, image: ArrayLike) -> Explanation:
+        """Why each pixel of an image was trusted or not: the sigma that each cause adds, and its share.
+
+        Of the same sigma and confidence that `from_image` solves with; takes longer than a frame.
+
+        Parameters
+        ----------
+        image, and what is raised : as for `from_image`
+        """
+        image = self._checked(image, "image")
+        change = np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
+        read = self._read(image, change)
+        seen = self._causes.seen(
+            read.faults.image,
+            change,
+            read.observed + read.reference.bias,
+            markers=read.markers,
+            lost=read.faults.lost,
+            lost_image=image,
+        )
+        return explanation_of(seen, read.sigma, read.confidence)
+
+    def _read(self, image: NDArray[Any], change: NDArray[np.float32]) -> _Read:
+        """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
+        faults = self._health(image)
+        image = faults.image  # what says nothing shows the untouched gel, and has no weight
+        exposure, drifted = self._untouched_image.compare(image)
+        markers = self._marker_pixels(image)
+        hidden = faults.hidden(markers)
+        pending = self._untouched_image.pending(image, exposure)
+        observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
+        reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
+        untouched, sigma = self._sigma(change, observed, reference, hidden)
+        confidence = self._causes(image, change, observed, reference, hidden, sigma)
+        stated = None if self.calibration.slope_sigma is None else sigma
+        observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
+        return _Read(
+            faults, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence
         )
 
     def _prepared_sigma(self) -> DepthSigma | None:

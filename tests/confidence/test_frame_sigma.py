@@ -1,4 +1,4 @@
-"""Standard deviation and confidence of a frame: the law, clipped pixels, colours never seen, a model's own."""
+"""Standard deviation of a frame: the law, colours never seen, a model's own, and what a surface leaves of it."""
 
 from dataclasses import asdict
 
@@ -19,38 +19,30 @@ NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None,
 
 
 def grey(shape):
-    return np.full((*shape, 3), 9, np.uint8), np.zeros((*shape, 3), np.float32)
+    return np.zeros((*shape, 3), np.float32)
 
 
 def test_a_frame():
     gradients = np.zeros((4, 5, 2), dtype=np.float32)
     gradients[1, 1], gradients[1, 2] = (0.6, 0.8), (1.2, 1.6)
-    image = np.full((4, 5, 3), 100, dtype=np.uint8)
-    image[2, 2, 1], image[3, 3, 0] = 255, 0
     given = np.zeros((4, 5), dtype=bool)
     given[0, 4] = True
-    reference = NOTHING._replace(given=given)
-    for pixels in (image, image.astype(np.float32)):
-        untouched, sigma, confidence = PreparedSigma(LAW, (4, 5), None)(
-            pixels, np.zeros((4, 5, 3), np.float32), gradients, reference
-        )
-        np.testing.assert_array_equal(untouched, given)
-        assert sigma.shape == confidence.shape == (4, 5)
-        assert sigma[0, 0] == pytest.approx(0.02)
-        assert sigma[0, 4] == pytest.approx(0.01)
-        assert sigma[1, 1] == pytest.approx(0.12, rel=1e-2)
-        assert sigma[1, 2] == pytest.approx(0.24, rel=1e-2)  # beyond the last knot in proportion
-        np.testing.assert_allclose(sigma[[2, 3], [2, 3]], 1.0)
-        assert confidence[0, 0] == 1
-        assert confidence[1, 1] == pytest.approx((0.03 / 0.12) ** 2, rel=2e-2)
-        assert confidence[2, 2] == pytest.approx(0.03**2, rel=1e-4)
+    untouched, sigma = PreparedSigma(LAW, (4, 5), None)(
+        grey((4, 5)), gradients, NOTHING._replace(given=given)
+    )
+    np.testing.assert_array_equal(untouched, given)
+    assert sigma.shape == (4, 5)
+    assert sigma[0, 0] == pytest.approx(0.02)
+    assert sigma[0, 4] == pytest.approx(0.01)
+    assert sigma[1, 1] == pytest.approx(0.12, rel=1e-2)
+    assert sigma[1, 2] == pytest.approx(0.24, rel=1e-2)  # beyond the last knot in proportion
 
 
 def test_frames_and_scattered_pixels_agree():
     law = SlopeSigma.from_dict({**asdict(LAW), "place": [[1.0, 2.0, 0.5, 1.0]] * 2 + [[3.0, 1.0, 1.0, 1.0]]})
     gradients = np.random.default_rng(1).uniform(-0.5, 0.5, (30, 40, 2)).astype(np.float32)
     size = np.linalg.norm(gradients, axis=-1)
-    _, frame, _ = PreparedSigma(law, (30, 40), None)(*grey((30, 40)), gradients, NOTHING)
+    _, frame = PreparedSigma(law, (30, 40), None)(grey((30, 40)), gradients, NOTHING)
     y, x = (np.mgrid[:30, :40] + 0.5) / np.array([30, 40])[:, None, None]
     np.testing.assert_allclose(frame, law.of(size, x, y), rtol=0.02)
 
@@ -60,12 +52,11 @@ def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
     reference = NOTHING._replace(bias=np.array([0.25, 0.5], np.float32), threshold=0.1)
     hidden = np.zeros((3, 4), dtype=bool)
     hidden[1, 2] = True
-    for prepared in (PreparedSigma(LAW, (3, 4), None), UnknownSigma()):
+    for prepared in (PreparedSigma(LAW, (3, 4), None), UnknownSigma(0.04)):
         found = gradients.copy()
-        untouched, _, confidence = prepared(*grey((3, 4)), found, reference, hidden)
+        untouched, _ = prepared(grey((3, 4)), found, reference, hidden)
         np.testing.assert_array_equal(found, np.broadcast_to(np.float32([0, -0.25]), (3, 4, 2)))
         np.testing.assert_array_equal(untouched, ~hidden)
-        np.testing.assert_array_equal(confidence == 0, hidden)
 
 
 def test_colours_beyond_the_training_presses_are_not_trusted():
@@ -73,11 +64,9 @@ def test_colours_beyond_the_training_presses_are_not_trusted():
     change = np.zeros((2, 3, 3), dtype=np.float32)
     change[0, 1], change[0, 2], change[1, 0] = (0.25, 0, 0), (0.5, 0, 0), (5.0, 0, 0)
     away = gamut.distance_of(change)
-    _, sigma, confidence = PreparedSigma(LAW, (2, 3), gamut)(
-        grey((2, 3))[0], change, np.zeros((2, 3, 2), np.float32), NOTHING
-    )
+    _, sigma = PreparedSigma(LAW, (2, 3), gamut)(change, np.zeros((2, 3, 2), np.float32), NOTHING)
     np.testing.assert_allclose(sigma, np.hypot(0.02, away), rtol=1e-5)
-    assert confidence[1, 0] < 1e-4 < 0.9 < confidence[0, 1]
+    assert sigma[1, 0] > 1 > 0.03 > sigma[0, 1]
 
 
 def seen_gamut():
@@ -86,8 +75,8 @@ def seen_gamut():
 
 
 def numpy_frame_sigma(
-    image, light, change, hidden, given, common, bias, place, law, gamut, low, gradients, untouched, sigma,
-    confidence, square, steps, grows, rest, clean, bins_per_change, worth,
+    change, hidden, given, common, bias, place, law, gamut, low, gradients, untouched, sigma, square, steps, grows,
+    rest, bins_per_change, worth,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     near = ((change - common) ** 2).sum(axis=-1) < square
@@ -103,11 +92,7 @@ def numpy_frame_sigma(
         inside = np.clip(bins, 0, len(gamut) - 1)
         nearest = tuple(np.moveaxis((inside + 0.5).astype(int), -1, 0))
         variance += (gamut[nearest] + worth * np.linalg.norm(bins - inside, axis=-1)) ** 2
-    pixels = light if image is None else image
-    clipped = (pixels.min(axis=-1) <= 0) | (pixels.max(axis=-1) >= 255)
-    variance = np.where(clipped, np.maximum(variance, 1), variance)
-    trusted = np.minimum(clean / variance, 1) * (1 if hidden is None else ~hidden)
-    return slopes, near, np.sqrt(variance), trusted
+    return slopes, near, np.sqrt(variance)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 9), (24, 40)])
@@ -116,22 +101,20 @@ def numpy_frame_sigma(
 def test_the_kernel_agrees_with_numpy(shape, with_gamut, optional):
     rng = np.random.default_rng(0)
     prepared = PreparedSigma(LAW, shape, seen_gamut() if with_gamut else None)
-    image = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
     change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
     mask = rng.uniform(size=shape) > 0.7
-    images = (image, None) if optional == "given" else (None, image.astype(np.float32))
     assert_kernel_agrees(
-        frame_sigma._frame_sigma, numpy_frame_sigma, *images, change, mask if optional == "hidden" else None,
+        frame_sigma._frame_sigma, numpy_frame_sigma, change, mask if optional == "hidden" else None,
         mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]), prepared._place,
         prepared._law, prepared._gamut, prepared._gamut_low, rng.normal(0, 0.5, (*shape, 2)).astype(np.float32),
-        np.empty(shape, bool), np.empty(shape, np.float32), np.empty(shape, np.float32), 0.3**2,
+        np.empty(shape, bool), np.empty(shape, np.float32), 0.3**2,
         *prepared._numbers, *prepared._gamut_numbers,
     )  # fmt: skip
 
 
-def numpy_solved_sigma(sigma, work, solved, factor):
+def numpy_solved_sigma(sigma, work, solved, factor, limit):
     """Own variance v and the neighbours' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
-    v = np.pad(sigma.astype(float) ** 2, 1, mode="edge")
+    v = np.pad(np.minimum(sigma.astype(float), limit) ** 2, 1, mode="edge")
     rows, columns = sigma.shape
     around = sum(v[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) - v[1:-1, 1:-1]
     own, others = v[1:-1, 1:-1], around / 8
@@ -140,24 +123,28 @@ def numpy_solved_sigma(sigma, work, solved, factor):
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 7), (20, 33)])
 def test_the_kernel_of_solved_slopes_agrees_with_numpy(shape):
-    sigma = np.random.default_rng(1).uniform(0.01, 1, shape).astype(np.float32)
-    arguments = sigma, np.empty(shape[1] + 2, np.float32), np.empty(shape, np.float32), 0.9
+    sigma = np.random.default_rng(1).uniform(0.01, 1.5, shape).astype(np.float32)
+    arguments = sigma, np.empty(shape[1] + 2, np.float32), np.empty(shape, np.float32), 0.9, 1.1
     assert_kernel_agrees(frame_sigma._solved_sigma, numpy_solved_sigma, *arguments)
 
 
 def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
     sigma = np.full((9, 9), 0.05, np.float32)
     sigma[4, 4] = 1.0
-    hidden = np.zeros((9, 9), dtype=bool)
-    hidden[1, 1] = True
+    sigma[1, 1] = 40.0
     both = np.broadcast_to(sigma[..., None], (9, 9, 2))
-    solved = solved_sigma(both, hidden, 0.8)
+    solved = solved_sigma(both, 0.8)
     assert solved.shape == (9, 9, 2)
     assert solved[7, 7, 0] == pytest.approx(0.04)
     assert 0.04 < solved[4, 4, 0] < 0.1
     assert 0.04 < solved[1, 1, 1] < 0.1
-    np.testing.assert_array_equal(solved_sigma(both.copy(), hidden, 0.8), solved)
-    assert solved_sigma(None, None, 0.8) is None
+    np.testing.assert_array_equal(solved_sigma(both.copy(), 0.8), solved)
+    assert solved_sigma(None, 0.8) is None
+
+
+def test_no_slope_is_less_known_than_the_steepest():
+    unseen = np.full((5, 6, 2), 40.0, np.float32)
+    np.testing.assert_allclose(solved_sigma(unseen, 0.5), 1, rtol=1e-5)
 
 
 def test_of_two_deviations_the_larger_counts():

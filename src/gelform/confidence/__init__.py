@@ -1,13 +1,18 @@
-"""How far each slope of a frame is to be trusted: its standard deviation and the confidence that follows from it."""
+"""How far each slope of a frame is to be trusted: its standard deviation, what raises it, and the confidence."""
 
+from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, solved_sigma, with_model_sigma
+from gelform.confidence.limits import prepared_causes
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
 
 __all__ = [
+    "Explanation",
     "PreparedSigma",
     "SlopeErrors",
     "SlopeSigma",
     "UnknownSigma",
+    "explanation_of",
+    "prepared_causes",
     "solved_factor",
     "solved_sigma",
     "with_model_sigma",

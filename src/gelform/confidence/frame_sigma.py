@@ -1,8 +1,6 @@
-"""Standard deviation and confidence of a frame's slopes: every cause counted, pixel by pixel."""
+"""Standard deviation of a frame's slopes by their size, place and colour, pixel by pixel; and of the solved ones."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +10,21 @@ from gelform.background.untouched import Reference, untouched_from_color_change
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 
-CLIPPED_SIGMA = 1.0
+STEEPEST = 1.0  # mm/mm
 TABLE = 64  # the law, tabulated for the frame's kernel
 _frame_sigma = Kernel(
     "frame_sigma",
-    "u8[h,w,3]? image, f32[h,w,3]? light, f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, "
-    "f32[2] bias, f32[h,w] place, f32[t] law, f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, "
-    "out bool[h,w] untouched, out f32[h,w] sigma, out f32[h,w] confidence, f32 square, f32 steps, f32 grows, "
-    "f32 rest, f32 clean, f32 bins_per_change, f32 worth",
+    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, f32[t] law, "
+    "f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, "
+    "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth",
 )
-_solved_sigma = Kernel("solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor")
+_solved_sigma = Kernel(
+    "solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor, f32 limit"
+)
 
 
 class PreparedSigma:
-    """Standard deviation and confidence of whole frames; immutable, shared by threads."""
+    """Standard deviation of whole frames by the law and the gamut; immutable, shared by threads."""
 
     def __init__(self, sigma: SlopeSigma, shape: tuple[int, int], gamut: Gamut | None) -> None:
         grid = np.array(sigma.place)
@@ -36,7 +35,7 @@ class PreparedSigma:
         knots = np.array(sigma.slopes), np.array(sigma.sigmas)
         self._law = (law_at(step * np.arange(TABLE), *knots) ** 2).astype(np.float32)
         grows = (knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else 0.0
-        self._numbers = (1 / step, grows, sigma.rest**2, sigma.clean**2)
+        self._numbers = (1 / step, grows, sigma.rest**2)
         self._gamut = self._gamut_low = None
         self._gamut_numbers = (0.0, 0.0)
         if gamut is not None:
@@ -46,65 +45,58 @@ class PreparedSigma:
 
     def __call__(
         self,
-        image: NDArray[Any],
         color_change: NDArray[np.float32],
         gradients: NDArray[np.float32],
         reference: Reference,
         hidden: NDArray[np.bool_] | None = None,
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]]:
-        """Which pixels are untouched, and standard deviation and confidence of the slopes.
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Which pixels are untouched, and standard deviation of the slopes.
 
-        Untouched pixels have the deviation of rest. A pixel with a channel at 0 or 255 is clipped: its slope is
-        not known better than 1. A colour beyond those of the training presses adds its distance to them (`Gamut`).
+        Untouched pixels have the deviation of rest. A colour beyond those of the training presses adds its distance to
+        them (`Gamut`).
 
         Parameters
         ----------
-        image : (H, W, 3) uint8 or float32, 0-255
         color_change : (H, W, 3)
         gradients : (H, W, 2); the reference's bias is subtracted from them, in place
         reference : what untouched pixels have in common
-        hidden : (H, W), pixels that markers hide: not untouched, of confidence 0
+        hidden : (H, W), pixels that markers hide: not untouched
 
         Returns
         -------
         untouched : (H, W) bool
         sigma : (H, W) float32, alike for both components
-        confidence : (H, W) float32
         """
         shape = gradients.shape[:2]
-        untouched = np.empty(shape, dtype=bool)
-        sigma, confidence = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-        image = np.ascontiguousarray(image)
-        either = (image, None) if image.dtype == np.uint8 else (None, image)
+        untouched, sigma = np.empty(shape, dtype=bool), np.empty(shape, dtype=np.float32)
         _frame_sigma(
-            *either, color_change, hidden, reference.given, reference.common_change, reference.bias,
-            self._place, self._law, self._gamut, self._gamut_low, gradients, untouched, sigma, confidence,
-            reference.threshold**2, *self._numbers, *self._gamut_numbers,
+            color_change, hidden, reference.given, reference.common_change, reference.bias, self._place, self._law,
+            self._gamut, self._gamut_low, gradients, untouched, sigma, reference.threshold**2, *self._numbers,
+            *self._gamut_numbers,
         )  # fmt: skip
-        return untouched, sigma, confidence
+        return untouched, sigma
 
 
 class UnknownSigma:
-    """Of an imported calibration: no deviation, and confidence 1 but where a pixel is clipped or hidden."""
+    """Of an imported calibration: one usual deviation everywhere, that decides how much slopes count, and is not stated."""
+
+    def __init__(self, usual: float) -> None:
+        self._usual = np.float32(usual)
 
     def __call__(
         self,
-        image: NDArray[Any],
         color_change: NDArray[np.float32],
         gradients: NDArray[np.float32],
         reference: Reference,
         hidden: NDArray[np.bool_] | None = None,
-    ) -> tuple[NDArray[np.bool_], None, NDArray[np.float32]]:
-        """As `PreparedSigma`, but None for the deviation."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """As `PreparedSigma`."""
         gradients -= reference.bias
-        unknown = (image.min(axis=-1) <= 0) | (image.max(axis=-1) >= 255)
         untouched = reference.given
         if untouched is None:
             untouched = untouched_from_color_change(color_change, reference.threshold)
             untouched &= True if hidden is None else ~hidden
-        if hidden is not None:
-            unknown |= hidden
-        return untouched, None, (~unknown).astype(np.float32)
+        return untouched, np.full(gradients.shape[:2], self._usual)
 
 
 def with_model_sigma(
@@ -135,35 +127,27 @@ def with_model_sigma(
     return larger, np.minimum(confidence, limit)
 
 
-def solved_sigma(
-    sigma: NDArray[np.float32] | None, hidden: NDArray[np.bool_] | None, factor: float
-) -> NDArray[np.float32] | None:
+def solved_sigma(sigma: NDArray[np.float32] | None, factor: float) -> NDArray[np.float32] | None:
     """Standard deviation (H, W, 2) of the slopes of the solved depth.
 
     A surface cannot follow errors of slopes that have curl, and a slope that was read badly follows from its
     neighbours: beside its own reading each is known by the two loops of four edges that it closes. The factor says
-    how much of the error that leaves, measured on held-out presses.
+    how much of the error that leaves, measured on held-out presses. A gel is nowhere so steep that a slope would not
+    be known within `STEEPEST`.
 
     Parameters
     ----------
     sigma : (H, W, 2) of the slopes as they were read; None where nobody knows
-    hidden : (H, W), pixels whose slopes say nothing, whatever their sigma
     factor : 0-1, `SlopeSigma.solved_factor`
     """
     if sigma is None:
         return None
     alike = sigma.strides[-1] == 0  # one map for both components, broadcast
-    maps = [
-        _solved_map(np.ascontiguousarray(sigma[..., c]), hidden, factor) for c in range(1 if alike else 2)
-    ]
+    maps = [_solved_map(np.ascontiguousarray(sigma[..., c]), factor) for c in range(1 if alike else 2)]
     return np.broadcast_to(maps[0][..., None], sigma.shape) if alike else np.stack(maps, axis=-1)
 
 
-def _solved_map(
-    sigma: NDArray[np.float32], hidden: NDArray[np.bool_] | None, factor: float
-) -> NDArray[np.float32]:
-    if hidden is not None:
-        sigma = np.where(hidden, np.maximum(sigma, np.float32(CLIPPED_SIGMA)), sigma)
+def _solved_map(sigma: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
     solved = np.empty_like(sigma)
-    _solved_sigma(sigma, np.empty(sigma.shape[1] + 2, dtype=np.float32), solved, factor)
+    _solved_sigma(sigma, np.empty(sigma.shape[1] + 2, dtype=np.float32), solved, factor, STEEPEST / factor)
     return solved

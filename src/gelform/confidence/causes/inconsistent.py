@@ -1,0 +1,18 @@
+"""Inconsistent: a colour that the slope which was read from it does not give by the forward response; torn data too."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.confidence.causes import dark, saturated
+from gelform.confidence.causes.seen import COMMON, Seen
+
+
+def sigma(seen: Seen) -> NDArray[np.float32]:
+    """Standard deviation (H, W), mm/mm, from what is unexplained where the channels
+    do not have it in common; and of lost parts that are not clipped."""
+    torn = seen.where(seen.lost)
+    torn[(saturated.sigma(seen) > 0) | (dark.sigma(seen) > 0)] = 0
+    mixed = np.abs(seen.common()) <= COMMON * seen.unexplained()
+    return np.maximum(seen.beyond(mixed), torn)

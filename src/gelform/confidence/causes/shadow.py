@@ -1,0 +1,13 @@
+"""Shadow: all channels darker than any gradient makes them, as where the object or the gel stands in the light."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.confidence.causes.seen import COMMON, Seen
+
+
+def sigma(seen: Seen) -> NDArray[np.float32]:
+    """Standard deviation (H, W), mm/mm, from what is unexplained where the channels are darker in common."""
+    return seen.beyond(seen.common() < -COMMON * seen.unexplained())

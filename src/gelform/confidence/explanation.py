@@ -1,0 +1,106 @@
+"""Why each pixel of a frame was trusted or not: the sigma that each cause adds, its share, and what is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.check import Finding
+from gelform.confidence.causes import CAUSES
+from gelform.confidence.causes.seen import Seen
+
+LAW = "law"
+NAMED_FROM = (
+    0.35  # mm/mm, that a cause adds alone: about the slope of a ball's rim, so that nothing is left of it
+)
+NAMED_IF_ANY = ("compression",)  # what is 0 unless it is there
+LEAST_PX = 12  # connected, where a cause adds so much: less is not named
+SAID = {
+    "saturated": "a channel is at the camera's upper end. Lower exposure, gain or the lights.",
+    "dark": "a channel is at the camera's lower end. Is a light off, or the exposure too short?",
+    "shadow": "darker than any slope makes it: a cast shadow.",
+    "specular": "brighter than any slope makes it: a mirrored light.",
+    "off_gamut": "of colours that no training press has shown. Calibrate with deeper presses too.",
+    "inconsistent": "of colours that no slope gives: dust, a scratch, another gel, or torn data.",
+    "marker": "hidden by markers.",
+    "outside": "not lit, or not gel.",
+    "compression": "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Why each pixel was trusted or not.
+
+    Attributes
+    ----------
+    maps : by cause, (H, W) float32: the standard deviation that it adds, in squares, to that of the slopes, mm/mm;
+        0 where it plays no part
+    law : (H, W) float32, mm/mm: what is left, by size and place of the slope on held-out presses
+    gradients_sigma : (H, W) float32, mm/mm, of the slopes as they were read; the larger of both components
+    confidence : (H, W) float32, 0-1: min(1, (clean / gradients_sigma)^2)
+    clean : sigma up to which confidence is 1, mm/mm
+    """
+
+    maps: Mapping[str, NDArray[np.float32]]
+    law: NDArray[np.float32]
+    gradients_sigma: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    clean: float
+
+    @cached_property
+    def shares(self) -> dict[str, float]:
+        """Share of the variance that each cause and the law (`"law"`) have, averaged over the pixels; they add up to 1."""
+        squares = {LAW: np.square(self.law), **{name: np.square(one) for name, one in self.maps.items()}}
+        total = np.maximum(sum(squares.values()), np.float32(1e-12))
+        found = {name: float(np.mean(square / total)) for name, square in squares.items()}
+        return {name: share / sum(found.values()) for name, share in found.items()}
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """The causes that matter: each with the share of the frame where it alone leaves nothing of a slope."""
+        return tuple(
+            Finding(name, f"{100 * share:.1f} % of the frame is {SAID[name]}", share)
+            for name, one in self.maps.items()
+            if (share := _named_share(one > (0 if name in NAMED_IF_ANY else NAMED_FROM))) > 0
+        )
+
+    @cached_property
+    def dominant(self) -> NDArray[np.uint8]:
+        """What most of each pixel's variance is due to (H, W): 0 the law, k the k-th of `maps`."""
+        stack = np.stack([self.law, *self.maps.values()])
+        return np.asarray(stack.argmax(axis=0), dtype=np.uint8)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its figures, as JSON can hold them."""
+        return {
+            "clean_sigma": self.clean,
+            "median_sigma": float(np.median(self.gradients_sigma)),
+            "mean_confidence": float(self.confidence.mean()),
+            "trusted_share": float((self.confidence >= 0.5).mean()),
+            "variance_shares": self.shares,
+            "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in self.findings],
+        }
+
+
+def explanation_of(
+    seen: Seen, gradients_sigma: NDArray[np.float32], confidence: NDArray[np.float32]
+) -> Explanation:
+    """The maps of all causes of a frame, beside the sigma (H, W) and the confidence (H, W) that it was solved with."""
+    maps = {name: cause(seen) for name, cause in CAUSES.items()}
+    explained = sum(np.square(one) for one in maps.values())
+    law = np.sqrt(np.maximum(np.square(gradients_sigma) - explained, 0))
+    return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, seen.limits.clean)
+
+
+def _named_share(mask: NDArray[np.bool_]) -> float:
+    """Share of the pixels in regions of a mask (H, W) that are large enough to be named."""
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
+    areas = boxes[1:, cv2.CC_STAT_AREA]
+    return float(areas[areas >= LEAST_PX].sum()) / mask.size

@@ -1,0 +1,113 @@
+"""Causes in a frame: its sigma raised by all of them in one pass, and the confidence that follows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.background.untouched import Reference
+from gelform.confidence.causes import dark, saturated
+from gelform.confidence.causes.compression import added_levels
+from gelform.confidence.causes.forward_cells import explained_change
+from gelform.confidence.causes.seen import Limits, Seen, with_margin
+
+_raise_sigma = Kernel(
+    "raise_sigma",
+    "u8[h,w,3] image, f32[h,w,3] change, f32[h,w,2] gradients, bool[h,w]? unseen, f32[ch,cw,9,3]? cells, f32[2] bias, "
+    "f32[h,w] gain, out f32[h,w] sigma, out f32[h,w] confidence, out bool[h,w] clipped, f32 unexplained, "
+    "f32 per_change, f32 unseen_sigma, f32 clean, f32 added, i32 dark_to, i32 saturated_from",
+)
+
+
+class PreparedCauses:
+    """All causes of one calibration and background; immutable, shared by threads.
+
+    Parameters
+    ----------
+    limits : what does not depend on the frame
+    cells : of the forward response, `coefficients_of_cells`; None where there is none
+    rest : (H, W, 3), the untouched image
+    """
+
+    def __init__(self, limits: Limits, cells: NDArray[np.float32] | None, rest: NDArray[Any]) -> None:
+        self.limits = limits
+        self._cells = cells
+        self._rest = as_levels(rest)
+
+    def __call__(
+        self,
+        image: NDArray[Any],
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        reference: Reference,
+        hidden: NDArray[np.bool_] | None,
+        sigma: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
+
+        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause.
+
+        Parameters
+        ----------
+        image : (H, W, 3), 0-255
+        color_change : (H, W, 3)
+        gradients : (H, W, 2), without the reference's bias
+        reference : what untouched pixels have in common
+        hidden : (H, W) bool, pixels that markers hide or that are lost, or None
+        sigma : (H, W), of the law and the colours' distance to those of the training presses
+        """
+        limits, pixels = self.limits, as_levels(image)
+        confidence, clipped = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
+        count = _raise_sigma(
+            pixels, color_change, gradients, self._unseen(hidden), self._cells, reference.bias, limits.gain, sigma,
+            confidence, clipped, limits.unexplained, limits.per_change, limits.unseen, limits.clean,
+            limits.worth * self.added_levels(pixels), dark.DARK_TO, saturated.SATURATED_FROM,
+        )  # fmt: skip
+        if count:
+            self._raise_clipped(clipped, sigma, confidence)
+        return confidence
+
+    def seen(
+        self,
+        image: NDArray[Any],
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        *,
+        markers: NDArray[np.bool_] | None,
+        lost: NDArray[np.bool_] | None,
+        lost_image: NDArray[Any],
+    ) -> Seen:
+        """A frame as the single causes look at it; the gradients (H, W, 2) as the color model read them."""
+        residual = None if self._cells is None else color_change - explained_change(self._cells, gradients)
+        pixels = as_levels(image)
+        added = self.added_levels(pixels)
+        return Seen(pixels, color_change, residual, markers, lost, as_levels(lost_image), added, self.limits)
+
+    def added_levels(self, pixels: NDArray[np.uint8]) -> float:
+        """Noise of an image beyond the calibrated images', grey levels."""
+        return added_levels(pixels, self._rest, self.limits.levels)
+
+    def _unseen(self, hidden: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        outside = self.limits.outside
+        return hidden if outside is None else outside if hidden is None else hidden | outside
+
+    def _raise_clipped(
+        self, clipped: NDArray[np.bool_], sigma: NDArray[np.float32], confidence: NDArray[np.float32]
+    ) -> None:
+        limits = self.limits
+        if limits.outside is not None:
+            clipped &= ~limits.outside
+        reached = with_margin(clipped, limits.margin_px)
+        raised = np.hypot(sigma[reached], np.float32(limits.unseen))
+        sigma[reached] = raised
+        confidence[reached] = np.minimum(np.square(np.float32(limits.clean) / raised), 1)
+
+
+def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Whole grey levels of an image (H, W, 3), 0-255, in C order."""
+    if image.dtype != np.uint8:
+        image = np.rint(image).astype(np.uint8)
+    return np.ascontiguousarray(image)
