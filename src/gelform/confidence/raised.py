@@ -16,9 +16,9 @@ from gelform.confidence.causes.seen import Limits, Seen, with_margin
 
 _raise_sigma = Kernel(
     "raise_sigma",
-    "u8[h,w,3] image, f32[h,w,3] change, f32[h,w,2] gradients, bool[h,w]? unseen, f32[ch,cw,9,3]? cells, f32[2] bias, "
+    "u8[h,w,3] image, f32[h,w,3] change, f32[h,w,2] gradients, bool[h,w]? unseen_at, f32[ch,cw,9,3]? cells, f32[2] bias, "
     "f32[h,w] gain, out f32[h,w] sigma, out f32[h,w] confidence, out bool[h,w] clipped, f32 unexplained, "
-    "f32 per_change, f32 unseen_sigma, f32 clean, f32 added, i32 dark_to, i32 saturated_from",
+    "f32 per_change, f32 unseen, f32 clean, f32 added, i32 dark_to, i32 saturated_from",
 )
 
 
