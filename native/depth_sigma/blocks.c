@@ -18,9 +18,9 @@ static void add_row(const struct maps *of, ptrdiff_t i, float floor, float *line
   float *restrict hold = lines + HOLD * w, *restrict zero = lines + REGION * w;
   INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) {
     const float in = mask[j], weight = weights[j] >= floor ? in * weights[j] : 0;
-    inside[j] += in, total[j] += weight, square[j] += weight * weight;
-    hold[j] += in * anchor[j], zero[j] += in * region[j];
+    total[j] += weight, square[j] += weight * weight, hold[j] += in * anchor[j];
   }
+  INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) inside[j] += (float)mask[j], zero[j] += (float)(mask[j] & region[j]);
 }
 
 static void add_slopes(const struct maps *of, ptrdiff_t i, ptrdiff_t slope, float floor, float *lines) {

@@ -20,6 +20,11 @@ static inline lanes load(const float *draws, size_t bytes) {
   return x;
 }
 
+static inline void store(float *depth, lanes x, size_t bytes) {
+  if (bytes == sizeof x) memcpy(depth, &x, sizeof x);
+  else memcpy(depth, &x, bytes);
+}
+
 // Move what flows over the edge that leaves block (i, j), counted from 0, along `axis`, from one pixel to its neighbour. An
 // edge that a column or row put in cuts is two of twice the coupling.
 static inline void add_flux(const struct errors *e, struct batch_level *l, const float *coupling, float scale, ptrdiff_t stride,
@@ -75,7 +80,7 @@ static void collect(const struct errors *e, struct batch_level *l, ptrdiff_t fir
       float *depth = depths + (i * e->w + j) * e->n + first;
       lanes x = length * *lanes_at(l->answer, l, on_finest(i + 1, e->h), on_finest(j + 1, e->w));
       if (add) x += load(depth, bytes);
-      memcpy(depth, &x, bytes);
+      store(depth, x, bytes);
     }
 }
 

@@ -135,9 +135,10 @@ def check_map(
     if array.ndim < 2 or 0 in array.shape or (shape is not None and array.shape[-2:] != tuple(shape)):
         wanted = f"({shape[0]}, {shape[1]})" if shape is not None else "(H, W)"
         raise ValueError(f"Expected {name} of shape {wanted}, got {array.shape}.")
-    array = check_finite(_as_float(array, name, dtype), name)
-    if nonnegative and value_range(array)[0] < 0:
-        raise ValueError(f"Expected {name} >= 0, got {array.min():g}.")
+    array = _as_float(array, name, dtype)
+    low, _ = finite_range(array, name)
+    if nonnegative and low < 0:
+        raise ValueError(f"Expected {name} >= 0, got {low:g}.")
     return array
 
 
@@ -155,6 +156,12 @@ def check_mask(mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask") -
 
 def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
     """Return the array if every value is finite, and its square too: NaN is refused at the door, always."""
+    finite_range(array, name)
+    return array
+
+
+def finite_range(array: NDArray[Any], name: str) -> tuple[float, float]:
+    """The least and the largest value of an array, refused as `check_finite` does."""
     low, high = value_range(array)
     if not (low >= -LARGEST and high <= LARGEST):
         bad = int(np.count_nonzero(~(np.abs(array.astype(np.float64)) <= LARGEST)))
@@ -162,7 +169,7 @@ def check_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
             f"Expected finite {name}, got {bad} values that are NaN or infinite (or beyond {LARGEST:g}). "
             "Put any finite value there and say where with mask=."
         )
-    return array
+    return low, high
 
 
 def value_range(array: NDArray[Any]) -> tuple[float, float]:

@@ -14,7 +14,15 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import as_array, check_map, check_mask, check_mm_per_px, check_numbers, check_within
+from gelform.checks import (
+    as_array,
+    check_map,
+    check_mask,
+    check_mm_per_px,
+    check_numbers,
+    check_within,
+    value_range,
+)
 from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, sigma_of_pixels
 from gelform.depth_sigma.closed_form import (
     correlation_of_blocks,
@@ -119,7 +127,7 @@ class DepthSigma:
         region = zero_region(zero, shape)
         if mask is not None:
             weight = weight * inside
-        floor = np.float32(FLOOR) * weight.max()
+        floor = np.float32(FLOOR) * np.float32(value_range(weight)[1])
         blocks = Blocks(sigma, weight, inside, hold, region, floor, self.block)
         median = blocks.share_in_median() if level == "slope" else None
         depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
@@ -220,8 +228,10 @@ def _checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = N
         raise ValueError(f"Expected gradients_sigma of shape {wanted}, got {sigma.shape}.")
     if sigma.size == 0:
         raise ValueError(f"Expected gradients_sigma of some pixels, got none: shape {sigma.shape}.")
+    if sigma.ndim == 3 and sigma.strides[2] == 0:
+        sigma = sigma[..., 0]  # one map, broadcast to both slopes
     flat = check_map(sigma.reshape(size[0], -1), "gradients_sigma", nonnegative=True)
-    if flat.min() == 0:
+    if value_range(flat)[0] == 0:
         raise ValueError("Expected gradients_sigma > 0, got 0: no slope is known exactly.")
     return flat.reshape(*size, -1)
 
