@@ -143,7 +143,7 @@ class PreparedBackground:
         self.background = check_image(background, name="background").astype(np.float32)
         self._light = light_from_image(self.background, settings)
         self._gain = gain_from_background(self.background, settings)
-        self._taps = _blur_taps(settings.blur_px)
+        self._taps = blur_taps(settings.blur_px)
         self._blocks = block_means(self.background)
 
     def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
@@ -204,7 +204,7 @@ class PendingChange:
         return out
 
 
-def _blur_taps(blur_px: float) -> NDArray[np.float32]:
+def blur_taps(blur_px: float) -> NDArray[np.float32]:
     """Weights of a Gaussian blur from the middle on, as far as OpenCV takes them for floats: 4 standard deviations."""
     if blur_px == 0:
         return np.ones(1, dtype=np.float32)

@@ -143,9 +143,12 @@ class HierarchicalModel:
     ) -> NDArray[np.float64]:
         """Gradients (N, 2) of scattered pixels."""
         products = _products(np.asarray(color_change, dtype=np.float64), monomials(3, self.degree))
-        coefficients = _at_pixels(self.nodes, *_interpolation(x_px, y_px, self.shape))
-        gradients: NDArray[np.float64] = np.einsum("tn,ntk->nk", products, coefficients)
+        gradients: NDArray[np.float64] = np.einsum("tn,ntk->nk", products, self.coefficients_at(x_px, y_px))
         return gradients
+
+    def coefficients_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Coefficients (N, terms, 2) of each monomial of the color change at pixels."""
+        return _at_pixels(self.nodes, *_interpolation(x_px, y_px, self.shape))
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedHierarchical:
         """The coefficients of every row of pixels at every 16th column."""

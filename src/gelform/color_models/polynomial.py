@@ -19,6 +19,7 @@ from gelform.color_models._shared.least_squares import (
     monomials,
     polynomial_terms,
     position_powers,
+    position_terms,
     robust_ridge,
     term_count,
     unit_position,
@@ -92,6 +93,28 @@ class PolynomialModel:
             polynomial_terms(color_change, x, y, self.position_degrees) @ self.coefficients
         )
         return gradients
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomial in colour."""
+        return len(self.position_degrees)
+
+    def coefficients_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
+        """Coefficients (N, terms, 2) of each monomial of the color change at pixels."""
+        x, y = unit_position(x_px, y_px, self.shape)
+        place = position_terms(x, y, max(self.position_degrees))
+        terms = monomials(3, self.degree)
+        own = np.split(
+            self.coefficients, np.cumsum([len(position_powers(d)) for d in self._degrees(terms)])[:-1]
+        )
+        maps = [
+            np.stack([place[power] for power in position_powers(degree)], axis=1) @ part
+            for degree, part in zip(self._degrees(terms), own)
+        ]
+        return np.stack(maps, axis=1)
+
+    def _degrees(self, terms: list[tuple[int, ...]]) -> list[int]:
+        return [self.position_degrees[len(term) - 1] for term in terms]
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedPolynomial:
         """Coefficients of each row as polynomials in x, so that a frame is a few products per pixel."""

@@ -56,7 +56,7 @@ def polynomial_terms(
     There is no constant term: values of zero give zero.
     """
     channels = np.asarray(values, dtype=np.float64).T
-    place = _position_terms(np.asarray(x), np.asarray(y), max(position_degrees))
+    place = position_terms(np.asarray(x), np.asarray(y), max(position_degrees))
     columns = np.empty((term_count(len(channels), position_degrees), channels.shape[1]))
     filled = 0
     terms = monomials(len(channels), len(position_degrees))
@@ -75,7 +75,7 @@ def monomial_products(channels: NDArray[Any], terms: list[tuple[int, ...]]) -> l
     return products
 
 
-def _position_terms(
+def position_terms(
     x: NDArray[Any], y: NDArray[Any], degree: int
 ) -> dict[tuple[int, int], NDArray[np.float64]]:
     """x^i y^j by its exponents, each a product of one before it: powers take ten times as long."""

@@ -1,0 +1,103 @@
+"""images -> color change, a batch at a time: exposure, response, crosstalk and blur as the numpy path has them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch.nn import functional
+
+import torch
+from gelform.background.change import ChangeSettings, blur_taps, gain_from_background, light_from_image
+from gelform.background.exposure import BRIGHT, DARK, FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
+from torch import Tensor, nn
+
+BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as the kernel `crowd_of_ratios` has them
+
+
+class ColorChange(nn.Module):
+    """Color change (N, 3, H, W) of images (N, 3, H, W), 0-255, against an untouched image (H, W, 3).
+
+    With `compensate_exposure` the exposure of each image is estimated from its untouched blocks and undone, as a
+    constant: no derivative passes through it.
+    """
+
+    def __init__(
+        self, background: NDArray[np.float32], settings: ChangeSettings, compensate_exposure: bool
+    ) -> None:
+        super().__init__()
+        self.compensate_exposure = compensate_exposure
+        taps = blur_taps(settings.blur_px)
+        self.settings = settings
+        self.shape = background.shape[:2]
+        self.register_buffer("untouched", _planes(light_from_image(background, settings)))
+        self.register_buffer("gain", _planes(gain_from_background(background, settings)))
+        self.register_buffer("taps", torch.from_numpy(np.concatenate([taps[:0:-1], taps])))
+        self.register_buffer("blocks", _planes(block_means(background)))
+        for name, size, blocks in zip(("rows", "columns"), self.shape, self.blocks.shape[-2:]):
+            self.register_buffer(name, _averages(size, blocks))
+        crosstalk = np.eye(3) if settings.crosstalk is None else np.asarray(settings.crosstalk)
+        self.register_buffer("crosstalk", torch.from_numpy(crosstalk.astype(np.float32)))
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The color change; the exponent of the camera's response needs images above 0 to be differentiable."""
+        levels = images.to(self.untouched.dtype)
+        if self.compensate_exposure:
+            levels = levels / self._believed_gain(images)[:, :, None, None]
+        light = levels if self.settings.response == 1 else self._linear(levels)
+        if self.settings.crosstalk is not None:
+            light = torch.einsum("cd,ndhw->nchw", torch.linalg.inv(self.crosstalk), light)
+        return self._blurred((light - self.untouched) * self.gain)
+
+    def _linear(self, levels: Tensor) -> Tensor:
+        return 255 * (levels / 255) ** (1 / self.settings.response)
+
+    def _blurred(self, change: Tensor) -> Tensor:
+        reach = len(self.taps) // 2
+        if reach == 0:
+            return change
+        taps = self.taps.expand(3, 1, 1, -1)
+        padded = functional.pad(change, (reach,) * 4, mode="reflect")
+        return functional.conv2d(functional.conv2d(padded, taps, groups=3), taps.transpose(-1, -2), groups=3)
+
+    @torch.no_grad()
+    def _believed_gain(self, images: Tensor) -> Tensor:
+        """How many times as bright as the background each channel is, (N, 3); see `Exposure.believed_gain`."""
+        levels = images.to(self.untouched.dtype)
+        blocks = self.rows @ levels @ self.columns.T
+        if not images.is_floating_point():
+            blocks = blocks.round()
+        either = torch.stack([blocks, self.blocks.expand_as(blocks)])
+        lit = ((either.amin(0) > DARK) & (either.amax(0) < BRIGHT)).all(1).flatten(1)
+        ratio = (blocks / self.blocks).clamp(1e-6, 1e6)
+        logs = torch.where(lit[:, None], ratio.flatten(2).log(), 0)
+        center = _fullest(logs, lit)
+        for half_width in HALF_WIDTHS_LOG:
+            away = logs - center[..., None]
+            near = lit & (away.abs().amax(1) < float(half_width))
+            count = near.sum(1)
+            center = center + (away * near[:, None]).sum(2) / count.clamp(min=1)[:, None]
+        part = ((count / lit.shape[1] - MIN_SHARE) / (FULL_SHARE - MIN_SHARE)).clamp(0, 1)
+        return (center * part[:, None]).exp()
+
+
+def _planes(pixels: NDArray[np.float32]) -> Tensor:
+    """(3, H, W) of (H, W, 3)."""
+    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(pixels, -1, 0), dtype=np.float32))
+
+
+def _averages(size: int, blocks: int) -> Tensor:
+    """Which share of each pixel goes into each block's mean, (blocks, size)."""
+    return torch.from_numpy(
+        cv2.resize(np.eye(size, dtype=np.float32), (size, blocks), interpolation=cv2.INTER_AREA)
+    )
+
+
+def _fullest(logs: Tensor, lit: Tensor) -> Tensor:
+    """Middle (N, 3) of the window of bins that holds the most log ratios (N, 3, blocks)."""
+    bins = ((logs + SPAN) * (BINS / (2 * SPAN))).clamp(0, BINS - 1).long()
+    counts = torch.zeros(*logs.shape[:2], BINS, dtype=logs.dtype, device=logs.device)
+    counts.scatter_add_(2, bins, lit[:, None].to(logs.dtype).expand_as(logs))
+    held = counts.unfold(2, WINDOW, 1).sum(-1)
+    first = (held == held.amax(2, keepdim=True)).to(torch.uint8).argmax(2)
+    return (first.to(logs.dtype) + WINDOW / 2) * (2 * SPAN / BINS) - SPAN

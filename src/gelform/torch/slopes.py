@@ -1,0 +1,93 @@
+"""color change -> gradients, a batch at a time: the color models whose formula is the same at every pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+import torch
+from gelform.color_models import (
+    ColorModel,
+    HierarchicalModel,
+    LambertianModel,
+    NearLightModel,
+    PolynomialModel,
+)
+from gelform.color_models._shared.least_squares import monomial_parents, monomials
+from gelform.color_models.lambertian import MAX_SLOPE, inverse_lights
+from gelform.errors import CalibrationError
+from torch import Tensor, nn
+
+LEAST_NORMAL_Z = 1e-6
+
+
+def gradients_module(model: ColorModel, shape: tuple[int, int]) -> nn.Module:
+    """The model as a module: color change (N, 3, H, W) -> gradients (N, 2, H, W).
+
+    Raises
+    ------
+    CalibrationError
+        A color model that has no such form.
+    """
+    if isinstance(model, (HierarchicalModel, PolynomialModel)):
+        return PolynomialGradients(model, shape)
+    if isinstance(model, LambertianModel):
+        return LitGradients(inverse_lights(model.lights)[None, None], model.response)
+    if isinstance(model, NearLightModel):
+        x_px, y_px = _pixels(shape)
+        inverse = np.linalg.inv(model.lights_at(x_px, y_px)).reshape(*shape, 3, 3)
+        return LitGradients(inverse, model.response)
+    raise CalibrationError(
+        f"Expected a calibration with the color model hierarchical, polynomial, lambertian or near_light, got "
+        f"{model.name}. Calibrate with --model hierarchical, or use gelform.Reconstructor."
+    )
+
+
+class PolynomialGradients(nn.Module):
+    """A polynomial in the color change whose coefficients vary over the image."""
+
+    def __init__(self, model: HierarchicalModel | PolynomialModel, shape: tuple[int, int]) -> None:
+        super().__init__()
+        maps = model.coefficients_at(*_pixels(shape)).reshape(*shape, -1, 2)
+        self.register_buffer("coefficients", _tensor(np.moveaxis(maps, (2, 3), (0, 1))))  # (terms, 2, H, W)
+        self.parents = monomial_parents(monomials(3, model.degree)).tolist()
+
+    def forward(self, color_change: Tensor) -> Tensor:
+        """Gradients, each monomial a product of one before it with a channel."""
+        channels = color_change.unbind(1)
+        products: list[Tensor] = []
+        gradients = torch.zeros_like(color_change[:, :2])
+        for (parent, channel), coefficient in zip(self.parents, self.coefficients):
+            products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
+            gradients = gradients + products[-1][:, None] * coefficient
+        return gradients
+
+
+class LitGradients(nn.Module):
+    """Photometric stereo with the inverse of a light matrix, one for all pixels or one for each."""
+
+    def __init__(self, inverse: NDArray[np.float64], response: float) -> None:
+        super().__init__()
+        self.register_buffer(
+            "inverse", _tensor(np.moveaxis(inverse, (2, 3), (0, 1)))
+        )  # (3, 3, H or 1, W or 1)
+        self.response = response
+
+    def forward(self, color_change: Tensor) -> Tensor:
+        """Gradients -g_xy/g_z of g = L^-1 (1 + change), at most MAX_SLOPE steep."""
+        ratio = 1 + color_change
+        if self.response != 1:
+            ratio = ratio.clamp(min=0) ** (1 / self.response)
+        g = torch.stack([(row * ratio).sum(1) for row in self.inverse], dim=1)
+        steepest = g[:, :2].norm(dim=1) / MAX_SLOPE
+        return -g[:, :2] / torch.maximum(g[:, 2], steepest).clamp(min=LEAST_NORMAL_Z)[:, None]
+
+
+def _pixels(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns and rows of all pixels, row by row."""
+    y_px, x_px = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
+    return x_px, y_px
+
+
+def _tensor(values: NDArray[np.float64]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))

@@ -1,0 +1,112 @@
+"""The module gives what the numpy path gives, batch by batch, and its derivatives are those of differences."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.errors import CalibrationError
+
+torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
+from gelform.torch import Reconstruct  # noqa: E402
+from gelform.torch.slopes import gradients_module  # noqa: E402
+
+
+def batch_of(images):
+    return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def images(simulated):
+    """Presses, one of them brighter, one with a touch nearly everywhere, and the untouched gel."""
+    pressed = [press.image for press in simulated.presses[:4]]
+    brighter = np.clip(pressed[0] * np.array([1.08, 1.05, 1.1]), 0, 255).round().astype(np.uint8)
+    return [*pressed, brighter, simulated.background.round().astype(np.uint8)]
+
+
+def calibration_of(name, request):
+    made = request.getfixturevalue("lambertian_calibration" if name == "lambertian" else "calibration")
+    if name == "crosstalk":
+        mixed = ((1.0, 0.1, 0.0), (0.05, 1.0, 0.08), (0.0, 0.1, 1.0))
+        return replace(made, change=replace(made.change, crosstalk=mixed, response=0.8))
+    return made
+
+
+@pytest.mark.parametrize("name", ["auto", "lambertian", "crosstalk"])
+def test_it_is_the_numpy_path(request, name, images):
+    calibration = calibration_of(name, request)
+    reconstruct = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
+    expected = [reconstruct.from_image(image) for image in images]
+    found = Reconstruct(calibration)(batch_of(images))
+    peak = max(np.abs(one.depth_mm).max() for one in expected)
+    for k, one in enumerate(expected):
+        np.testing.assert_allclose(found.depth_mm[k, 0], one.depth_mm, atol=1e-4 * peak)
+        np.testing.assert_allclose(found.gradients[k].permute(1, 2, 0), one.observed_gradients, atol=3e-4)
+
+
+def test_polynomial_is_the_numpy_path(presses, images):
+    calibration = gelform.calibrate(presses.subset(range(8)), color_model="polynomial")
+    expected = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False).from_image(images[0])
+    found = Reconstruct(calibration)(batch_of(images[:1]))
+    np.testing.assert_allclose(
+        found.depth_mm[0, 0], expected.depth_mm, atol=1e-4 * np.abs(expected.depth_mm).max()
+    )
+
+
+def test_an_image_is_the_same_alone_and_in_a_batch(calibration, images):
+    module = Reconstruct(calibration)
+    together = module(batch_of(images)).depth_mm
+    for k in range(len(images)):
+        alone = module(batch_of(images[k : k + 1])).depth_mm[0]
+        np.testing.assert_allclose(alone, together[k], atol=1e-6)
+
+
+def test_derivatives_are_those_of_differences(calibration, images):
+    """Of a sum of depths with random weights, along random changes of the image, in double precision."""
+    module = Reconstruct(calibration, compensate_exposure=False).double()
+    generator = torch.Generator().manual_seed(0)
+    image = batch_of(images[:1]).double().requires_grad_()
+    weights = torch.randn(image.shape[2:], generator=generator, dtype=torch.float64)
+    (slope,) = torch.autograd.grad((module(image).depth_mm * weights).sum(), image)
+    for _ in range(3):
+        along = torch.randn(image.shape, generator=generator, dtype=torch.float64)
+        along[:, :, ::8, ::8] = 0  # those decide what is untouched, by medians and a threshold
+        step = 1e-5 * along
+        plus, minus = ((module(image + sign * step).depth_mm * weights).sum() for sign in (1, -1))
+        expected = (plus - minus).item() / 2e-5
+        assert (slope * along).sum().item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_solve_has_exact_derivatives():
+    from gelform.torch.poisson import PoissonDepth
+
+    gradients = torch.randn(2, 2, 5, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    assert torch.autograd.gradcheck(PoissonDepth((5, 6), 0.1).double(), gradients.requires_grad_())
+
+
+@pytest.mark.parametrize("shape", [(7, 9), (8, 6), (1, 5), (132, 176)])
+def test_the_solve_is_that_of_the_dct_solver(shape):
+    from gelform.torch.poisson import PoissonDepth
+
+    gradients = np.random.default_rng(0).standard_normal((*shape, 2)).astype(np.float32)
+    expected = gelform.depth_from_gradients(gradients, mm_per_px=0.1, solver="dct")
+    found = PoissonDepth(shape, 0.1)(torch.from_numpy(gradients).permute(2, 0, 1)[None])[0]
+    np.testing.assert_allclose(found, expected, atol=2e-5 * np.ptp(expected))
+
+
+def test_it_moves_and_is_saved_as_modules_are(calibration, images):
+    module = Reconstruct(calibration)
+    again = Reconstruct(calibration)
+    again.load_state_dict(module.state_dict())
+    assert module.to("meta").model.coefficients.device.type == "meta"
+    assert again.double()(batch_of(images[:1])).depth_mm.dtype == torch.float64
+
+
+def test_wrong_input_is_named(calibration, images):
+    with pytest.raises(ValueError, match="Move the channels first"):
+        Reconstruct(calibration)(torch.from_numpy(np.stack(images)))
+    network = SimpleNamespace(name="network")
+    with pytest.raises(CalibrationError, match="--model hierarchical"):
+        gradients_module(network, calibration.image_shape)
