@@ -29,8 +29,8 @@ LEVELS = [
         "reconstruction",
     },
     {"reconstruct", "simulate"},
-    {"sensors", "plots", "importers", "exporters"},
-    {"calibration", "design"},
+    {"sensors", "plots", "importers", "exporters", "torch"},
+    {"calibration", "design", "streams"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line

@@ -61,6 +61,8 @@ from .reconstruct import Reconstructor as Reconstructor
 from .reconstruction.record import Reconstruction as Reconstruction
 from .reconstruction.file import save_result as save_result
 from .reconstruction.file import load_result as load_result
+from .streams.stream import stream as stream
+from .streams.stream import Stream as Stream
 from .plots.result import picture as picture
 from .plots.canvas import save_picture as save_picture
 from .metrics import press_errors as press_errors
@@ -70,5 +72,6 @@ from .errors import GelformError as GelformError
 from .errors import CalibrationError as CalibrationError
 from .errors import SensorError as SensorError
 from .errors import SourceLostError as SourceLostError
+from .errors import StaleError as StaleError
 from .errors import ConvergenceError as ConvergenceError
 from .errors import DataError as DataError

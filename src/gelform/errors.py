@@ -21,5 +21,9 @@ class ConvergenceError(GelformError):
     """A solver did not reach its tolerance; the message names the cause and a remedy."""
 
 
+class StaleError(SensorError):
+    """A stream has no result that is new enough."""
+
+
 class DataError(GelformError):
     """A file or folder is missing, unreadable, incomplete, altered or already there."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor, nn
 from torch.nn import functional
 
-import torch
 from gelform.background.change import ChangeSettings, blur_taps, gain_from_background, light_from_image
 from gelform.background.exposure import BRIGHT, DARK, FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
-from torch import Tensor, nn
 
 BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as the kernel `crowd_of_ratios` has them
 
@@ -66,7 +66,7 @@ class ColorChange(nn.Module):
         levels = images.to(self.untouched.dtype)
         blocks = self.rows @ levels @ self.columns.T
         if not images.is_floating_point():
-            blocks = blocks.round()
+            blocks = (blocks + 0.5).floor()  # as OpenCV does
         either = torch.stack([blocks, self.blocks.expand_as(blocks)])
         lit = ((either.amin(0) > DARK) & (either.amax(0) < BRIGHT)).all(1).flatten(1)
         ratio = (blocks / self.blocks).clamp(1e-6, 1e6)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-from torch.nn import functional
-
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 
 class PoissonDepth(nn.Module):

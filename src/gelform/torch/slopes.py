@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
 from gelform.color_models import (
     ColorModel,
     HierarchicalModel,
@@ -16,7 +19,6 @@ from gelform.color_models import (
 from gelform.color_models._shared.least_squares import monomial_parents, monomials
 from gelform.color_models.lambertian import MAX_SLOPE, inverse_lights
 from gelform.errors import CalibrationError
-from torch import Tensor, nn
 
 LEAST_NORMAL_Z = 1e-6
 
@@ -66,7 +68,7 @@ class PolynomialGradients(nn.Module):
 class LitGradients(nn.Module):
     """Photometric stereo with the inverse of a light matrix, one for all pixels or one for each."""
 
-    def __init__(self, inverse: NDArray[np.float64], response: float) -> None:
+    def __init__(self, inverse: NDArray[Any], response: float) -> None:
         super().__init__()
         self.register_buffer(
             "inverse", _tensor(np.moveaxis(inverse, (2, 3), (0, 1)))
@@ -89,5 +91,5 @@ def _pixels(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64
     return x_px, y_px
 
 
-def _tensor(values: NDArray[np.float64]) -> Tensor:
+def _tensor(values: NDArray[Any]) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))

@@ -1,0 +1,138 @@
+"""Where a stream's frames come from: the newest one of a live source, every one of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from typing import Any, Protocol
+
+from gelform.frames import Frame
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.source import Source, open_source
+
+WAKE_S = 0.2  # how long a wait for a frame lasts at most before it is seen whether to stop
+
+SourceLike = str | PathLike[str] | Source | Callable[[], Source] | Grabber
+
+
+class Feed(Protocol):
+    """Frames for one stream.
+
+    Attributes
+    ----------
+    every : whether each frame is given, instead of the newest one
+    state, reason : "starting", "running", "reconnecting" or "ended"; why, in a sentence
+    settings : of the camera, read back
+    """
+
+    every: bool
+
+    @property
+    def state(self) -> str: ...
+
+    @property
+    def reason(self) -> str: ...
+
+    @property
+    def settings(self) -> dict[str, Any]: ...
+
+    def next(self, after_index: int) -> Frame | None:
+        """A frame with a larger number; None where none came within a moment, or at the end."""
+
+    def close(self) -> None:
+        """Give back what the feed opened itself."""
+
+
+class NewestFrames:
+    """The newest frames of a grabber.
+
+    Parameters
+    ----------
+    grabber : running
+    owned : whether the grabber is closed with the feed; one that was given goes on for its other consumers
+    """
+
+    every = False
+
+    def __init__(self, grabber: Grabber, *, owned: bool) -> None:
+        self._grabber, self._owned = grabber, owned
+
+    @property
+    def state(self) -> str:
+        return self._grabber.state
+
+    @property
+    def reason(self) -> str:
+        return self._grabber.reason
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return dict(self._grabber.settings)
+
+    def next(self, after_index: int) -> Frame | None:
+        return self._grabber.newest(after_index, WAKE_S)
+
+    def close(self) -> None:
+        if self._owned:
+            self._grabber.close()
+
+
+class EveryFrame:
+    """Each frame of a recording, one after the other, when it is asked for."""
+
+    every = True
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._frames = iter(source)
+        self.state, self.reason = "running", ""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return dict(self._source.settings)
+
+    def next(self, after_index: int) -> Frame | None:
+        frame = next(self._frames, None)
+        if frame is None:
+            self.state, self.reason = "ended", "the source has no more frames"
+        return frame
+
+    def close(self) -> None:
+        self._source.close()
+
+
+def feed_from_source(source: SourceLike) -> Feed:
+    """The feed of a source, opened.
+
+    Parameters
+    ----------
+    source : what `open_source` takes; an open Source; a function that opens one, called again when it is lost; or a
+        running Grabber, which other streams may share
+
+    Raises
+    ------
+    SensorError, DataError
+        The source cannot be opened; the message lists what is there.
+    """
+    if isinstance(source, Grabber):
+        return NewestFrames(source, owned=False)
+    reopen = _opener(source)
+    opened = [reopen()]
+    if not opened[0].live:
+        return EveryFrame(opened[0])
+    grabber = Grabber(lambda: opened.pop() if opened else reopen())
+    grabber.__enter__()
+    return NewestFrames(grabber, owned=True)
+
+
+def _opener(source: Any) -> Callable[[], Source]:
+    if isinstance(source, (str, PathLike)):
+        return lambda: open_source(source)
+    if callable(source):
+        opener: Callable[[], Source] = source
+        return opener
+    if not hasattr(source, "live"):
+        raise TypeError(
+            f"Expected a source: text, a path, a Source or a Grabber, got {type(source).__name__}."
+        )
+    return lambda: source

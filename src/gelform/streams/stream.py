@@ -1,0 +1,166 @@
+"""source -> results: the newest frame's depth, never stale, and what the sequence of frames tells."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from os import PathLike
+from typing import Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.calibration_file import Calibration
+from gelform.errors import StaleError
+from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
+from gelform.streams.feed import SourceLike, feed_from_source
+from gelform.streams.memory import Memory
+from gelform.streams.pipeline import Pipeline, StreamFrame
+from gelform.streams.stats import StreamStats
+
+
+def stream(
+    source: SourceLike,
+    calibration: Calibration | str | PathLike[str],
+    *,
+    background: ArrayLike | None = None,
+    smoothing: float | None = None,
+) -> Stream:
+    """Start to reconstruct what a sensor sees.
+
+        with gelform.stream("simulated", "mini.npz") as stream:
+            for result in stream:
+                print(result.peak_mm)
+
+    Parameters
+    ----------
+    source : what `open_source` takes: "simulated", a serial, a name, a device path, a video, a folder, an address; or an
+        open Source, a function that opens one, or a running Grabber that several streams share
+    calibration : of the sensor, or the path of its file
+    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
+    smoothing : temporal smoothing, s; None: none. Noise is averaged over this time; depth that changes by more
+        than its noise is followed at once, what is smaller late by at most this
+
+    Returns
+    -------
+    Stream
+        Running; `close` it, use it as a context manager, or loop over it until the loop ends.
+
+    Raises
+    ------
+    SensorError, DataError
+        The source cannot be opened; the message lists what is there.
+    CalibrationError
+        The background is clearly not of the calibrated sensor, or the calibration cannot be read.
+    ValueError, TypeError
+        A background of another size or a smoothing that is no time.
+    """
+    memory = Memory(Reconstructor(calibration, background), smoothing=smoothing)
+    return Stream(Pipeline(feed_from_source(source), memory))
+
+
+class Stream:
+    """Results of a running sensor, newest first; for any number of consumers in any threads.
+
+    A recording (a video or a folder that is not paced) is no live source: each of its frames is reconstructed, in
+    order, and waits until someone has read it.
+
+    Parameters
+    ----------
+    pipeline : not yet started
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._entered = False
+        self._finalizer = weakref.finalize(self, pipeline.close)
+        pipeline.start()
+
+    def __enter__(self) -> Stream:
+        self._entered = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop, and give the sensor back; again and again does no harm."""
+        self._finalizer()
+
+    def __iter__(self) -> Iterator[Reconstruction]:
+        """Results, newest first: one that came while the last was in use is passed over for a newer one.
+
+        Outside a `with` block the stream is closed with the loop.
+        """
+        for seen in self.pairs():
+            yield seen.result
+
+    def pairs(self) -> Iterator[StreamFrame]:
+        """As the loop over the stream, with the image of each result."""
+        index = -1
+        try:
+            while (seen := self._pipeline.results.newest(index)) is not None:
+                index = seen.index
+                yield seen
+        finally:
+            if not self._entered:
+                self.close()
+
+    def newest(self, after_index: int = -1, timeout_s: float | None = None) -> StreamFrame | None:
+        """The newest result, of a frame numbered above `after_index`, with its image.
+
+        Parameters
+        ----------
+        after_index : int, `result.index` of what is known already
+        timeout_s : how long to wait for one, s; None: until there is one or the stream ends
+
+        Returns
+        -------
+        StreamFrame or None
+            None where the time is over, or the stream ended.
+
+        Raises
+        ------
+        Exception
+            What made a stage of the stream fail.
+        """
+        return self._pipeline.results.newest(after_index, timeout_s)
+
+    def latest(self, max_age_s: float) -> Reconstruction:
+        """The newest result, captured at most `max_age_s` ago; waits for one for as long.
+
+        Raises
+        ------
+        StaleError
+            There is none: the message says how old the newest is, and what the stream does.
+        Exception
+            What made a stage of the stream fail.
+        """
+        seen = self._pipeline.younger_than(max_age_s)
+        if seen is None:
+            stats = self.stats
+            raise StaleError(
+                f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
+                f"The stream is {stats.state}{f': {stats.reason}' if stats.reason else ''}."
+            )
+        return seen.result
+
+    def image_of(self, result: Reconstruction) -> NDArray[Any]:
+        """The image (H, W, 3), RGB, after the view, that one of the last results is of.
+
+        Raises
+        ------
+        LookupError
+            It is not among the last 8: take image and result together, by `newest` or `pairs`.
+        """
+        for seen in tuple(self._pipeline.recent):
+            if seen.index == result.index:
+                return seen.image
+        raise LookupError(
+            f"The image of frame {result.index} is not held any more: take both by newest() or pairs()."
+        )
+
+    @property
+    def stats(self) -> StreamStats:
+        """Rate, drops, age, time of each stage, and the state."""
+        return self._pipeline.stats()

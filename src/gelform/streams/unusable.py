@@ -1,0 +1,54 @@
+"""What a frame gives that cannot be of the calibrated gel: a result that knows nothing, with the reason."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.check import Finding
+from gelform.errors import CalibrationError
+from gelform.health import DepthLimit
+from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
+
+NOT_THIS_GEL = "not_this_gel"
+UNKNOWN_SLOPE = 1.0  # standard deviation of a slope of which nothing is known, mm/mm
+
+
+def result_from_image(reconstruct: Reconstructor, image: NDArray[Any]) -> Reconstruction:
+    """The image's result; where the Reconstructor refuses the image, one that knows nothing.
+
+    In a sequence a frame that is clearly not of the calibrated gel (the gel was taken off, a light went out) is no
+    reason to stop: the finding `not_this_gel` has the words of the refusal.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Reconstructor.from_image`: the source gives no images of the calibrated size.
+    """
+    try:
+        return reconstruct.from_image(image)
+    except CalibrationError as refusal:
+        return unusable(reconstruct, Finding(NOT_THIS_GEL, str(refusal), 1.0))
+
+
+def unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
+    """A result of depth 0, known nowhere: its deviation is that of a depth of which only the limits are known."""
+    calibration = reconstruct.calibration
+    shape, pitch = calibration.image_shape, calibration.mm_per_px
+    sigma = None if pitch is None else np.full(shape, DepthLimit.of(shape, pitch).ignorance_mm, np.float32)
+    return Reconstruction(
+        depth=np.zeros(shape, np.float32),
+        depth_sigma_mm=sigma,
+        gradients=np.zeros((*shape, 2), np.float32),
+        gradients_sigma=np.full((*shape, 2), UNKNOWN_SLOPE, np.float32),
+        confidence=np.zeros(shape, np.float32),
+        contact=np.zeros(shape, bool),
+        known=np.zeros(shape, bool),
+        mm_per_px=pitch,
+        mm_per_px_sigma=calibration.mm_per_px_sigma,
+        health=(*reconstruct.findings, finding),
+        calibration_digest=calibration.digest,
+    )

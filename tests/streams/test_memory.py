@@ -1,0 +1,35 @@
+"""What a sequence adds to results; without it they are the Reconstructor's own."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gelform.frames import Frame
+from gelform.streams.memory import Memory
+
+
+def remembered(memory, images, rate_hz=25.0):
+    """The results of a sequence of images."""
+    results = []
+    for index, image in enumerate(images):
+        result = replace(memory.result_from_image(image), index=index, time_s=index / rate_hz)
+        results.append(memory(image, result))
+    return results
+
+
+def test_frames_go_through_the_calibration_s_view(reconstruct, at_rest):
+    memory = Memory(reconstruct)
+    np.testing.assert_array_equal(memory.image_from_frame(Frame(at_rest[0], 0.0, 0, 0)), at_rest[0])
+
+
+def test_results_of_a_short_sequence_are_the_reconstructor_s(reconstruct, pressed):
+    results = remembered(Memory(reconstruct), pressed[:3])
+    np.testing.assert_array_equal(results[2].depth, reconstruct.from_image(pressed[2]).depth)
+
+
+def test_smoothing_is_asked_for(reconstruct, at_rest):
+    plain = remembered(Memory(reconstruct), at_rest)
+    smooth = remembered(Memory(reconstruct, smoothing=1.0), at_rest)
+    assert smooth[-1].depth_sigma_mm.mean() < plain[-1].depth_sigma_mm.mean()
+    moved = [np.abs(one[-1].depth - one[-2].depth).mean() for one in (smooth, plain)]
+    assert moved[0] < 0.4 * moved[1]

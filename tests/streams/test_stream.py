@@ -1,0 +1,155 @@
+"""A stream for who uses it: newest first, bounded ages, errors that arrive, threads that end."""
+
+import gc
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.errors import SensorError, StaleError
+from gelform.sensors.grabber import Grabber
+from made.sources import ImageSource
+
+THREADS = ("gelform", "grab")
+
+
+def own_threads():
+    return [thread for thread in threading.enumerate() if thread.name.startswith(THREADS)]
+
+
+def test_results_carry_what_is_known_of_their_frames(calibration, pressed):
+    with gelform.stream(ImageSource(pressed), calibration) as stream:
+        first, second = (result for result, _ in zip(stream, range(2)))
+    assert second.index > first.index >= 0
+    assert second.time_s > first.time_s
+    assert 0 < time.monotonic() - first.time_s < 60
+    assert first.wall_time_ns is not None
+    assert first.calibration_digest == calibration.digest
+    assert first.peak_mm == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_recording_loses_no_frame_and_is_as_without_a_stream(calibration, reconstruct, pressed):
+    source = ImageSource(pressed, live=False, count=7)
+    results = list(gelform.stream(source, calibration))
+    assert [result.index for result in results] == list(range(7))
+    np.testing.assert_array_equal(results[6].depth, reconstruct.from_image(pressed[6]).depth)
+    assert own_threads() == []
+
+
+def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
+    """The frame that is being reconstructed and one on its way; not those that came while the consumer slept."""
+    with gelform.stream(ImageSource(at_rest, rate_hz=20), calibration) as stream:
+        indices = []
+        for result in stream:
+            indices.append(result.index)
+            if len(indices) == 4:
+                break
+            time.sleep(0.5)
+            newest = stream.newest().index
+            assert newest - result.index >= 3  # capture went on
+        assert np.diff(indices).min() >= 3
+    assert stream.stats.results > len(indices)
+
+
+def test_a_loop_that_breaks_closes_the_stream(calibration, at_rest):
+    for _result in gelform.stream(ImageSource(at_rest), calibration):
+        break
+    assert own_threads() == []
+
+
+def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
+    with gelform.stream(ImageSource(at_rest), calibration) as stream:
+        first = next(iter(stream)).index
+        assert stream.newest(after_index=first, timeout_s=5).index > first
+        assert stream.stats.state == "running"
+    assert stream.stats.state == "closed"
+    assert own_threads() == []
+    stream.close()
+
+
+def test_a_stream_that_is_forgotten_ends(calibration, at_rest):
+    stream = gelform.stream(ImageSource(at_rest), calibration)
+    assert stream.newest(timeout_s=10) is not None
+    del stream
+    gc.collect()
+    assert own_threads() == []
+
+
+def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
+    odd = [at_rest[0], at_rest[0][:-2]]  # another size: no frame of this sensor's
+    with gelform.stream(ImageSource(odd), calibration) as stream:
+        with pytest.raises(ValueError, match="132"):
+            for _result in stream:
+                pass
+        with pytest.raises(ValueError, match="132"):
+            stream.latest(0.0)
+        assert stream.stats.state == "failed"
+        assert "132" in stream.stats.reason
+    assert own_threads() == []
+
+
+def test_latest_is_never_older_than_asked(calibration, at_rest):
+    with (
+        Grabber(lambda: ImageSource(at_rest, count=3)) as grabber,
+        gelform.stream(grabber, calibration) as stream,
+    ):
+        result = stream.latest(5.0)
+        assert time.monotonic() - result.time_s < 5
+        time.sleep(0.3)
+        with pytest.raises(StaleError, match=r"at most 0.05 s old, the newest is .* s old"):
+            stream.latest(0.05)
+        assert stream.latest(60).index == 2
+        assert stream.stats.age_s > 0.25
+
+
+def test_a_source_that_cannot_go_on_says_why(calibration, at_rest):
+    broken = ImageSource(at_rest, count=2, fails=SensorError("the cable is out"))
+    with gelform.stream(broken, calibration) as stream, pytest.raises(SensorError, match="the cable is out"):
+        for _result in stream:
+            pass
+    assert own_threads() == []
+
+
+def test_images_are_held_for_the_last_results(calibration, at_rest):
+    source = ImageSource(at_rest, live=False, count=10)
+    with gelform.stream(source, calibration) as stream:
+        pairs = list(stream.pairs())
+        assert stream.image_of(pairs[-1].result) is pairs[-1].image
+        np.testing.assert_array_equal(pairs[-1].image, at_rest[9])
+        with pytest.raises(LookupError, match="frame 0"):
+            stream.image_of(pairs[0].result)
+
+
+def test_several_sensors_at_once(calibration, at_rest, pressed):
+    with (
+        gelform.stream(ImageSource(at_rest), calibration) as left,
+        gelform.stream(ImageSource(pressed), calibration) as right,
+    ):
+        assert left.latest(30).peak_mm < 0.1 < right.latest(30).peak_mm
+    assert own_threads() == []
+
+
+def test_one_sensor_for_several_streams(calibration, at_rest):
+    with (
+        Grabber(lambda: ImageSource(at_rest)) as grabber,
+        gelform.stream(grabber, calibration) as page,
+        gelform.stream(grabber, calibration) as robot,
+    ):
+        assert page.latest(30).index >= 0
+        page.close()
+        index = robot.newest().index
+        assert robot.newest(after_index=index, timeout_s=10) is not None
+
+
+def test_a_frame_that_is_not_of_this_gel_is_a_finding(calibration, at_rest):
+    """A gel that was taken off: no exception, nothing known, and the next frame is as any other."""
+    off = np.full_like(at_rest[0], 90)
+    off[:, ::2] = 30
+    source = ImageSource([at_rest[0], off, at_rest[1]], live=False, count=3)
+    before, odd, after = gelform.stream(source, calibration)
+    assert odd.health
+    assert not odd.known.any() or odd.depth_sigma_mm.min() > 0.5
+    assert after.known.all()
+    assert before.known.all()
