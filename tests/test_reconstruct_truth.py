@@ -63,26 +63,46 @@ def test_half_of_the_errors_lie_within_sigma_and_few_beyond_three(reconstruct):
     assert result.depth_sigma_mm[TOUCHED].mean() > result.depth_sigma_mm[~TOUCHED].mean()
 
 
-def with_dots(image):
-    """Dark dots, 4 px wide, on a square grid of 10 px."""
+def with_dots(image, share=0.3, right_px=0):
+    """Dark dots, 4 px wide, on a square grid of 10 px, of a share of the light around them."""
     dotted = np.array(image)
     for y in range(6, SHAPE[0], 10):
-        for x in range(6, SHAPE[1], 10):
-            dotted[y - 2 : y + 2, x - 2 : x + 2] = dotted[y - 2 : y + 2, x - 2 : x + 2] * 0.3
+        for x in range(6 + right_px, SHAPE[1], 10):
+            dotted[y - 2 : y + 2, x - 2 : x + 2] = dotted[y - 2 : y + 2, x - 2 : x + 2] * share
     return dotted
 
 
-def test_markers_have_no_confidence_and_leave_no_dents():
-    marked = gelform.Reconstructor(replace(calibration(), background=with_dots(background())))
-    moved = np.roll(
-        with_dots(np.roll(image_of(TOUCH), -1, axis=1)), 1, axis=1
-    )  # the dots, one pixel to the right
-    result = marked(moved)
-    dots = with_dots(np.ones(SHAPE)) < 1
+@pytest.fixture(scope="module")
+def marked():
+    return gelform.Reconstructor(replace(calibration(), background=with_dots(background())))
+
+
+def test_markers_have_no_confidence_and_leave_no_dents(marked):
+    result = marked(with_dots(image_of(TOUCH), right_px=1))
+    dots = with_dots(np.ones(SHAPE), right_px=1) < 1
     assert result.confidence[dots].max() < 1e-5
     assert result.confidence[~dots].max() == 1
     assert error_um(result) < 40
     assert np.abs(result.depth_mm - TRUTH).max() < 0.15
+
+
+def test_markers_that_moved_are_no_contact(marked):
+    """Where a dot was and where it is, colours changed as if by steep slopes: nothing touches."""
+    result = marked(with_dots(background(), right_px=1))
+    assert np.abs(result.depth_mm).max() < 0.005
+    assert not result.contact.any()
+
+
+def test_depth_does_not_depend_on_how_dark_markers_are(marked):
+    paler = gelform.Reconstructor(replace(calibration(), background=with_dots(background(), 0.45)))
+    dark, pale = marked(with_dots(image_of(TOUCH), 0.3, 1)), paler(with_dots(image_of(TOUCH), 0.45, 1))
+    np.testing.assert_allclose(pale.depth_mm, dark.depth_mm, atol=0.01)
+
+
+def test_slopes_under_markers_are_known_less_well(marked):
+    result = marked(with_dots(image_of(TOUCH), right_px=1))
+    dots = with_dots(np.ones(SHAPE), right_px=1) < 1
+    assert result.gradients_sigma[dots].min() > 2 * np.median(result.gradients_sigma[~dots])
 
 
 @pytest.mark.parametrize("box", [np.s_[28:40, 46:60], np.s_[10:20, 55:75]], ids=["on the ball", "beside it"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import sys
 import threading
+import time
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,8 +58,12 @@ class Coverage:
     @pytest.hookimpl(hookwrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
         outer, self._now = self._now, set()
+        start = time.perf_counter()
         yield
-        self._of_fixture[fixturedef.argname] |= self._now
+        if fixturedef.scope == "session":  # made by the first run that asks, and kept for all others
+            self._seconds[request._pyfuncitem.nodeid] -= time.perf_counter() - start
+        else:
+            self._of_fixture[fixturedef.argname] |= self._now
         self._now = outer | self._now
 
     @pytest.hookimpl(hookwrapper=True)

@@ -55,7 +55,7 @@ def covering_tests(folder: Path, tests: Sequence[str], files: set[str], kept: Pa
 
 
 def _trace(folder: Path, test: str, files: set[str], written: Path) -> None:
-    """Write what the tests of one file execute; the first run makes what is made once."""
+    """Write what the tests of one file execute, making what is made once."""
 
     def run() -> int:
         coverage = Coverage({str(folder / file) for file in files})
@@ -67,7 +67,6 @@ def _trace(folder: Path, test: str, files: set[str], written: Path) -> None:
         written.write_text(json.dumps(coverage.tests))
         return PASSED
 
-    passes(folder, [test], 600)
     if _in_process(run, folder, 1200) != PASSED:
         raise SystemExit(f"{test} did not run: {(folder / 'output.txt').read_text()[-2000:]}")
 
