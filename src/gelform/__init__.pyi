@@ -21,6 +21,8 @@ from .background.change import image_from_color_change as image_from_color_chang
 from .markers.finder import Markers as Markers
 from .markers.finder import markers_from_image as markers_from_image
 from .markers.flow import MarkerFlow as MarkerFlow
+from .markers.follower import MarkerFollower as MarkerFollower
+from .markers.tracker import MarkerTracker as MarkerTracker
 from .normals import normals_from_image as normals_from_image
 from .normals import image_from_normals as image_from_normals
 from .normals import normals_from_gradients as normals_from_gradients

@@ -34,7 +34,7 @@ from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
-from gelform.markers import MarkerFinder
+from gelform.markers import MarkerFlow, MarkerFollower
 from gelform.pool import Pool
 from gelform.reconstruction import Reconstruction
 from gelform.solvers.inputs import checked_solver, takes_weights
@@ -49,6 +49,7 @@ class _Read(NamedTuple):
     """What an image says of the slopes; see `Reconstructor._read`."""
 
     faults: FrameFaults
+    flow: MarkerFlow | None
     markers: NDArray[np.bool_] | None
     drifted: tuple[Finding, ...]
     reference: Reference
@@ -82,6 +83,7 @@ class Reconstructor:
     ----------
     own_background : whether the background in use is the calibration's own, pixel for pixel
     findings : what should be known of a background that is not
+    markers : follows the gel's marker dots; of length 0 where it has none. A `MarkerTracker` of it has memory
 
     Raises
     ------
@@ -130,7 +132,7 @@ class Reconstructor:
         self._solved_factor = calibration.slope_sigma.solved_factor if calibration.slope_sigma else 1.0
         self._health = FrameHealth(self.background)
         self._limit = DepthLimit.of(calibration.image_shape, self._pitch)
-        self._markers = MarkerFinder(self.background)
+        self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -152,12 +154,14 @@ class Reconstructor:
             return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
         return self.from_image(image_from_frame(frame, self.calibration.view))
 
-    def from_image(self, image: ArrayLike) -> Reconstruction:
+    def from_image(self, image: ArrayLike, *, markers: MarkerFlow | None = None) -> Reconstruction:
         """Reconstruct one image: what the calibration's view gives of a frame, such as a press that was read.
 
         Parameters
         ----------
         image : (H, W, 3) uint8 or float 0-255, RGB, of the calibrated size; never turned, cropped or resized
+        markers : where the dots are, of a `MarkerTracker`; by default sought from rest, which finds those that have
+            moved less than half their spacing
 
         Raises
         ------
@@ -167,7 +171,7 @@ class Reconstructor:
             The background is clearly not of this image, or the image is BGR.
         """
         with self._pool.one() as change:
-            read = self._read(self._checked(image, "image"), change)
+            read = self._read(self._checked(image, "image"), change, markers)
             albedo = self._albedo_source(change)
         faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
         confidence, untouched = read.confidence, read.untouched
@@ -192,6 +196,7 @@ class Reconstructor:
             solver=solution.solver,
             curl_rms=solution.curl_rms,
             health=(*self.findings, *faults.findings, *read.drifted, *read.reference.findings, *too_deep),
+            markers=read.flow,
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
         )
@@ -218,12 +223,15 @@ class Reconstructor:
         )
         return explanation_of(seen, read.sigma, read.confidence)
 
-    def _read(self, image: NDArray[Any], change: NDArray[np.float32]) -> _Read:
+    def _read(
+        self, image: NDArray[Any], change: NDArray[np.float32], flow: MarkerFlow | None = None
+    ) -> _Read:
         """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
         faults = self._health(image)
         image = faults.image  # what says nothing shows the untouched gel, and has no weight
         exposure, drifted = self._untouched_image.compare(image)
-        markers = self._marker_pixels(image)
+        flow = self.markers(image) if flow is None and len(self.markers) else flow
+        markers = self.markers.hidden(image, flow, self.calibration.change.blur_px)
         hidden = faults.hidden(markers)
         pending = self._untouched_image.pending(image, exposure)
         observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
@@ -233,7 +241,7 @@ class Reconstructor:
         stated = None if self.calibration.slope_sigma is None else sigma
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
         return _Read(
-            faults, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence
+            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence
         )
 
     def _prepared_sigma(self) -> DepthSigma | None:
@@ -284,12 +292,3 @@ class Reconstructor:
                 raise
             hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
             raise ValueError(f"{problem} {hint}") from None
-
-    def _marker_pixels(self, image: NDArray[Any]) -> NDArray[np.bool_] | None:
-        """Pixels (H, W) that the gel's markers hide, here or in the background; the blur's reach included.
-
-        None where the gel has no markers.
-        """
-        if not len(self._markers.untouched):
-            return None
-        return self._markers.mask(image, int(np.ceil(2 * self.calibration.change.blur_px)))

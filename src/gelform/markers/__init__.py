@@ -2,5 +2,7 @@
 
 from gelform.markers.finder import MarkerFinder, Markers, markers_from_image
 from gelform.markers.flow import MarkerFlow
+from gelform.markers.follower import MarkerFollower
+from gelform.markers.tracker import MarkerTracker
 
-__all__ = ["MarkerFinder", "MarkerFlow", "Markers", "markers_from_image"]
+__all__ = ["MarkerFinder", "MarkerFlow", "MarkerFollower", "MarkerTracker", "Markers", "markers_from_image"]

@@ -122,7 +122,8 @@ def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray
     if len(markers_mm) == 0:
         return albedo
     places = markers_mm / sensor.mm_per_px + (np.array(sensor.shape[::-1]) - 1) / 2
-    return with_markers(albedo, places, sensor.coating.marker_radius_mm / sensor.mm_per_px)
+    bites = sensor.coating.marker_bites(len(places)) if sensor.coating.marker_broken else None
+    return with_markers(albedo, places, sensor.coating.marker_radius_mm / sensor.mm_per_px, bites)
 
 
 def _dimmed(light: NDArray[Any], albedo: NDArray[np.float32], lamps: NDArray[Any]) -> NDArray[Any]:

@@ -36,6 +36,8 @@ class Coating:
         How many; dust is dark or bright specks.
     marker_pitch_mm, marker_radius_mm : float
         Dark dots on a grid; 0 pitch: none.
+    marker_missing, marker_broken, marker_jitter : float, 0-1
+        Share of dots that are not there; of those that lost a piece; how far dots stand from the grid, of the pitch.
     albedo : (h, w) or None
         Reflectance 0-1 over the image, stretched to its size.
     seed : int
@@ -54,6 +56,9 @@ class Coating:
     dust: int = 0
     marker_pitch_mm: float = 0.0
     marker_radius_mm: float = 0.25
+    marker_missing: float = 0.0
+    marker_broken: float = 0.0
+    marker_jitter: float = 0.0
     albedo: Any = None
     seed: int = 0
 
@@ -61,7 +66,7 @@ class Coating:
         for name in ("specular", "roughness", "marker_pitch_mm", "scratches", "dust", "seed"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
-        for name in ("scattering", "interreflection"):
+        for name in ("scattering", "interreflection", "marker_missing", "marker_broken", "marker_jitter"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(self, name)}.")
         for name in ("scattering_mm", "interreflection_mm", "grain_mm", "marker_radius_mm"):
@@ -81,7 +86,18 @@ class Coating:
         half_x, half_y = (n * mm_per_px / 2 for n in shape[::-1])
         nx, ny = (int(half / self.marker_pitch_mm + 0.5) for half in (half_x, half_y))
         y, x = np.mgrid[-ny : ny + 1, -nx : nx + 1] * self.marker_pitch_mm
-        return np.stack([x.ravel(), y.ravel()], axis=-1)
+        places = np.stack([x.ravel(), y.ravel()], axis=-1)
+        rng = np.random.default_rng([self.seed, 3])
+        there = rng.random(len(places)) >= self.marker_missing
+        away = rng.uniform(-1, 1, places.shape) * self.marker_jitter * self.marker_pitch_mm / 2
+        return (places + away)[there]
+
+    def marker_bites(self, count: int) -> NDArray[np.float64]:
+        """Where (N, 2), in radii from its centre, each marker lost a round piece of 0.6 of its radius; NaN: it is whole."""
+        rng = np.random.default_rng([self.seed, 4])
+        angle, broken = rng.uniform(0, 2 * np.pi, count), rng.random(count) < self.marker_broken
+        bites = 0.85 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return np.where(broken[:, None], bites, np.nan)
 
     @property
     def is_plain(self) -> bool:
@@ -124,9 +140,12 @@ def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> NDArray[np.fl
 
 
 def with_markers(
-    albedo: NDArray[np.float32], places_px: NDArray[np.float64], radius_px: float
+    albedo: NDArray[np.float32],
+    places_px: NDArray[np.float64],
+    radius_px: float,
+    bites: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float32]:
-    """The reflectance with dark dots at places (N, 2), x and y, with soft edges."""
+    """The reflectance with dark dots at places (N, 2), x and y, with soft edges; `bites` as `Coating.marker_bites`."""
     out = albedo.copy()
     reach = int(radius_px) + 1
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -134,6 +153,10 @@ def with_markers(
     rows, columns = np.broadcast_arrays(y + row, x + column)
     away = np.hypot(columns - places_px[:, 0, None, None], rows - places_px[:, 1, None, None])
     cover = np.clip(radius_px + 0.5 - away, 0, 1)
+    if bites is not None:
+        bitten = places_px + radius_px * np.where(np.isnan(bites), 9, bites)
+        away = np.hypot(columns - bitten[:, 0, None, None], rows - bitten[:, 1, None, None])
+        cover *= 1 - np.clip(0.6 * radius_px + 0.5 - away, 0, 1)
     shown = (cover > 0) & (rows >= 0) & (rows < out.shape[0]) & (columns >= 0) & (columns < out.shape[1])
     np.multiply.at(out, (rows[shown], columns[shown]), (1 - 0.9 * cover[shown]).astype(np.float32))
     return out

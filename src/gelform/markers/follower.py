@@ -1,0 +1,207 @@
+"""The dots of one gel, prepared once: where each is in an image, and the pixels that they darken there.
+
+Each dot is sought from where it is expected. Those that are not found there are sought at the candidates nearest to
+where their neighbours say they are, ring by ring; a dot that moves unlike its neighbours, or that another dot stands on,
+is not taken.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image
+from gelform.markers.candidates import CandidateFinder
+from gelform.markers.finder import MarkerFinder
+from gelform.markers.flow import MarkerFlow
+from gelform.markers.neighbours import MOST_ASTRAY, Neighbours
+from gelform.markers.patches import Patches, logs_from_image
+
+ROUNDS = 8
+HALF = 0.5  # of the spacing: a dot found further from where it was sought is another one
+SIGMA_FACTOR, SIGMA_FLOOR_PX = (
+    1.5,
+    0.01,
+)  # what is left of a fit is no white noise: measured on simulated shear
+UNSEEN_SIGMA = 0.2  # of the spacing
+WHOLE = 1.0  # of the radius: dots nearer to the border are cut, and not followed
+
+
+class MarkerFollower:
+    """Finds where the dots of a gel have moved: a pure function of the image and of where to look first.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, the untouched gel
+    mm_per_px : float or (x, y), mm; None where unknown
+
+    Attributes
+    ----------
+    rest_px : (N, 2) float32, dots wholly inside the untouched image; N is 0 where the gel has no markers
+    """
+
+    def __init__(self, background: ArrayLike, mm_per_px: float | tuple[float, float] | None = None) -> None:
+        image = check_image(background, name="background")
+        self.mm_per_px = mm_per_px
+        self._finder = MarkerFinder(image)
+        found, radius = self._finder.untouched.centers_px, self._finder.untouched.radius_px
+        far = np.array(image.shape[1::-1]) - 1 - WHOLE * radius
+        whole = np.all((found >= WHOLE * radius) & (found <= far), axis=1)
+        self.rest_px = found[whole]
+        if len(self) < 2:
+            self.rest_px = found[:0]
+            return
+        self._all = np.concatenate([self.rest_px, found[~whole]])
+        self._neighbours = Neighbours(self._all)
+        logs = logs_from_image(image)
+        self._patches = Patches(logs, self.rest_px, radius)
+        self._candidates = CandidateFinder(logs, self.rest_px, radius)
+        self._dark, self._owner = self._pixels_of_dots()
+
+    def __len__(self) -> int:
+        return len(self.rest_px)
+
+    @property
+    def spacing_px(self) -> float:
+        """Median distance between neighbouring dots at rest."""
+        return self._neighbours.spacing_px
+
+    def __call__(self, image: NDArray[Any], start_px: NDArray[Any] | None = None) -> MarkerFlow:
+        """Where the dots are in an image (H, W, 3), 0-255.
+
+        Parameters
+        ----------
+        start_px : (N, 2), displacements to look at first; rest by default, which finds dots that have moved less
+            than half a spacing
+        """
+        expected = np.zeros((len(self), 2)) if start_px is None else np.asarray(start_px, dtype=np.float64)
+        shift, seen, sigma = self._resolved(logs_from_image(image), expected)
+        sigma = np.hypot(SIGMA_FACTOR * sigma, SIGMA_FLOOR_PX).astype(np.float32)
+        sigma[~seen] = UNSEEN_SIGMA * self.spacing_px
+        now = (self.rest_px + shift).astype(np.float32)
+        return MarkerFlow(self.rest_px, now, seen, sigma, self.mm_per_px)
+
+    def unlikeliness(self, flow: MarkerFlow) -> float:
+        """How many dots are missing or move unlike their neighbours: to choose between two flows of one image."""
+        astray = self._neighbours.astray_px(*self._with_cut(flow.displacement_px, flow.seen))[: len(self)]
+        return float(np.sum(~flow.seen) + np.sum(astray[flow.seen]) / self.spacing_px)
+
+    def mask(self, image: NDArray[Any], flow: MarkerFlow, grow_px: int = 0) -> NDArray[np.bool_]:
+        """Pixels (H, W) that the dots darken in the image or in the background, grown by some pixels.
+
+        At rest, where the background is divided by, and where the flow has taken them; around the latter whatever is as
+        dark as a dot, because contacts stretch dots.
+        """
+        shift, _, _ = self._of_all(flow.displacement_px, flow.seen)
+        moved = np.zeros(image.shape[:2], dtype=np.uint8)
+        at = self._dark + np.rint(shift).astype(np.intp)[self._owner]
+        at = at[np.all((at >= 0) & (at < moved.shape[::-1]), axis=1)]
+        moved[at[:, 1], at[:, 0]] = 1
+        reach = int(self._patches.radius_px) | 1
+        near = cv2.dilate(moved, np.ones((2 * reach + 1,) * 2, dtype=np.uint8))
+        near &= self._finder.mask(image).view(np.uint8)
+        near |= cv2.dilate(moved, np.ones((3, 3), dtype=np.uint8))
+        near |= self._finder.untouched.mask.view(np.uint8)
+        if grow_px:
+            near = cv2.dilate(near, np.ones((2 * grow_px + 1,) * 2, dtype=np.uint8))
+        return near > 0
+
+    def hidden(
+        self, image: NDArray[Any], flow: MarkerFlow | None, blur_px: float
+    ) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) of the mask and as far as a blur carries them; None where the gel has no markers."""
+        if flow is None or not len(self):
+            return None
+        return self.mask(image, flow, int(np.ceil(2 * blur_px)))
+
+    def _resolved(self, logs: NDArray[np.float32], expected: NDArray[np.float64]) -> tuple[Any, Any, Any]:
+        """Shifts (N, 2), which dots are seen and their sigma, from where they are expected."""
+        found = self._patches(logs, expected)
+        shift, sigma = found.shift_px.astype(np.float64), found.sigma_px.copy()
+        close = np.linalg.norm(shift - expected, axis=1) < HALF * self.spacing_px
+        seen = self._agreeing(shift, found.ok & close)
+        candidates = None
+        for _ in range(ROUNDS):
+            guess = shift.copy()
+            if seen.any():
+                guess[~seen] = self._predicted(shift, seen)
+            else:
+                guess[~seen] = expected[~seen]
+            todo = np.nonzero(~seen & self._patches.inside(self.rest_px + guess))[0]
+            if not len(todo):
+                break
+            candidates = self._candidates(logs) if candidates is None else candidates
+            start = self._at_candidates(guess, todo, shift[seen] + self.rest_px[seen], candidates)
+            again = self._patches(logs, start, todo)
+            close = np.linalg.norm(again.shift_px - guess[todo], axis=1) < HALF * self.spacing_px
+            trial, taken = shift.copy(), seen.copy()
+            trial[todo], taken[todo] = again.shift_px, again.ok & close
+            taken = self._agreeing(trial, taken)
+            if taken.sum() <= seen.sum():
+                break
+            shift[taken], sigma[todo], seen = trial[taken], again.sigma_px, taken
+        if seen.any() and not seen.all():
+            shift[~seen] = self._predicted(shift, seen)
+        elif not seen.any():
+            shift = expected.copy()
+        return shift, seen, sigma
+
+    def _at_candidates(
+        self, guess: NDArray[Any], todo: NDArray[np.intp], taken: NDArray[Any], candidates: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Shifts (M, 2) to the free candidate nearest to each guess, within half a spacing; else the guess itself."""
+        start = guess[todo].copy()
+        if len(taken) and len(candidates):
+            apart = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
+            candidates = candidates[apart > self._patches.radius_px]
+        if len(candidates):
+            away = candidates[None] - (self.rest_px[todo] + guess[todo])[:, None]
+            length = np.linalg.norm(away, axis=-1)
+            best = length.argmin(axis=1)
+            near = length.min(axis=1) < HALF * self.spacing_px
+            start[near] += away[np.arange(len(todo)), best][near]
+        return start
+
+    def _agreeing(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The dots seen that move like their neighbours and stand alone; of two on one place the better stays."""
+        astray = self._neighbours.astray_px(*self._with_cut(shift, seen))[: len(self)]
+        seen = seen & (astray < MOST_ASTRAY * self.spacing_px)
+        number = np.nonzero(seen)[0]
+        place = (self.rest_px + shift)[number]
+        apart = np.linalg.norm(place[:, None] - place, axis=-1)
+        first, second = np.nonzero(np.triu(apart < self._patches.radius_px, 1))
+        worse = np.where(astray[number[first]] > astray[number[second]], number[first], number[second])
+        seen[worse] = False
+        return seen
+
+    def _predicted(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Shifts of the dots that are not seen, by those that are."""
+        full, sure = self._with_cut(shift, seen)
+        of = ~sure
+        of[len(self) :] = False
+        return self._neighbours.predicted_px(full, sure, of)
+
+    def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any, Any]:
+        """Shifts of all dots, those that the border cuts by their neighbours."""
+        full, sure = self._with_cut(shift, seen)
+        cut = np.arange(len(full)) >= len(self)
+        if seen.any() and cut.any():
+            full[cut] = self._neighbours.predicted_px(full, sure, cut)
+        return full, sure, cut
+
+    def _with_cut(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any]:
+        """Shifts and whether they are sure, of all dots: those that the border cuts at rest come last, not sure."""
+        more = len(self._all) - len(self)
+        return np.concatenate([shift, np.zeros((more, 2))]), np.concatenate(
+            [seen, np.zeros(more, dtype=bool)]
+        )
+
+    def _pixels_of_dots(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Places (M, 2) of the pixels that dots darken at rest, and whose (M,) they are: the nearest dot's."""
+        row, column = np.nonzero(self._finder.untouched.mask)
+        places = np.stack([column, row], axis=-1)
+        apart = np.linalg.norm(places[:, None] - self._all, axis=-1)
+        return places, apart.argmin(axis=1)

@@ -1,0 +1,119 @@
+"""Dots are followed one by one, against simulated truth, and their pixels with them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.markers import MarkerFollower
+from gelform.sensors.profiles import SENSORS
+from gelform.simulate import Ball, Gel, simulate_background, simulate_sequence, slide_poses
+from made.dots import RADIUS, grid, image_of_dots
+
+REST = grid()
+
+
+def bump(height_px, reach_px=30.0):
+    """A displacement to the right that falls off about the middle."""
+    away = np.sum((REST - [64, 48]) ** 2, axis=1) / reach_px**2
+    return np.exp(-away)[:, None] * [height_px, 0.2 * height_px]
+
+
+@pytest.fixture(scope="module")
+def follower():
+    return MarkerFollower(image_of_dots(REST, noise=1.0), 0.1)
+
+
+@pytest.mark.parametrize("height_px", [0.0, 2.0, 7.0])
+def test_dots_moved_less_than_half_a_spacing(follower, height_px):
+    moved = bump(height_px)
+    flow = follower(image_of_dots(REST + moved, noise=1.0, seed=1, light=0.3))
+    assert flow.seen.all()
+    order = np.linalg.norm(follower.rest_px[:, None] - REST, axis=-1).argmin(axis=1)
+    assert np.abs(flow.displacement_px - moved[order]).max() < 0.12
+    np.testing.assert_allclose(flow.displacement_mm, 0.1 * flow.displacement_px)
+
+
+def test_all_dots_moved_alike_by_nearly_half_a_spacing(follower):
+    flow = follower(image_of_dots(np.add(REST, [6.5, 3.0]), noise=1.0, seed=1))
+    inside = np.all(np.add(follower.rest_px, [6.5, 3.0]) < [123, 91], axis=1)
+    assert flow.seen[inside].all()
+    assert np.abs(flow.displacement_px[inside] - [6.5, 3.0]).max() < 0.12
+
+
+def test_lost_dots_go_with_their_neighbours(follower):
+    gone = [17, 24]
+    left = np.delete(np.arange(len(REST)), gone)
+    flow = follower(image_of_dots((REST + bump(5.0))[left], noise=1.0, seed=1))
+    order = np.linalg.norm(follower.rest_px[:, None] - REST, axis=-1).argmin(axis=1)
+    lost = np.isin(order, gone)
+    np.testing.assert_array_equal(flow.seen, ~lost)
+    assert np.abs(flow.displacement_px - bump(5.0)[order])[lost].max() < flow.sigma_px[lost].min()
+    assert flow.sigma_px[~lost].max() < 0.2
+
+
+def test_the_mask_goes_with_the_dots(follower):
+    moved = REST + bump(7.0)
+    image = image_of_dots(moved, noise=1.0, seed=1)
+    mask = follower.mask(image, follower(image))
+    y, x = np.mgrid[:96, :128]
+    apart = np.min([np.hypot(x - px, y - py) for px, py in np.concatenate([REST, moved])], axis=0)
+    assert mask[apart < RADIUS].all()
+    assert not mask[apart > RADIUS + 3].any()
+    assert follower.mask(image, follower(image), 2).sum() > mask.sum()
+
+
+def test_no_dots_on_a_dark_image(follower):
+    flow = follower(np.zeros((96, 128, 3), np.uint8))
+    assert not flow.seen.any()
+    np.testing.assert_array_equal(flow.now_px, flow.rest_px)
+    assert np.isfinite(flow.sigma_px).all()
+
+
+def test_a_gel_without_markers_has_none():
+    assert len(MarkerFollower(image_of_dots(REST[:0], noise=1.0))) == 0
+
+
+@pytest.fixture(scope="module")
+def sheared():
+    """A marked gel with missing and broken dots, pressed and dragged: a background and three presses."""
+    sensor = SENSORS["gelsight-mini"].simulated()
+    coating = replace(
+        sensor.coating,
+        marker_pitch_mm=1.9, marker_radius_mm=0.35, marker_missing=0.05, marker_broken=0.15, seed=4,
+    )  # fmt: skip
+    sensor = replace(sensor, coating=coating, gel=Gel(friction=1.0))
+    rng = np.random.default_rng(5)
+    poses = slide_poses(0.7, (0, 0), (0.6, 0.3), 3)
+    return sensor, simulate_background(sensor, rng), list(simulate_sequence(sensor, Ball(4), poses, rng=rng))
+
+
+def test_simulated_shear_to_a_tenth_of_a_pixel(sheared):
+    sensor, background, presses = sheared
+    follower = MarkerFollower(background, sensor.mm_per_px)
+    errors, ratios = [], []
+    for press in presses:
+        flow = follower(press.image)
+        true = press.markers_shift_mm / sensor.mm_per_px
+        rest = press.markers_px - true
+        own = np.linalg.norm(follower.rest_px[:, None] - rest, axis=-1).argmin(axis=1)
+        assert flow.seen.mean() > 0.98
+        error = (flow.displacement_px - true[own])[flow.seen]
+        errors.append(error)
+        ratios.append(np.abs(error) / flow.sigma_px[flow.seen, None])
+    assert np.linalg.norm(true, axis=1).max() > 5
+    assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.1
+    assert 0.6 < np.mean(np.concatenate(ratios) < 1) < 0.95
+
+
+def test_real_markers_in_a_frame(data):
+    frames = [
+        f.image for f in gelform.Video(data / "mini-markers-video" / "mini_example.avi").frames({0, 2, 200})
+    ]
+    follower = MarkerFollower(frames[0])
+    assert len(follower) == 70
+    rest, pressed = follower(frames[1]), follower(frames[2])
+    assert rest.seen.all()
+    assert np.sqrt(np.mean(rest.displacement_px**2)) < 0.03
+    assert pressed.seen.all()

@@ -1,0 +1,116 @@
+"""A dot's patch is found where it was moved to, to hundredths of a pixel, whatever the light and the dot's shape."""
+
+import numpy as np
+import pytest
+
+from gelform.markers import patches
+from gelform.markers.patches import Patches, level_from_image, logs_from_image
+from kernel_agreement import assert_kernel_agrees
+from made.dots import RADIUS, grid, image_of_dots
+
+REST = grid()
+
+
+def prepared(rest=REST, **how):
+    return Patches(logs_from_image(image_of_dots(rest, **how)), rest, RADIUS)
+
+
+def sampled(image, x, y, side):
+    """Catmull-Rom interpolation on a square, from its definition; the nearest value beyond the border."""
+
+    def weights(t):
+        return np.array(
+            [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2]
+        ) / 2  # fmt: skip
+
+    rows, columns = (np.floor(v).astype(int) + np.arange(-1, side + 2) for v in (y, x))
+    taken = image[np.clip(rows, 0, len(image) - 1)][:, np.clip(columns, 0, image.shape[1] - 1)].astype(float)
+    down, across = (weights(v - np.floor(v)) for v in (y, x))
+    return sum(
+        down[i] * across[j] * taken[i : i + side, j : j + side] for i in range(4) for j in range(4)
+    ).ravel()
+
+
+def reference(image, corners, weight, basis, triangle, shift, fit, side, steps, longest):
+    """The steps of the docstring's paper in double precision, one solve each."""
+    shift, fit = shift.astype(float), fit.astype(float)
+    for i, corner in enumerate(corners):
+        for _ in range(steps):
+            seen = weight[i] * sampled(image, *(corner + shift[i]), side)
+            on = basis[i].astype(float) @ seen
+            strength, dx, dy = np.linalg.solve(triangle[i].astype(float), on[6:])
+            step = np.array([dx, dy]) / max(strength, 0.3)
+            length = np.linalg.norm(step)
+            shift[i] -= step * min(1, longest / length)
+            fit[i] = strength, max(seen @ seen - on @ on, 0), on[6] ** 2, length
+            if length < 0.004:
+                break
+    return shift, fit
+
+
+def test_the_kernel_is_the_written_method():
+    own = prepared(noise=1.0)
+    image = logs_from_image(image_of_dots(np.add(REST, [1.3, -0.6]), noise=1.0, seed=1))
+    count = len(REST)
+    assert_kernel_agrees(
+        patches._follow_patches, reference, image, own._corners, own._weight, own._basis, own._triangle,
+        np.zeros((count, 2), np.float32), np.zeros((count, 4), np.float32), own._side, 3, 1.0,
+        tolerance=1e-3,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, -0.81), (2.4, 1.6), (-3.1, 2.2)])
+def test_shifts_to_hundredths_of_a_pixel(shift):
+    found = prepared()(logs_from_image(image_of_dots(REST + shift)), np.zeros_like(REST))
+    assert found.ok.all()
+    assert np.abs(found.shift_px - shift).max() < 0.03
+
+
+def test_light_of_a_contact_moves_no_dot():
+    found = prepared()(logs_from_image(image_of_dots(REST, light=0.6)), np.zeros_like(REST))
+    assert found.ok.all()
+    assert np.abs(found.shift_px).max() < 0.05
+
+
+def test_dots_of_all_sizes_and_pieces():
+    """Two overlapping spots make a broken, lopsided dot; it moves as a round one does."""
+    rest = np.concatenate([REST, np.add(REST[::3], [2.5, 1.0])])
+    radii = np.where(np.arange(len(rest)) < len(REST), RADIUS, 1.5)
+    own = Patches(logs_from_image(image_of_dots(rest, radii=radii)), REST, RADIUS)
+    found = own(logs_from_image(image_of_dots(np.add(rest, [1.2, -0.4]), radii=radii)), np.zeros_like(REST))
+    assert found.ok.all()
+    assert np.abs(found.shift_px - [1.2, -0.4]).max() < 0.03
+
+
+def test_dots_that_are_gone_are_not_ok():
+    left = np.delete(REST, [5, 20], axis=0)
+    found = prepared(noise=1.0)(logs_from_image(image_of_dots(left, noise=1.0, seed=2)), np.zeros_like(REST))
+    assert not found.ok[[5, 20]].any()
+    assert found.ok.sum() == len(left)
+
+
+def test_some_dots_alone():
+    of = np.array([3, 8])
+    found = prepared()(logs_from_image(image_of_dots(np.add(REST, [1, 0]))), np.zeros((2, 2)), of)
+    np.testing.assert_allclose(found.shift_px, [[1, 0], [1, 0]], atol=0.02)
+
+
+def test_sigma_is_that_of_noise():
+    own = prepared()
+    runs = [
+        own(logs_from_image(image_of_dots(REST, noise=2.0, seed=s)), np.zeros_like(REST)) for s in range(12)
+    ]
+    spread = np.sqrt(np.mean([run.shift_px**2 for run in runs]))
+    assert np.mean([run.sigma_px for run in runs]) == pytest.approx(spread, rel=0.25)
+
+
+def test_dots_leave_through_the_border():
+    inside = prepared().inside(np.array([[64, 48], [1, 48], [64, 95], [127, 2]]))
+    assert inside.tolist() == [True, False, False, False]
+
+
+def test_logs_of_bytes_and_floats_agree():
+    image = image_of_dots(REST)
+    by_floats = logs_from_image(image.astype(np.float32))
+    assert np.abs(logs_from_image(image) - by_floats).max() < 0.02
+    assert level_from_image(np.full((4, 4, 3), [10, 20, 30.0])).tolist() == [[20] * 4] * 4
