@@ -1,0 +1,95 @@
+"""What the page's buttons do to a station."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gelform.background.average import background_from_frames
+from gelform.errors import GelformError
+from gelform.live.hub import Hub, wait_for_frames
+from gelform.solvers import SOLVERS
+
+BACKGROUND_FRAMES, ZERO_FRAMES = 15, 8
+
+
+def take_background(hub: Hub, station: int) -> None:
+    """Take the next frames as the untouched gel of today."""
+    chosen = hub.station(station)
+    _check_calibrated(chosen.setup.calibration)
+    images = [shown.image for shown in wait_for_frames(chosen, BACKGROUND_FRAMES)]
+    taken = background_from_frames(images)
+    chosen.setup = chosen.setup.with_background(taken.background)
+    hub.notice(f"Background taken: the average of {len(images) - len(taken.left_out)} frames.")
+
+
+def own_background(hub: Hub, station: int) -> None:
+    """Use the calibration's own background again."""
+    chosen = hub.station(station)
+    chosen.setup = chosen.setup.with_background(None)
+
+
+def set_zero(hub: Hub, station: int) -> None:
+    """Take the depth of now as zero; a second time takes that back."""
+    chosen = hub.station(station)
+    _check_calibrated(chosen.setup.calibration)
+    if chosen.setup.zero_mm is not None:
+        chosen.setup = replace(chosen.setup, zero_mm=None)
+        hub.notice("Zero is the untouched gel again.")
+        return
+    results = [shown.result for shown in wait_for_frames(chosen, ZERO_FRAMES) if shown.result is not None]
+    if not results:
+        raise GelformError("There is no depth to set as zero: the frames could not be reconstructed.")
+    mean = np.mean([result.depth for result in results], axis=0).astype(np.float32)
+    chosen.setup = replace(chosen.setup, zero_mm=mean)
+    hub.notice("Zero set: depth is shown against what was there just now.")
+
+
+def use_calibration(hub: Hub, station: int, name: str) -> None:
+    """Reconstruct with another calibration of the list."""
+    chosen = hub.station(station)
+    calibration = hub.calibrations[name]
+    setup = chosen.setup.with_calibration(calibration, name)
+    newest = chosen.newest
+    if newest is not None:
+        setup.result_of(newest.frame, setup.image_of(newest.frame))  # one that does not fit is refused, not used
+    chosen.setup = setup
+    hub.changed()
+
+
+def compare_with(hub: Hub, station: int, name: str) -> None:
+    """Show the depth by a second calibration beside the first; "" shows the first alone."""
+    chosen = hub.station(station)
+    other = hub.calibrations[name] if name else None
+    chosen.setup = chosen.setup.with_other(other, name)
+    hub.changed()
+
+
+def use_solver(hub: Hub, station: int, name: str) -> None:
+    """Integrate with another solver."""
+    if name not in ("auto", *SOLVERS):
+        raise GelformError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {name!r}.")
+    chosen = hub.station(station)
+    chosen.setup = chosen.setup.with_solver(name)
+    hub.changed()
+
+
+def pause(hub: Hub, station: int, paused: bool) -> None:
+    """Hold the picture, or let it go on."""
+    hub.station(station).paused = paused
+    hub.changed()
+
+
+def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
+    """Press the simulated sensor at a place of the image."""
+    source: Any = hub.station(station).source
+    if not hasattr(source, "press_at"):
+        raise GelformError("Only a simulated sensor can be pressed from here.")
+    source.press_at(x_px, y_px)
+
+
+def _check_calibrated(calibration: Any) -> None:
+    if calibration is None:
+        raise GelformError("This sensor has no calibration yet. Choose one, or make one: Calibrate.")

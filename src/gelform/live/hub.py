@@ -1,0 +1,126 @@
+"""What one `gelform live` is about: its stations, calibrations, long work, notices; shared by all clients."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gelform import __version__
+from gelform.errors import GelformError
+from gelform.live.calibrations import Calibrations
+from gelform.live.station import Station
+from gelform.progress import Progress
+
+NOTICES = 20
+
+
+@dataclass
+class Hub:
+    """The stations and what they share.
+
+    Attributes
+    ----------
+    stations : in the order of the command line
+    calibrations : to choose from
+    work : (what, done, total) of long work by the station's number; shown as progress
+    notices : (number, level, text), the newest last; level is "info", "warning" or "error"
+    """
+
+    stations: list[Station] = field(default_factory=list)
+    calibrations: Calibrations = field(default_factory=Calibrations)
+    work: dict[int, tuple[str, int, int]] = field(default_factory=dict)
+    notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
+    _listeners: list[Callable[[], None]] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _noticed: int = 0
+
+    def listen(self, listener: Callable[[], None]) -> None:
+        """Call this, in any thread, whenever there is something newer to show."""
+        self._listeners.append(listener)
+
+    def changed(self) -> None:
+        """There is something newer to show."""
+        for listener in tuple(self._listeners):
+            listener()
+
+    def notice(self, text: str, level: str = "info") -> None:
+        """Tell everybody who looks."""
+        with self._lock:
+            self._noticed += 1
+            self.notices.append((self._noticed, level, " ".join(text.split())))
+        self.changed()
+
+    def station(self, number: int) -> Station:
+        """The station of a number; GelformError where there is none."""
+        if not 0 <= number < len(self.stations):
+            raise GelformError(f"There is no sensor {number}.")
+        return self.stations[number]
+
+    def start(self, work: Callable[[Progress], None], station: int, what: str) -> None:
+        """Do long work in a thread of its own, its progress shown; what goes wrong becomes a notice."""
+
+        def report(done: int, total: int, what: str) -> None:
+            self.work[station] = (what, done, total)
+            self.changed()
+
+        def run() -> None:
+            try:
+                work(report)
+            except GelformError as problem:
+                self.notice(str(problem), "error")
+            finally:
+                self.work.pop(station, None)
+                self.changed()
+
+        if station in self.work:
+            raise GelformError("This sensor is busy. Wait until it is done.")
+        self.work[station] = (what, 0, 1)
+        threading.Thread(target=run, name=what, daemon=True).start()
+
+    def facts(self, notices_after: int = 0) -> dict[str, Any]:
+        """What the page shows beside frames."""
+        return {
+            "version": __version__,
+            "now_s": time.monotonic(),
+            "stations": [station.facts() for station in self.stations],
+            "calibrations": self.calibrations.names,
+            "work": {number: list(work) for number, work in tuple(self.work.items())},
+            "notices": [list(notice) for notice in tuple(self.notices) if notice[0] > notices_after],
+        }
+
+    def close(self) -> None:
+        """Stop everything."""
+        for station in self.stations:
+            station.close()
+
+
+def wait_for_frames(station: Station, count: int, timeout_s: float = 5.0) -> Sequence[Any]:
+    """The next frames of a station, as the camera gives them.
+
+    Raises
+    ------
+    GelformError
+        They do not come in time.
+    """
+    got: list[Any] = []
+    done = threading.Event()
+
+    def tap(frame: Any, shown: Any) -> None:
+        if len(got) < count:
+            got.append(shown)
+        if len(got) >= count:
+            done.set()
+
+    station.taps.append(tap)
+    try:
+        if not done.wait(timeout_s):
+            raise GelformError(
+                f"Expected {count} frames within {timeout_s:g} s, got {len(got)}. Is the camera connected?"
+            )
+    finally:
+        station.taps.remove(tap)
+    return got

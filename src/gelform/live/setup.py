@@ -1,0 +1,114 @@
+"""How a station reconstructs: calibration, background, solver, zero; replaced whole, never changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration_file import Calibration
+from gelform.checks import check_mm_per_px
+from gelform.contact import contact_from_depth
+from gelform.errors import GelformError
+from gelform.frames import Frame
+from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
+from gelform.view import View, image_from_frame
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What turns a frame into what is shown.
+
+    Attributes
+    ----------
+    reconstruct : None without a calibration: the image alone is shown
+    name : of the calibration, as the page lists it
+    solver : as it was asked for, "auto" by default
+    background : (H, W, 3) float32 that was taken live, or None: the calibration's own
+    zero_mm : (H, W) depth that is taken off every result, or None
+    other, other_name : the calibration that it is compared with
+    """
+
+    reconstruct: Reconstructor | None = None
+    name: str = ""
+    solver: str = "auto"
+    background: NDArray[np.float32] | None = None
+    zero_mm: NDArray[np.float32] | None = None
+    other: Reconstructor | None = None
+    other_name: str = ""
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """The calibration in use."""
+        return None if self.reconstruct is None else self.reconstruct.calibration
+
+    @property
+    def view(self) -> View:
+        """How frames become images; identity without a calibration."""
+        return View() if self.reconstruct is None else self.reconstruct.calibration.view
+
+    def image_of(self, frame: Frame) -> NDArray[np.uint8]:
+        """The frame through the view."""
+        image = image_from_frame(frame.image, self.view)
+        return np.ascontiguousarray(image, dtype=np.uint8)
+
+    def result_of(self, frame: Frame, image: NDArray[np.uint8]) -> Reconstruction | None:
+        """What the calibration says of the image, against the zero that was set."""
+        if self.reconstruct is None:
+            return None
+        return self._against_zero(_stamped(self.reconstruct.from_image(image), frame))
+
+    def other_of(self, frame: Frame) -> Reconstruction | None:
+        """What the other calibration says of the same frame; None where it cannot, or there is none."""
+        if self.other is None:
+            return None
+        try:
+            return self.other(frame)
+        except (GelformError, ValueError):
+            return None
+
+    def _against_zero(self, result: Reconstruction) -> Reconstruction:
+        if self.zero_mm is None or self.zero_mm.shape != result.depth.shape:
+            return result
+        depth = result.depth - self.zero_mm
+        pitch = 1.0 if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
+        return replace(result, depth=depth, contact=contact_from_depth(depth, mm_per_px=pitch), zero="set")
+
+    # -- another setup ---------------------------------------------------------------------------------------------
+
+    def with_calibration(self, calibration: Calibration, name: str) -> Setup:
+        """The same with another calibration, its own background, nothing compared."""
+        return Setup(Reconstructor(calibration, solver=self.solver), name, self.solver)
+
+    def with_background(self, background: NDArray[np.float32] | None) -> Setup:
+        """The same with today's background; None: the calibration's own.
+
+        Raises
+        ------
+        CalibrationError
+            It is not of the calibrated sensor.
+        """
+        if self.calibration is None:
+            return replace(self, background=background)
+        run = Reconstructor(self.calibration, background=background, solver=self.solver)
+        return replace(self, reconstruct=run, background=background, zero_mm=None)
+
+    def with_solver(self, solver: str) -> Setup:
+        """The same with another solver."""
+        if self.calibration is None:
+            return replace(self, solver=solver)
+        run = Reconstructor(self.calibration, background=self.background, solver=solver)
+        return replace(self, reconstruct=run, solver=solver, zero_mm=None)
+
+    def with_other(self, calibration: Calibration | None, name: str) -> Setup:
+        """The same, compared with another calibration, or with none."""
+        run = None if calibration is None else Reconstructor(calibration, solver=self.solver)
+        return replace(self, other=run, other_name=name if run else "")
+
+
+def _stamped(result: Reconstruction, frame: Frame) -> Reconstruction:
+    times: dict[str, Any] = {"index": frame.index, "time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns}
+    return replace(result, **times)

@@ -1,0 +1,107 @@
+"""What a station shows of one frame, encoded once however many clients want it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.frames import Frame
+from gelform.live.measures import Measures, outlines_of
+from gelform.live.wire.planes import Plane, bits_plane, depth_plane, image_plane, level_plane
+from gelform.reconstruction import Reconstruction
+
+PLANES = ("image", "depth", "confidence", "sigma", "flags", "causes", "other")
+SIGMA_STEP_MM = 0.002
+CONTACT, KNOWN = 1, 2
+
+
+@dataclass(eq=False)
+class Shown:
+    """One frame of a station with its result, where there is one.
+
+    Attributes
+    ----------
+    serial : counts what the station has shown; larger is newer
+    frame : as the camera gave it
+    image : (H, W, 3) uint8, after the view
+    result : Reconstruction or None: no calibration, or this frame could not be reconstructed
+    other : the same frame by the calibration that it is compared with, or None
+    measures : numbers of the result, or None
+    problem : why there is no result, in words; "" where there is one
+    """
+
+    serial: int
+    frame: Frame
+    image: NDArray[np.uint8]
+    result: Reconstruction | None = None
+    other: Reconstruction | None = None
+    measures: Measures | None = None
+    problem: str = ""
+    _made: dict[Any, Any] = field(default_factory=dict, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def planes(self, names: Sequence[str], encoding: str) -> list[Plane]:
+        """The planes of those names that this frame has."""
+        made = [self._once((name, encoding), lambda name=name: self._plane(name, encoding)) for name in names]
+        return [plane for plane in made if plane is not None]
+
+    def header(self) -> dict[str, Any]:
+        """What is said of the frame beside its pixels."""
+        facts: dict[str, Any] = self._once("header", self._header)
+        return facts
+
+    def _once(self, key: Any, make: Any) -> Any:
+        with self._lock:
+            if key not in self._made:
+                self._made[key] = make()
+            return self._made[key]
+
+    def _plane(self, name: str, encoding: str) -> Plane | None:
+        result = self.result
+        if name == "image":
+            return image_plane(self.image, encoding)
+        if name == "other":
+            return None if self.other is None else depth_plane(self.other.depth, encoding, "other")
+        if result is None:
+            return None
+        if name == "depth":
+            return depth_plane(result.depth, encoding)
+        if name == "confidence":
+            return level_plane("confidence", result.confidence, encoding)
+        if name == "sigma" and result.depth_sigma_mm is not None:
+            return level_plane("sigma", result.depth_sigma_mm, encoding, step=SIGMA_STEP_MM)
+        if name == "flags":
+            bits = result.contact.view(np.uint8) * CONTACT + result.known.view(np.uint8) * KNOWN
+            return bits_plane("flags", bits, encoding)
+        return None
+
+    def _header(self) -> dict[str, Any]:
+        height, width = self.image.shape[:2]
+        facts: dict[str, Any] = {
+            "serial": self.serial,
+            "index": self.frame.index,
+            "time_s": self.frame.time_s,
+            "height": height,
+            "width": width,
+            "problem": self.problem,
+        }
+        if self.result is None or self.measures is None:
+            return facts
+        pitch = self.result.mm_per_px
+        return facts | {
+            "unit": "px" if pitch is None else "mm",
+            "mm_per_px": None if pitch is None else [float(p) for p in np.broadcast_to(pitch, 2)],
+            "peak": self.measures.peak,
+            "peak_px": [self.measures.x_px, self.measures.y_px],
+            "area": self.measures.area,
+            "volume": self.measures.volume,
+            "outlines": outlines_of(self.result),
+            "solver": self.result.solver,
+            "curl_rms": self.result.curl_rms,
+            "health": [[f.name, f.message, float(f.figure)] for f in self.result.health],
+        }

@@ -1,0 +1,1 @@
+"""What is shown without hardware: a simulated sensor that objects touch, and its calibration."""

@@ -1,0 +1,162 @@
+"""The simulated sensor of the live page: objects touch it in turn, a visitor's pointer presses it, a guide asks for presses."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.frames import Frame
+from gelform.live.simulated.acts import ACTS, Act
+from gelform.sensors.pace import Pace
+from gelform.simulate import Ball, Pose, SimulatedSensor, simulate_pose
+from gelform.simulate.sensor.grey_levels import image_from_levels
+
+RATE_HZ = 60.0
+POINTER_BALL = Ball(2.5)
+STEP_MM = 0.025  # depths of a press that was asked for are rounded to this, so that images can be used again
+PRESS_S, HOLD_S = 0.35, 1.6  # going in, and staying
+KEPT = 64
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A press that somebody asked for: where (px), how deep (mm), with which ball, and when."""
+
+    x_px: float
+    y_px: float
+    depth_mm: float
+    ball: Ball
+    start_s: float
+    held_s: float
+
+    def depth_at(self, now_s: float) -> float:
+        since = now_s - self.start_s
+        going_in = min(1.0, since / PRESS_S)
+        going_out = min(1.0, max(0.0, PRESS_S + self.held_s + PRESS_S - since) / PRESS_S)
+        return self.depth_mm * min(going_in, going_out)
+
+    def over(self, now_s: float) -> bool:
+        return now_s > self.start_s + 2 * PRESS_S + self.held_s
+
+
+class Show:
+    """A simulated sensor as a source of frames, 60 a second.
+
+    Plays the acts in turn (a ball, a coin, a screw ...) until it is told where to press, or to rest. The images
+    without noise of an act are computed once, in a thread of their own; each frame gets noise of its own.
+
+    Parameters
+    ----------
+    sensor : SimulatedSensor
+    rate_hz : frames a second
+    seed : of the noise
+    """
+
+    live = True
+    serial: str | None = None
+
+    def __init__(self, sensor: SimulatedSensor, *, rate_hz: float = RATE_HZ, seed: int = 0) -> None:
+        self.sensor = sensor
+        self.rate_hz: float | None = rate_hz
+        self.name = f"simulated {sensor.name}"
+        height, width = sensor.shape
+        self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
+        self._rate_hz, self._seed = rate_hz, seed
+        self._linear = replace(sensor, optics=replace(sensor.optics, response_gamma=1.0, jpeg_quality=None))
+        self._asked: _Asked | None = None
+        self._resting = False
+        self._closed = threading.Event()
+        self._levels = lru_cache(maxsize=KEPT)(self._levels_of)
+        self._acts: list[list[NDArray[Any]]] = []
+        self._rest = self._levels_of(POINTER_BALL, 0.0, 0.0, 0.0)
+
+    def __iter__(self) -> Iterator[Frame]:
+        threading.Thread(target=self._rehearse, name="simulated acts", daemon=True).start()
+        pace, index = Pace(self._rate_hz), 0
+        while not self._closed.is_set():
+            levels = self._levels_now(index / self._rate_hz)
+            image = image_from_levels(self.sensor, levels.astype(np.float32), np.random.default_rng([self._seed, index]))
+            time_s = pace.wait_for(index)
+            yield Frame(np.asarray(image), time_s, time.time_ns(), index)
+            index = pace.next_after(index)
+
+    def press_at(
+        self,
+        x_px: float,
+        y_px: float,
+        depth_mm: float = 0.5,
+        *,
+        ball_diameter_mm: float = 5.0,
+        held_s: float = HOLD_S,
+    ) -> None:
+        """Press a ball at a place of the image, hold it for a while, lift it."""
+        ball = Ball(ball_diameter_mm / 2)
+        depth_mm = min(depth_mm, 0.9 * self.sensor.gel.thickness_mm, ball.radius_mm)
+        self._asked = _Asked(x_px, y_px, depth_mm, ball, time.monotonic(), held_s)
+
+    def rest(self, resting: bool = True) -> None:
+        """Touch nothing but where it is asked to; False: play the acts again."""
+        self._resting = resting
+
+    def close(self) -> None:
+        """End the loop over it."""
+        self._closed.set()
+
+    def __enter__(self) -> Show:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _levels_now(self, time_s: float) -> NDArray[Any]:
+        now, asked = time.monotonic(), self._asked
+        if asked is not None and not asked.over(now):
+            depth = STEP_MM * round(asked.depth_at(now) / STEP_MM)
+            return self._rest if depth <= 0 else self._levels(asked.ball, depth, asked.x_px, asked.y_px)
+        acts = self._acts
+        if self._resting or not acts:
+            return self._rest
+        return _frame_of(acts, time_s)
+
+    def _levels_of(self, ball: Ball, depth_mm: float, x_px: float, y_px: float) -> NDArray[Any]:
+        height, width = self.sensor.shape
+        x_mm, y_mm = (
+            (at - (size - 1) / 2) * self.sensor.mm_per_px for at, size in ((x_px, width), (y_px, height))
+        )
+        return self._simulated(ball, Pose(depth_mm, (x_mm, y_mm)))
+
+    def _simulated(self, indenter: Any, pose: Pose) -> NDArray[Any]:
+        press = simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
+        return press.image.astype(np.float16)  # steps of 1/8 of a grey level: noise is larger
+
+    def _rehearse(self) -> None:
+        """Compute the acts, one after the other; each is played as soon as it is there."""
+        for act in ACTS:
+            frames = []
+            for pose in act.poses(self.sensor):
+                if self._closed.is_set():
+                    return
+                frames.append(self._simulated(act.indenter, pose))
+            self._acts = [*self._acts, _played(act, frames, self._rest)]
+
+
+def _played(act: Act, frames: list[NDArray[Any]], rest: NDArray[Any]) -> list[NDArray[Any]]:
+    """An act's images in the order in which they are shown: with the way back where it goes back, and a rest."""
+    there = [*frames, *reversed(frames)] if act.returns else frames
+    return [*there, *[rest] * act.rest_frames]
+
+
+def _frame_of(acts: list[list[NDArray[Any]]], time_s: float) -> NDArray[Any]:
+    position = int(time_s * Act.rate_hz) % sum(map(len, acts))
+    for frames in acts:
+        if position < len(frames):
+            return frames[position]
+        position -= len(frames)
+    raise AssertionError("the position is smaller than the number of images")

@@ -1,0 +1,1 @@
+"""The server: requests, websockets, and who may make them."""

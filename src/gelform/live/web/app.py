@@ -1,0 +1,123 @@
+"""The application: the page's files, the session, the websocket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from importlib import resources
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket
+
+from gelform.live.hub import Hub
+from gelform.live.web.client import TOO_MANY, Client
+from gelform.live.web.guard import OPEN_PATHS, Access, Guard
+
+MAX_CLIENTS = 16
+MAX_BODY = 1024
+TICK_S = 0.25
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+
+
+def page_files() -> dict[str, bytes]:
+    """The page's files by the path that they are asked for: all that is ever given of the disk."""
+    folder = resources.files("gelform.live") / "page"
+    found = {}
+    for entry in (*folder.iterdir(), *(folder / "js").iterdir()):
+        if entry.is_file() and any(entry.name.endswith(suffix) for suffix in TYPES):
+            below = "js/" if entry.name.endswith(".js") else ""
+            found[f"/{below}{entry.name}"] = entry.read_bytes()
+    found["/"] = found.pop("/index.html")
+    return found
+
+
+def make_app(hub: Hub, access: Access) -> Any:
+    """The whole application, guarded."""
+    files = page_files()
+    clients: set[Client] = set()
+
+    async def page(request: Request) -> Response:
+        name = request.url.path
+        suffix = ".html" if name == "/" else name[name.rfind(".") :]
+        headers = {"cache-control": "no-cache"}
+        return Response(files[name], media_type=TYPES[suffix], headers=headers)
+
+    async def session(request: Request) -> Response:
+        """Change the token for a cookie that scripts cannot read."""
+        try:
+            given = await _body(request)
+        except ClientDisconnect:
+            return Response(status_code=400)
+        if given is None or not access.token_allowed(given):
+            return Response("Wrong token. Open the address that the terminal shows.", 401)
+        answer = Response(status_code=204, headers={"cache-control": "no-store"})
+        if access.token is not None:
+            answer.set_cookie(access.cookie, access.token, httponly=True, samesite="strict", path="/")
+        return answer
+
+    async def socket(websocket: WebSocket) -> None:
+        await websocket.accept()
+        if len(clients) >= MAX_CLIENTS:
+            await websocket.close(TOO_MANY, "too many pages are open")
+            return
+        client = Client(websocket, hub)
+        clients.add(client)
+        try:
+            await client.run()
+        finally:
+            clients.discard(client)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        loop = asyncio.get_running_loop()
+        hub.listen(lambda: _call(loop, wake))
+        ticking = asyncio.create_task(_tick(wake))
+        yield
+        ticking.cancel()
+        hub.close()
+
+    def wake() -> None:
+        for client in tuple(clients):
+            client.wake()
+
+    routes = [
+        *[Route(path, page, methods=["GET"]) for path in files],
+        Route("/session", session, methods=["POST"]),
+        WebSocketRoute("/ws", socket),
+    ]
+    return Guard(Starlette(routes=routes, lifespan=lifespan), access, (*OPEN_PATHS, *files))
+
+
+async def _body(request: Request) -> str | None:
+    """The body as text; None where it is longer than a token or no text."""
+    body = b""
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > MAX_BODY:
+            return None
+    try:
+        return body.decode("ascii")
+    except UnicodeDecodeError:
+        return None
+
+
+async def _tick(wake: Any) -> None:
+    """Wake the clients now and then, so that they hear how things are where no frames come."""
+    while True:
+        await asyncio.sleep(TICK_S)
+        wake()
+
+
+def _call(loop: asyncio.AbstractEventLoop, function: Any) -> None:
+    with contextlib.suppress(RuntimeError):  # the loop has just been closed: nobody is left to tell
+        loop.call_soon_threadsafe(function)

@@ -1,0 +1,185 @@
+"""One browser: it is sent the newest frame when it has room for one, and never waits in a queue.
+
+Credit: the page gives one for each picture that it has drawn. Without credit nothing is sent, and what came
+meanwhile is passed over; so a slow or stalled page costs nobody anything but itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gelform.errors import GelformError
+from gelform.live.hub import Hub
+from gelform.live.shown import PLANES, Shown
+from gelform.live.station import Station
+from gelform.live.web.commands import MessageError, done, parsed, station
+from gelform.live.wire import ENCODINGS, message
+
+MAX_CREDIT = 4
+MAX_REPLIES = 32
+STATE_EVERY_S = 0.25
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0
+MAX_NUMBERS = 240
+POLICY, TOO_MANY = 1008, 1013
+
+
+@dataclass
+class Watched:
+    """What a client wants to see: which stations, which planes of them, how encoded."""
+
+    stations: list[int] = field(default_factory=lambda: [0])
+    planes: list[str] = field(default_factory=lambda: ["image"])
+    encoding: str = "small"
+
+
+class Client:
+    """A websocket of a page.
+
+    Parameters
+    ----------
+    socket : accepted
+    hub : what it looks at
+    """
+
+    def __init__(self, socket: WebSocket, hub: Hub) -> None:
+        self._socket, self._hub = socket, hub
+        self._wake = asyncio.Event()
+        self._watched = Watched()
+        self._credit = 0
+        self._sent: dict[int, int] = {}
+        self._replies: deque[dict[str, Any]] = deque(maxlen=MAX_REPLIES)
+        self._state_at = 0.0
+        self._noticed = hub.notices[-1][0] if hub.notices else 0
+        self._allowance, self._heard_at = MESSAGES_AT_ONCE, time.monotonic()
+
+    def wake(self) -> None:
+        """There may be something to send."""
+        self._wake.set()
+
+    async def run(self) -> None:
+        """Talk until the page goes."""
+        tasks = [asyncio.create_task(self._send_all()), asyncio.create_task(self._receive_all())]
+        self.wake()
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    # -- to the page -------------------------------------------------------------------------------------------------
+
+    async def _send_all(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            await self._send_words()
+            for number in self._watched.stations:
+                if self._credit > 0 and number < len(self._hub.stations):
+                    await self._send_frame(self._hub.stations[number])
+
+    async def _send_words(self) -> None:
+        while self._replies:
+            await self._socket.send_text(_json(self._replies.popleft()))
+        now = time.monotonic()
+        if now - self._state_at >= STATE_EVERY_S:
+            self._state_at = now
+            facts = self._hub.facts(self._noticed)
+            if facts["notices"]:
+                self._noticed = facts["notices"][-1][0]
+            await self._socket.send_text(_json({"kind": "state", **facts}))
+
+    async def _send_frame(self, station: Station) -> None:
+        shown, before = station.newest, self._sent.get(station.number, 0)
+        if shown is None or shown.serial <= before:
+            return
+        self._credit -= 1
+        self._sent[station.number] = shown.serial
+        data = await asyncio.to_thread(_encoded, station, shown, before, self._watched)
+        await self._socket.send_bytes(data)
+
+    # -- from the page -----------------------------------------------------------------------------------------------
+
+    async def _receive_all(self) -> None:
+        while True:
+            try:
+                text = await self._socket.receive_text()
+            except (WebSocketDisconnect, KeyError, RuntimeError):  # gone, or bytes where text belongs
+                return
+            if not self._may_speak():
+                await self._socket.close(POLICY, "too many messages")
+                return
+            try:
+                await self._heard(parsed(text))
+            except MessageError as problem:
+                await self._socket.close(POLICY, str(problem)[:120])
+                return
+
+    def _may_speak(self) -> bool:
+        now = time.monotonic()
+        earned = MESSAGES_PER_S * (now - self._heard_at)
+        self._allowance, self._heard_at = min(MESSAGES_AT_ONCE, self._allowance + earned) - 1, now
+        return self._allowance > 0
+
+    async def _heard(self, content: dict[str, Any]) -> None:
+        what = content["do"]
+        if what == "credit":
+            self._credit = min(MAX_CREDIT, self._credit + 1)
+        elif what == "watch":
+            self._watched = watched_from(content)
+            self._sent.clear()
+        elif what == "ping":
+            self._replies.append({"kind": "pong", "sent": _ping(content), "now_s": time.monotonic()})
+        else:
+            asyncio.get_running_loop().create_task(self._act(content))
+            await asyncio.sleep(0)
+        self.wake()
+
+    async def _act(self, content: dict[str, Any]) -> None:
+        """Do what a button asks for; the answer says how it went."""
+        reply = {"kind": "done", "do": content["do"], "problem": ""}
+        try:
+            await asyncio.to_thread(done, self._hub, content)
+        except MessageError as problem:
+            await self._socket.close(POLICY, str(problem)[:120])
+            return
+        except (GelformError, ValueError) as problem:
+            reply["problem"] = " ".join(str(problem).split())
+        self._replies.append(reply)
+        self._state_at = 0.0
+        self.wake()
+
+
+def watched_from(content: dict[str, Any]) -> Watched:
+    """What a message wants to see; MessageError where that is not in the lists."""
+    stations, planes, encoding = (content.get(name) for name in ("stations", "planes", "encoding"))
+    if not isinstance(stations, list) or not isinstance(planes, list) or len(stations) > 16:
+        raise MessageError("Expected stations and planes as lists.")
+    if encoding not in ENCODINGS or not all(plane in PLANES for plane in planes):
+        raise MessageError("Expected planes and an encoding that are known.")
+    return Watched([station(one) for one in stations], list(dict.fromkeys(planes)), encoding)
+
+
+def _ping(content: dict[str, Any]) -> float:
+    sent = content.get("sent")
+    if type(sent) not in (int, float):
+        raise MessageError("Expected sent as a number.")
+    return float(sent)  # type: ignore[arg-type]
+
+
+def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> bytes:
+    numbers = station.numbers_since(before)[-MAX_NUMBERS:]
+    header = {**shown.header(), "station": station.number, "numbers": [list(row[1:]) for row in numbers]}
+    header["sent_s"] = time.monotonic()
+    return message(header, shown.planes(watched.planes, watched.encoding))
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False)

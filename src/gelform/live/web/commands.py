@@ -1,0 +1,110 @@
+"""Messages of the page: each is checked whole, then does one thing. A new button is one line in `COMMANDS`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from gelform.errors import GelformError
+from gelform.live import actions
+from gelform.live.hub import Hub
+
+MAX_BYTES = 16 * 1024
+MAX_TEXT = 200
+
+
+class MessageError(GelformError):
+    """A message of a client that is none of those known; the client is at fault."""
+
+
+def station(value: Any) -> int:
+    """The number of a sensor."""
+    if type(value) is not int or not 0 <= value < 64:
+        raise MessageError("Expected station as a small whole number.")
+    return value
+
+
+def text(value: Any) -> str:
+    """A name from a list that the server made."""
+    if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
+        raise MessageError(f"Expected a name of at most {MAX_TEXT} letters.")
+    return value
+
+
+def number(value: Any) -> float:
+    """A finite number."""
+    if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > 1e6:
+        raise MessageError("Expected a finite number.")
+    return float(value)
+
+
+def yes_no(value: Any) -> bool:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise MessageError("Expected true or false.")
+    return value
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is done, and the check of each of its fields."""
+
+    act: Callable[..., None]
+    fields: dict[str, Callable[[Any], Any]]
+
+
+COMMANDS = {
+    "background": Command(actions.take_background, {"station": station}),
+    "own_background": Command(actions.own_background, {"station": station}),
+    "zero": Command(actions.set_zero, {"station": station}),
+    "calibration": Command(actions.use_calibration, {"station": station, "name": text}),
+    "compare": Command(actions.compare_with, {"station": station, "name": text}),
+    "solver": Command(actions.use_solver, {"station": station, "name": text}),
+    "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
+    "press": Command(actions.press, {"station": station, "x_px": number, "y_px": number}),
+}
+
+
+def parsed(message: str) -> dict[str, Any]:
+    """A message's fields: a JSON object with a word `do`.
+
+    Raises
+    ------
+    MessageError
+        Too long, no JSON, no object, or without `do`.
+    """
+    if len(message) > MAX_BYTES:
+        raise MessageError(f"Expected a message of at most {MAX_BYTES} bytes.")
+    try:
+        content = json.loads(message, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as problem:
+        raise MessageError("Expected a message of JSON.") from problem
+    if not isinstance(content, dict) or not isinstance(content.get("do"), str):
+        raise MessageError('Expected an object with a word "do".')
+    return content
+
+
+def done(hub: Hub, content: dict[str, Any]) -> None:
+    """Do what a message asks for.
+
+    Raises
+    ------
+    MessageError
+        An unknown command, or fields that are missing, unknown or of the wrong kind.
+    GelformError
+        It cannot be done; the text is for the user.
+    """
+    command = COMMANDS.get(content["do"])
+    if command is None:
+        raise MessageError("Expected one of the known commands.")
+    given = {name: value for name, value in content.items() if name != "do"}
+    if given.keys() != command.fields.keys():
+        raise MessageError(f"Expected the fields {', '.join(command.fields)}.")
+    command.act(hub, **{name: check(given[name]) for name, check in command.fields.items()})
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON")

@@ -1,0 +1,165 @@
+"""Who may talk to the server: checks of Host, Origin and token on every request and websocket; headers of answers.
+
+A page of another site can make a browser send requests to this machine. It cannot choose the Host and Origin that
+the browser writes: a name that was bound to this machine's address from outside (DNS rebinding) shows in Host, a
+foreign page in Origin and in Sec-Fetch-Site.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+from collections.abc import Iterable
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+OPEN_PATHS = ("/session",)  # the page's files are open too: there is nothing secret in them
+HEADERS = {
+    b"content-security-policy": b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    b"connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    b"x-content-type-options": b"nosniff",
+    b"x-frame-options": b"DENY",
+    b"referrer-policy": b"no-referrer",
+    b"cross-origin-opener-policy": b"same-origin",
+    b"cross-origin-resource-policy": b"same-origin",
+    b"permissions-policy": b"camera=(), microphone=(), geolocation=(), usb=()",
+}
+
+
+class Access:
+    """Which hosts the server answers as, and the token that it wants.
+
+    Parameters
+    ----------
+    port : of the server
+    names : hosts that the server may be called by, beside this machine's own
+    token : None where none is wanted
+    any_address : whether any address (not name) is fine as a host: of a server that listens on all of them. An
+        address cannot be bound to another machine, so this opens nothing
+    """
+
+    def __init__(
+        self, port: int, names: Iterable[str] = (), *, token: str | None = None, any_address: bool = False
+    ) -> None:
+        self.token = token
+        self._port, self._any_address = port, any_address
+        self._names = {name.lower() for name in (*LOOPBACK, *names)}
+        self.cookie = f"gelform_{port}"  # cookies are not kept apart by port
+
+    def host_allowed(self, host: str) -> bool:
+        """Whether a Host header names this server."""
+        name, port = split_host(host)
+        if port != self._port:
+            return False
+        return name in self._names or (self._any_address and _is_address(name))
+
+    def origin_allowed(self, origin: str, host: str) -> bool:
+        """Whether an Origin header names the page that this server gave under that host."""
+        return origin.lower() == f"http://{host.lower()}"
+
+    def token_allowed(self, given: str) -> bool:
+        """Whether this is the token, in constant time."""
+        return self.token is None or hmac.compare_digest(given.encode(), self.token.encode())
+
+    def cookie_allowed(self, header: str) -> bool:
+        """Whether a Cookie header has the token."""
+        if self.token is None:
+            return True
+        try:
+            morsel = SimpleCookie(header).get(self.cookie)
+        except CookieError:
+            return False
+        return morsel is not None and self.token_allowed(morsel.value)
+
+
+class Guard:
+    """Refuses what `Access` does not allow, before the application sees it; adds the headers to every answer."""
+
+    def __init__(self, app: Any, access: Access, open_paths: Iterable[str] = OPEN_PATHS) -> None:
+        self._app, self._access, self._open_paths = app, access, frozenset(open_paths)
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal = self._refusal(scope)
+        if scope["type"] == "websocket":
+            if refusal is None:
+                await self._app(scope, receive, send)
+            else:
+                await send({"type": "websocket.close", "code": 1008, "reason": ""})
+            return
+        if refusal is None:
+            await self._app(scope, receive, _with_headers(send))
+        else:
+            await _answer(_with_headers(send), *refusal)
+
+    def _refusal(self, scope: Any) -> tuple[int, str] | None:
+        """Status and text of a refusal; None where all is well."""
+        headers = _single(scope["headers"])
+        host = headers.get("host")
+        if headers.get("repeated") or host is None or not self._access.host_allowed(host):
+            return 421, "This server does not answer to that host. Open the address that the terminal shows."
+        origin = headers.get("origin")
+        socket = scope["type"] == "websocket"
+        if (origin is None and socket) or (
+            origin is not None and not self._access.origin_allowed(origin, host)
+        ):
+            return 403, "Requests from other pages are refused."
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _is_visit(headers):
+            return 403, "Requests from other pages are refused."
+        if scope["path"] not in self._open_paths and not self._access.cookie_allowed(
+            headers.get("cookie", "")
+        ):
+            return 401, "Open the address that the terminal shows, with its token."
+        return None
+
+
+def split_host(host: str) -> tuple[str, int]:
+    """Name and port of a Host header; port 80 where it names none, -1 where it is none."""
+    name, colon, port = host.lower().rpartition(":")
+    if not colon or host.endswith("]"):
+        name, port = host.lower(), "80"
+    name = name[1:-1] if name.startswith("[") and name.endswith("]") else name
+    return name, int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else -1
+
+
+def _is_visit(headers: dict[str, str]) -> bool:
+    """Whether somebody follows a link to the page: that may come from anywhere, and only shows the page."""
+    return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _single(raw: list[tuple[bytes, bytes]]) -> dict[str, str]:
+    """Headers by name; `repeated` says that one of those that decide came twice."""
+    headers: dict[str, str] = {}
+    for name, value in raw:
+        key = name.decode("latin-1").lower()
+        if key in headers and key in ("host", "origin", "sec-fetch-site"):
+            headers["repeated"] = key
+        headers[key] = value.decode("latin-1")
+    return headers
+
+
+def _with_headers(send: Any) -> Any:
+    async def sent(event: Any) -> None:
+        if event["type"] == "http.response.start":
+            event = {**event, "headers": [*event.get("headers", []), *HEADERS.items()]}
+        await send(event)
+
+    return sent
+
+
+async def _answer(send: Any, status: int, text: str) -> None:
+    body = text.encode()
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", b"%d" % len(body))]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

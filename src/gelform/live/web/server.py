@@ -1,0 +1,138 @@
+"""Starts the server: a free port, a token beyond this machine, the address to open."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import secrets
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+from gelform.errors import GelformError
+from gelform.live.hub import Hub
+
+PORT, PORTS_TRIED = 8765, 20
+MAX_MESSAGE = 64 * 1024
+MAX_CONNECTIONS = 128
+ALL_ADDRESSES = ("0.0.0.0", "::")
+
+
+@dataclass(frozen=True)
+class Server:
+    """A server that listens already and answers once `serve` is called.
+
+    Attributes
+    ----------
+    url : what to open, with the token where there is one
+    token : None on this machine alone
+    """
+
+    url: str
+    token: str | None
+    _socket: socket.socket
+    _host: str
+
+    def serve(self, hub: Hub) -> None:
+        """Answer until interrupted."""
+        self._server(hub).run(sockets=[self._socket])
+
+    def _server(self, hub: Hub) -> Any:
+        import uvicorn
+
+        from gelform.live.web.app import make_app
+        from gelform.live.web.guard import Access
+
+        port = self._socket.getsockname()[1]
+        anywhere = self._host in ALL_ADDRESSES
+        names = [socket.gethostname()] if anywhere else [self._host]
+        access = Access(port, names, token=self.token, any_address=anywhere)
+        config = uvicorn.Config(
+            make_app(hub, access),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio",
+            ws_max_size=MAX_MESSAGE,
+            ws_ping_interval=10.0,
+            ws_ping_timeout=20.0,
+            ws_per_message_deflate=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            h11_max_incomplete_event_size=16 * 1024,
+            timeout_graceful_shutdown=1,
+        )
+        return uvicorn.Server(config)
+
+
+def listen(host: str = "127.0.0.1", port: int | None = None, *, token: bool = False) -> Server:
+    """Take a port.
+
+    Parameters
+    ----------
+    host : this machine alone by default; beyond it a token is made
+    port : None: 8765, or the next one that is free
+    token : whether one is wanted on this machine too, for one that others share
+
+    Raises
+    ------
+    GelformError
+        The extra is not installed, the port is in use, or there is no such host.
+    """
+    check_extra()
+    taken = _bound(host, port)
+    secret = secrets.token_urlsafe(32) if token or not is_loopback(host) else None
+    shown = socket.gethostname() if host in ALL_ADDRESSES else host
+    address = f"[{shown}]" if ":" in shown else shown
+    fragment = "" if secret is None else f"#token={secret}"
+    return Server(f"http://{address}:{taken.getsockname()[1]}/{fragment}", secret, taken, host)
+
+
+def check_extra() -> None:
+    """Raise GelformError, naming the extra, where the server's packages are not installed."""
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+        import websockets  # noqa: F401
+    except ImportError as problem:
+        raise GelformError(
+            f"The live page needs {problem.name}. Install it: pip install 'gelform[live]'."
+        ) from problem
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine alone."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _bound(host: str, port: int | None) -> socket.socket:
+    tried = [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]
+    for one in tried:
+        try:
+            return _bound_to(host, one)
+        except OSError as problem:
+            if problem.errno not in (errno.EADDRINUSE, errno.EACCES):
+                raise GelformError(
+                    f"Cannot listen on {host}: {problem.strerror or problem}. Give an address of this machine."
+                ) from problem
+            if port is not None:
+                raise GelformError(
+                    f"Port {port} is in use or not allowed. Choose another: --port {port + 1}, or leave it out."
+                ) from problem
+    raise AssertionError("port 0 is always free")
+
+
+def _bound_to(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    taken = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        taken.bind((host, port))
+        taken.listen(64)
+    except OSError:
+        taken.close()
+        raise
+    taken.setblocking(False)
+    return taken

@@ -1,0 +1,89 @@
+"""Maps as bytes for the page: depth as uint16, shares as uint8, the image as it is or as JPEG.
+
+Two encodings: `raw` for a browser on the same machine, where bytes cost nothing and time does, and `small` for a
+network: the image as JPEG, maps at half the resolution, packed with deflate.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import DataError
+
+ENCODINGS = ("raw", "small")
+JPEG_QUALITY = 80
+DEPTH_ZERO = 32768
+DEPTH_STEP = 1e-4  # mm: the step of depth as 16 bits everywhere in gelform
+LARGEST = 32767
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A map's bytes.
+
+    Attributes
+    ----------
+    facts : name, kind, height, width, packed; zero and step where its numbers mean something else
+    data : the bytes
+    """
+
+    facts: dict[str, Any]
+    data: bytes
+
+
+def image_plane(image: NDArray[Any], encoding: str) -> Plane:
+    """The image (H, W, 3) RGB, 0-255: `raw` bytes or a JPEG."""
+    pixels = np.ascontiguousarray(image, dtype=np.uint8)
+    if encoding == "raw":
+        return _plane("image", "rgb", pixels)
+    done, jpeg = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise DataError(f"OpenCV cannot encode an image of {pixels.shape[0]}x{pixels.shape[1]} px as JPEG.")
+    return Plane(_facts("image", "jpeg", pixels.shape), jpeg.tobytes())
+
+
+def depth_plane(depth: NDArray[np.float32], encoding: str, name: str = "depth") -> Plane:
+    """Depth (H, W) as uint16 in steps of 1e-4 mm about 32768, in larger steps where that does not reach.
+
+    0 is never sent: in files it stands for unknown pixels.
+    """
+    reach = float(np.abs(depth).max(initial=0.0))
+    step = max(DEPTH_STEP, reach / LARGEST)
+    levels = np.rint(depth * np.float32(1 / step)).astype(np.int32) + DEPTH_ZERO
+    return _numbers(name, levels.clip(1, 65535).astype(np.uint16), encoding, zero=DEPTH_ZERO, step=step)
+
+
+def level_plane(name: str, values: NDArray[Any], encoding: str, *, step: float = 1 / 255) -> Plane:
+    """Values from 0 up (H, W) as uint8 in the given steps; larger ones are cut at 255 steps."""
+    levels = np.rint(np.clip(values * np.float32(1 / step), 0, 255)).astype(np.uint8)
+    return _numbers(name, levels, encoding, zero=0, step=step)
+
+
+def bits_plane(name: str, bits: NDArray[Any], encoding: str) -> Plane:
+    """Bit sets (H, W), uint8 or uint16; a lower resolution takes every second pixel as it is."""
+    return _numbers(name, bits, encoding, zero=0, step=1)
+
+
+def _numbers(name: str, levels: NDArray[Any], encoding: str, *, zero: int, step: float) -> Plane:
+    meaning = {"zero": zero, "step": step}
+    if encoding == "raw":
+        return _plane(name, f"u{8 * levels.itemsize}", levels, meaning)
+    half = levels[::2, ::2]
+    # Differences along rows are small where a surface is smooth: they pack three times as well.
+    steps = np.diff(half, axis=1, prepend=half.dtype.type(0))
+    data = zlib.compress(np.ascontiguousarray(steps).tobytes(), 1)
+    return Plane(_facts(name, f"u{8 * levels.itemsize}", half.shape, packed=True) | meaning, data)
+
+
+def _plane(name: str, kind: str, pixels: NDArray[Any], meaning: dict[str, Any] | None = None) -> Plane:
+    return Plane(_facts(name, kind, pixels.shape) | (meaning or {}), np.ascontiguousarray(pixels).tobytes())
+
+
+def _facts(name: str, kind: str, shape: tuple[int, ...], *, packed: bool = False) -> dict[str, Any]:
+    return {"name": name, "kind": kind, "height": shape[0], "width": shape[1], "packed": packed}
