@@ -15,6 +15,7 @@ from gelform.cli.commands import (
     import_,
     info,
     lens,
+    live,
     reconstruct,
     scale,
     simulate,
@@ -44,6 +45,7 @@ app.command()(design.design)
 app.command("import")(import_.import_)
 app.command()(compare.compare)
 app.command()(info.info)
+app.command()(live.live)
 
 
 def command_names() -> tuple[str, ...]:

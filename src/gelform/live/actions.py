@@ -54,7 +54,9 @@ def use_calibration(hub: Hub, station: int, name: str) -> None:
     setup = chosen.setup.with_calibration(calibration, name)
     newest = chosen.newest
     if newest is not None:
-        setup.result_of(newest.frame, setup.image_of(newest.frame))  # one that does not fit is refused, not used
+        setup.result_of(
+            newest.frame, setup.image_of(newest.frame)
+        )  # one that does not fit is refused, not used
     chosen.setup = setup
     hub.changed()
 

@@ -45,7 +45,9 @@ class Calibrations:
         with self._lock:
             if path.resolve() in (known.resolve() for known in self._paths.values()):
                 return next(n for n, known in self._paths.items() if known.resolve() == path.resolve())
-            name = self._free(path.name if path.name not in self._paths else f"{path.parent.name}/{path.name}")
+            name = self._free(
+                path.name if path.name not in self._paths else f"{path.parent.name}/{path.name}"
+            )
             self._paths[name] = path
             return name
 
@@ -82,4 +84,3 @@ class Calibrations:
         while free in taken:
             free, number = f"{name} ({number})", number + 1
         return free
-

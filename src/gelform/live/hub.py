@@ -14,6 +14,7 @@ from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
 from gelform.live.station import Station
 from gelform.progress import Progress
+from gelform.solvers import SOLVERS
 
 NOTICES = 20
 
@@ -88,6 +89,7 @@ class Hub:
             "now_s": time.monotonic(),
             "stations": [station.facts() for station in self.stations],
             "calibrations": self.calibrations.names,
+            "solvers": ["auto", *SOLVERS],
             "work": {number: list(work) for number, work in tuple(self.work.items())},
             "notices": [list(notice) for notice in tuple(self.notices) if notice[0] > notices_after],
         }

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelform.simulate import Ball, Coin, Indenter, Pose, Screw, SimulatedSensor, Torus, text_relief
 
@@ -33,6 +34,34 @@ class Act:
     rest_frames: int = 12
 
 
+@dataclass
+class Rehearsed:
+    """An act on one sensor, and the images of it that are computed already.
+
+    Attributes
+    ----------
+    act : Act
+    poses : of its images
+    levels : number of the pose -> image without noise
+    """
+
+    act: Act
+    poses: Sequence[Pose]
+    levels: dict[int, NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def length(self) -> int:
+        """How many images are shown: there, back where it goes back, and at rest."""
+        return len(self.poses) * (1 + self.act.returns) + self.act.rest_frames
+
+    def step_at(self, position: int) -> int | None:
+        """The number of the pose that is shown at a position; None at rest."""
+        count = len(self.poses)
+        if position < count:
+            return position
+        return 2 * count - 1 - position if self.act.returns and position < 2 * count else None
+
+
 def _rolls(sensor: SimulatedSensor) -> list[Pose]:
     """In, once round the middle, and out."""
     height, width = (size * sensor.mm_per_px for size in sensor.shape)
@@ -44,7 +73,9 @@ def _rolls(sensor: SimulatedSensor) -> list[Pose]:
     ]
 
 
-def _presses(depth_mm: float, steps: int, *, spin_deg: float = 0.0, tilt_deg: float = 0.0) -> Callable[..., list[Pose]]:
+def _presses(
+    depth_mm: float, steps: int, *, spin_deg: float = 0.0, tilt_deg: float = 0.0
+) -> Callable[..., list[Pose]]:
     """In to a depth, turning and tilting on the way."""
 
     def poses(_: SimulatedSensor) -> list[Pose]:

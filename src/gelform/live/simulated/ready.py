@@ -1,9 +1,10 @@
-"""The simulated sensor's calibration: made once by `calibrate` on simulated presses, then kept in the user's cache."""
+"""A simulated sensor's calibration: shipped for the usual one, else made by `calibrate` on simulated presses and kept."""
 
 from __future__ import annotations
 
 import os
 import sys
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,28 +16,35 @@ from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibrati
 from gelform.errors import CalibrationError
 from gelform.frames import pixels_digest
 from gelform.progress import Progress, no_progress
+from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
 from gelform.view import View
 
 BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11
+SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by benchmarks/live_calibration.py
 COLOR_MODEL = "polynomial"  # half the time that choosing takes; 0.2 degrees worse than the best here
 
 
 def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progress) -> Calibration:
-    """The calibration of a simulated sensor, from the cache where it is there, else made (about ten seconds).
+    """The calibration of a simulated sensor: the one shipped, or from the cache, else made (about ten seconds).
 
     Parameters
     ----------
     sensor : SimulatedSensor
     progress : called with (done, total, what) while it is made
     """
+    if sensor == simulated_sensor_named(DEFAULT_SENSOR):
+        with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
+            return load_calibration(shipped)
     kept = kept_path(sensor)
     if kept is not None and kept.is_file():
         try:
             return load_calibration(kept)
         except CalibrationError:
             kept.unlink(missing_ok=True)  # damaged: it is ours, and made again
-    calibration = calibrate(_presses(sensor, progress), color_model=COLOR_MODEL, progress=progress)
+    made = simulated_presses(sensor, COUNT, progress=progress)
+    calibration = calibrate(presses_of(made), color_model=COLOR_MODEL, progress=progress)
     if kept is not None:
         calibration.save(kept, overwrite=True)
     return calibration
@@ -67,12 +75,14 @@ def cache_folder() -> Path:
     return home / ".cache" / "gelform"
 
 
-def _presses(sensor: SimulatedSensor, progress: Progress) -> Presses:
+def simulated_presses(
+    sensor: SimulatedSensor, count: int, *, progress: Progress = no_progress
+) -> SimulatedPresses:
+    """Presses of two balls all over the gel, as the live page's objects are simulated."""
     rng = np.random.default_rng(SEED)
-    made = simulate_ball_presses(
-        sensor, ball_diameters_mm=BALLS_MM, count=COUNT, rng=rng, oversample=1, progress=progress
+    return simulate_ball_presses(
+        sensor, ball_diameters_mm=BALLS_MM, count=count, rng=rng, oversample=1, progress=progress
     )
-    return presses_of(made)
 
 
 def presses_of(made: SimulatedPresses) -> Presses:

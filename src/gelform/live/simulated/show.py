@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.frames import Frame
-from gelform.live.simulated.acts import ACTS, Act
+from gelform.live.simulated.acts import ACTS, Act, Rehearsed
 from gelform.sensors.pace import Pace
 from gelform.simulate import Ball, Pose, SimulatedSensor, simulate_pose
 from gelform.simulate.sensor.grey_levels import image_from_levels
@@ -23,6 +23,7 @@ POINTER_BALL = Ball(2.5)
 STEP_MM = 0.025  # depths of a press that was asked for are rounded to this, so that images can be used again
 PRESS_S, HOLD_S = 0.35, 1.6  # going in, and staying
 KEPT = 64
+GENTLE_S = 0.03
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class Show:
     """A simulated sensor as a source of frames, 60 a second.
 
     Plays the acts in turn (a ball, a coin, a screw ...) until it is told where to press, or to rest. The images
-    without noise of an act are computed once, in a thread of their own; each frame gets noise of its own.
+    without noise are computed once: the ball's when they are first shown, the others' in a thread of their own, and
+    their act joins in when they are there. Each frame gets noise of its own.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ class Show:
         self._resting = False
         self._closed = threading.Event()
         self._levels = lru_cache(maxsize=KEPT)(self._levels_of)
-        self._acts: list[list[NDArray[Any]]] = []
+        self._acts = [Rehearsed(ACTS[0], ACTS[0].poses(sensor))]
         self._rest = self._levels_of(POINTER_BALL, 0.0, 0.0, 0.0)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -82,7 +84,9 @@ class Show:
         pace, index = Pace(self._rate_hz), 0
         while not self._closed.is_set():
             levels = self._levels_now(index / self._rate_hz)
-            image = image_from_levels(self.sensor, levels.astype(np.float32), np.random.default_rng([self._seed, index]))
+            image = image_from_levels(
+                self.sensor, levels.astype(np.float32), np.random.default_rng([self._seed, index])
+            )
             time_s = pace.wait_for(index)
             yield Frame(np.asarray(image), time_s, time.time_ns(), index)
             index = pace.next_after(index)
@@ -120,10 +124,22 @@ class Show:
         if asked is not None and not asked.over(now):
             depth = STEP_MM * round(asked.depth_at(now) / STEP_MM)
             return self._rest if depth <= 0 else self._levels(asked.ball, depth, asked.x_px, asked.y_px)
+        return self._rest if self._resting else self._of_acts(time_s)
+
+    def _of_acts(self, time_s: float) -> NDArray[Any]:
+        """What the acts show at a time, computed now where it never was."""
         acts = self._acts
-        if self._resting or not acts:
+        position = int(time_s * Act.rate_hz) % sum(act.length for act in acts)
+        for act in acts:
+            if position < act.length:
+                break
+            position -= act.length
+        step = act.step_at(position)
+        if step is None:
             return self._rest
-        return _frame_of(acts, time_s)
+        if step not in act.levels:
+            act.levels[step] = self._simulated(act.act.indenter, act.poses[step])
+        return act.levels[step]
 
     def _levels_of(self, ball: Ball, depth_mm: float, x_px: float, y_px: float) -> NDArray[Any]:
         height, width = self.sensor.shape
@@ -137,26 +153,11 @@ class Show:
         return press.image.astype(np.float16)  # steps of 1/8 of a grey level: noise is larger
 
     def _rehearse(self) -> None:
-        """Compute the acts, one after the other; each is played as soon as it is there."""
-        for act in ACTS:
-            frames = []
-            for pose in act.poses(self.sensor):
-                if self._closed.is_set():
+        """Compute the acts that take long, one after the other; each is played as soon as it is there."""
+        for act in ACTS[1:]:
+            rehearsed = Rehearsed(act, act.poses(self.sensor))
+            for step, pose in enumerate(rehearsed.poses):
+                if self._closed.wait(GENTLE_S):  # the frames that are shown meanwhile go first
                     return
-                frames.append(self._simulated(act.indenter, pose))
-            self._acts = [*self._acts, _played(act, frames, self._rest)]
-
-
-def _played(act: Act, frames: list[NDArray[Any]], rest: NDArray[Any]) -> list[NDArray[Any]]:
-    """An act's images in the order in which they are shown: with the way back where it goes back, and a rest."""
-    there = [*frames, *reversed(frames)] if act.returns else frames
-    return [*there, *[rest] * act.rest_frames]
-
-
-def _frame_of(acts: list[list[NDArray[Any]]], time_s: float) -> NDArray[Any]:
-    position = int(time_s * Act.rate_hz) % sum(map(len, acts))
-    for frames in acts:
-        if position < len(frames):
-            return frames[position]
-        position -= len(frames)
-    raise AssertionError("the position is smaller than the number of images")
+                rehearsed.levels[step] = self._simulated(act.indenter, pose)
+            self._acts = [*self._acts, rehearsed]

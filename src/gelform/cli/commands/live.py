@@ -1,0 +1,71 @@
+"""gelform live: the page that shows a sensor as it is touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gelform.cli.console import say
+from gelform.cli.failures import mistakes_in
+from gelform.cli.options import Quiet, positive
+
+
+def live(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SOURCE]...",
+            help="Serial, name, device, URL, video, folder, or simulated[:SENSOR]. Default: simulated.",
+        ),
+    ] = None,
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration; one for each sensor."
+        ),
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option(metavar="DIR", help="Whose calibrations are offered, where recordings go.")
+    ] = Path("."),
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; beyond this machine a token is needed.")
+    ] = "127.0.0.1",
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="8765, or the next free one.")] = None,
+    token: Annotated[
+        bool, typer.Option("--token", help="Want a token on this machine too: others share it.")
+    ] = False,
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", parser=positive, help="Of the simulated sensor.")
+    ] = 60.0,
+    browser: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show depth in mm on a page in the browser, calibrate with a ball, record, compare.
+
+    Without SOURCE a simulated sensor is shown: nothing has to be plugged in.
+
+    \b
+    Examples:
+      gelform live
+      gelform live 2BKRXXXX -c mini.npz
+      gelform live left right -c left.npz -c right.npz --port 8080
+      gelform live session.mp4 -c mini.npz
+    """
+    from gelform.live.start import Options, start
+    from gelform.live.web.server import listen
+
+    server = listen(host, port, token=token)
+    with mistakes_in("live"):
+        hub = start(Options(sources or ["simulated"], calibration or [], folder, rate))
+    typer.echo(server.url)
+    say("Open this address. Ctrl-C ends it.", quiet)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(server.url)
+    try:
+        server.serve(hub)
+    finally:
+        hub.close()

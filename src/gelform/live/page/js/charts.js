@@ -1,0 +1,86 @@
+// Small line charts on canvases: a profile, a number against time, a line behind a number.
+
+const LEFT = 46, BOTTOM = 24, TOP = 10, RIGHT = 12;
+
+const styles = (names) => { const all = getComputedStyle(document.documentElement); return names.map((name) => all.getPropertyValue(`--${name}`).trim()); };
+
+function prepared(canvas) {
+  const scale = Math.min(2, devicePixelRatio || 1), width = canvas.clientWidth, height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * scale)) canvas.width = Math.round(width * scale);
+  if (canvas.height !== Math.round(height * scale)) canvas.height = Math.round(height * scale);
+  const context = canvas.getContext("2d");
+  context.setTransform(scale, 0, 0, scale, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+/** Round numbers between low and high, about `count` of them. */
+export function ticks(low, high, count = 4) {
+  const rough = (high - low) / count || 1, decade = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((k) => k * decade).find((s) => s >= rough);
+  const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
+  return Array.from({ length: Math.max(0, last - first + 1) }, (_, k) => Number(((first + k) * step).toPrecision(10)));
+}
+
+/** `lines`: [{x, y, color, name}] of equal-length arrays; `mark`: x of a vertical line. */
+export function drawChart(canvas, lines, { xUnit, yUnit, xRange, yLeast = 0.1, mark = null, ink = null }) {
+  const { context, width, height } = prepared(canvas), [soft, grid] = styles(["soft", "grid"]);
+  if (!width) return;
+  const all = lines.flatMap((line) => Array.from(line.y));
+  const high = Math.max(yLeast, ...all) * 1.08, low = Math.min(0, ...all) * 1.1 - 0.03 * high;
+  const toX = (v) => LEFT + ((v - xRange[0]) / (xRange[1] - xRange[0] || 1)) * (width - LEFT - RIGHT);
+  const toY = (v) => height - BOTTOM - ((v - low) / (high - low)) * (height - BOTTOM - TOP);
+  context.font = "11px system-ui, sans-serif";
+  context.fillStyle = soft;
+  context.strokeStyle = grid;
+  context.lineWidth = 1;
+  context.textAlign = "right";
+  const marks = ticks(low, high);
+  marks.forEach((v, k) => { line(context, LEFT, toY(v), width - RIGHT, toY(v)); context.fillText(`${v}${k === marks.length - 1 ? ` ${yUnit}` : ""}`, LEFT - 6, toY(v) + 4); });
+  context.textAlign = "center";
+  const below = ticks(...xRange, 5);
+  below.forEach((v, k) => context.fillText(`${v}${k === below.length - 1 ? ` ${xUnit}` : ""}`, Math.min(width - 20, toX(v)), height - 8));
+  if (mark !== null) { context.setLineDash([3, 3]); context.strokeStyle = soft; line(context, toX(mark), TOP, toX(mark), height - BOTTOM); context.setLineDash([]); }
+  lines.forEach((one, k) => trace(context, one, toX, toY, k));
+  legend(context, lines, width, ink ?? soft);
+}
+
+function trace(context, { x, y, color }, toX, toY, nth) {
+  context.strokeStyle = styles([color])[0];
+  context.lineWidth = 2;
+  if (nth % 2) context.setLineDash([7, 3]); // told apart without colours too
+  context.beginPath();
+  for (let k = 0; k < y.length; k++) context[k ? "lineTo" : "moveTo"](toX(x[k]), toY(y[k]));
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function legend(context, lines, width, ink) {
+  context.textAlign = "left";
+  let at = width - RIGHT - lines.reduce((sum, { name }) => sum + (name ? context.measureText(name).width + 34 : 0), 0);
+  lines.forEach(({ name, color }, k) => {
+    if (!name) return;
+    context.strokeStyle = styles([color])[0];
+    context.lineWidth = 2;
+    if (k % 2) context.setLineDash([5, 2]);
+    line(context, at, TOP + 4, at + 16, TOP + 4);
+    context.setLineDash([]);
+    context.fillStyle = ink;
+    context.fillText(name, at + 20, TOP + 8);
+    at += context.measureText(name).width + 34;
+  });
+}
+
+/** A line without axes. */
+export function drawSpark(canvas, values, least) {
+  const { context, width, height } = prepared(canvas);
+  if (!width || values.length < 2) return;
+  const high = Math.max(least, ...values), low = Math.min(0, ...values);
+  context.strokeStyle = styles(["series-a"])[0];
+  context.lineWidth = 1.5;
+  context.beginPath();
+  values.forEach((v, k) => context[k ? "lineTo" : "moveTo"]((k / (values.length - 1)) * width, height - 2 - ((v - low) / (high - low)) * (height - 4)));
+  context.stroke();
+}
+
+function line(context, x1, y1, x2, y2) { context.beginPath(); context.moveTo(x1, y1); context.lineTo(x2, y2); context.stroke(); }

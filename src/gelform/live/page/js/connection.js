@@ -1,0 +1,93 @@
+// The websocket: comes back by itself, gives credit for each picture drawn, keeps the server's clock.
+
+import { readMessage } from "./wire.js";
+
+const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 4000, PING_EVERY_MS = 2000, AHEAD = 2;
+
+export class Connection extends EventTarget {
+  constructor() {
+    super();
+    this.open = false;
+    this.clockOffset = 0; // server's clock minus ours, s
+    this.bytes = 0;
+    this.waitMs = FIRST_WAIT_MS;
+    this.bestTrip = Infinity;
+    this.watched = null;
+    this.lastSerial = new Map();
+    setInterval(() => this.ping(), PING_EVERY_MS);
+    document.addEventListener("visibilitychange", () => { if (!document.hidden && !this.open) this.connect(); });
+  }
+
+  connect() {
+    clearTimeout(this.timer);
+    if (this.socket && this.socket.readyState <= 1) return;
+    const socket = new WebSocket(`ws://${location.host}/ws`);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => this.opened();
+    socket.onmessage = (event) => this.heard(event.data).catch((problem) => this.say("trouble", String(problem.message || problem)));
+    socket.onclose = (event) => this.closed(socket, event);
+  }
+
+  opened() {
+    this.open = true;
+    this.waitMs = FIRST_WAIT_MS;
+    this.bestTrip = Infinity;
+    this.lastSerial.clear();
+    this.ping();
+    if (this.watched) this.send(this.watched);
+    for (let k = 0; k < AHEAD; k++) this.send({ do: "credit" });
+    this.say("open");
+  }
+
+  closed(socket, event) {
+    if (socket !== this.socket) return;
+    this.open = false;
+    this.say("closed", event.reason || "");
+    this.timer = setTimeout(() => this.connect(), this.waitMs);
+    this.waitMs = Math.min(LONGEST_WAIT_MS, this.waitMs * 1.6);
+  }
+
+  async heard(data) {
+    if (typeof data === "string") return this.heardWords(JSON.parse(data));
+    this.bytes += data.byteLength;
+    const message = await readMessage(data);
+    const { station, serial } = message.header;
+    if (serial <= (this.lastSerial.get(station) ?? 0)) return this.credit(); // decoded after a newer one
+    this.lastSerial.set(station, serial);
+    this.say("frame", message);
+  }
+
+  heardWords(words) {
+    if (words.kind !== "pong") return this.say(words.kind, words);
+    const now = performance.now() / 1000, trip = now - words.sent;
+    this.bestTrip *= 1.05; // clocks drift: an old short trip does not count for ever
+    if (trip < this.bestTrip) {
+      this.bestTrip = trip;
+      this.clockOffset = words.now_s + trip / 2 - now;
+    }
+  }
+
+  /** The server's clock now, s. */
+  get now() { return performance.now() / 1000 + this.clockOffset; }
+
+  watch(stations, planes, encoding) {
+    this.watched = { do: "watch", stations, planes, encoding };
+    this.lastSerial.clear();
+    this.send(this.watched);
+  }
+
+  credit() { this.send({ do: "credit" }); }
+  ping() { this.send({ do: "ping", sent: performance.now() / 1000 }); }
+  send(words) { if (this.socket && this.socket.readyState === 1) this.socket.send(JSON.stringify(words)); }
+  say(kind, detail) { this.dispatchEvent(new CustomEvent(kind, { detail })); }
+}
+
+/** Change the token of the address for a cookie; takes it out of the address, so that it is not copied along. */
+export async function signIn() {
+  const token = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (!token) return true;
+  history.replaceState(null, "", location.pathname);
+  const answer = await fetch("/session", { method: "POST", body: token, headers: { "content-type": "text/plain" } });
+  return answer.ok;
+}

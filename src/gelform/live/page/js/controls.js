@@ -1,0 +1,37 @@
+// Buttons and choices of one sensor.
+
+import { MAP_NAMES } from "./colors.js";
+import { byId, element, setOptions } from "./dom.js";
+
+/** `does`: {send(do, fields), chosen() -> station, settings, redraw()}. */
+export function startControls(does) {
+  const box = byId("actions"), button = (id, text, title, act, main) => element("button", { id, text, title, class: main ? "main" : "", onclick: act });
+  const send = (what, fields = {}) => does.send(what, fields);
+  const choice = (id, text, act) => element("label", {}, text, element("select", { id, onchange: (event) => act(event.target.value) }));
+  box.append(
+    element("div", { class: "row" },
+      button("background", "Take background", "The untouched gel of today: touch nothing (B)", () => send("background"), true),
+      button("zero", "Set zero", "Show depth against what is there now (Z)", () => send("zero")),
+      button("snapshot", "Snapshot", "npz, png and ply of this frame (S)", () => send("snapshot")),
+      button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !does.chosen()?.paused }))),
+    choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
+    choice("compare", "Compare with", (name) => send("compare", { name })),
+    element("div", { class: "row" },
+      choice("solver", "Solver", (name) => send("solver", { name })),
+      choice("colors", "Colours", (name) => { does.settings.colors = name; does.redraw(); })),
+    element("label", { class: "check" }, element("span", {}, element("input", { id: "outlines", type: "checkbox", checked: true, onchange: (event) => { does.settings.outlines = event.target.checked; does.redraw(); } }), " Outlines and deepest point")));
+  setOptions(byId("colors"), MAP_NAMES.map((name) => [name, name]), does.settings.colors);
+}
+
+export function drawControls(station, facts) {
+  if (!station) return;
+  const named = facts.calibrations.map((name) => [name, name]);
+  setOptions(byId("calibration"), station.calibration ? named : [["", "none yet"], ...named], station.calibration);
+  setOptions(byId("compare"), [["", "nothing"], ...named], station.other);
+  setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
+  byId("pause").textContent = station.paused ? "Go on" : "Pause";
+  byId("pause").setAttribute("aria-pressed", String(station.paused));
+  byId("zero").textContent = station.zero ? "Zero: undo" : "Set zero";
+  byId("zero").setAttribute("aria-pressed", String(station.zero));
+  for (const id of ["background", "zero", "snapshot"]) byId(id).disabled = !station.calibration;
+}

@@ -1,0 +1,67 @@
+// How the sensor is doing: the line at the top, the banner, the empty states with what to do, the list of facts.
+
+import { byId, element, setText } from "./dom.js";
+
+const WORDS = { running: "live", starting: "starting", reconnecting: "reconnecting", missing: "not there", ended: "ended", offline: "no server", paused: "paused" };
+const ADVICE = {
+  missing: "Plug the sensor in. It is tried again every second.",
+  reconnecting: "The camera went away. It comes back by itself when it is plugged in again.",
+  ended: "The recording is over. The last picture stays.",
+};
+
+export function drawStatus(station, online, look) {
+  const state = !online ? "offline" : station?.paused ? "paused" : (station?.state ?? "starting");
+  const line = byId("status"), parts = [element("span", {}, element("i", { class: `dot ${state === "paused" ? "starting" : state}` }), element("b", { text: WORDS[state] ?? state }))];
+  if (online && station && state === "running") parts.push(fact("", `${station.rate_hz.toFixed(0)} Hz`), fact("age", `${look.ageMs.toFixed(0)} ms`), fact("lost", String(station.drops ?? 0)));
+  line.replaceChildren(...parts);
+  line.dataset.state = state;
+  const banner = byId("banner"), said = bannerText(station, online);
+  banner.hidden = !said;
+  banner.classList.toggle("bad", !online || station?.state === "missing");
+  setText(banner, said);
+}
+
+function bannerText(station, online) {
+  if (!online) return "The server does not answer. Start gelform live again in the terminal, or wait: this page comes back by itself.";
+  if (!station || station.state === "running" || station.state === "starting") return "";
+  const reason = station.reason ? `${station.reason.replace(/\.?$/, ".")} ` : "";
+  return reason.includes(ADVICE[station.state]) ? reason : reason + (ADVICE[station.state] ?? "");
+}
+
+/** What stands in place of the surface: why there is none, and what to do. */
+export function drawEmpty(frame, station, work) {
+  const box = byId("empty"), content = emptyContent(frame, station, work), key = content.map((one) => one.outerHTML).join("");
+  if (box.dataset.key === key) return;
+  box.dataset.key = key;
+  box.replaceChildren(...content);
+}
+
+function emptyContent(frame, station, work) {
+  if (frame?.has("depth")) return [];
+  if (work) {
+    const [what, done, total] = work;
+    return [element("strong", { text: "Calibrating" }), element("span", { text: what }), element("progress", { max: Math.max(1, total), value: done, "aria-label": what })];
+  }
+  if (frame?.header.problem) return [element("strong", { text: "This frame cannot be reconstructed" }), element("span", { text: frame.header.problem })];
+  if (!frame) return [element("strong", { text: station?.state === "missing" ? "No sensor" : "Waiting for the first picture" }), element("span", { text: station?.state === "missing" ? ADVICE.missing : "" })];
+  if (station && !station.calibration) return [element("strong", { text: "No calibration yet" }), element("span", { text: "Choose one at the right, or make one in ten minutes with a ball: Calibrate." })];
+  return [];
+}
+
+export function drawFacts(station, look) {
+  if (!station) return;
+  const rows = [["sensor", station.name], ["serial", station.serial ?? "–"], ["camera", `${(station.camera_hz ?? 0).toFixed(1)} Hz`], ["reconstructed", `${station.rate_hz.toFixed(1)} Hz`],
+    ["drawn", `${look.drawnHz.toFixed(1)} Hz`], ["reconstruction", `${station.took_ms.toFixed(1)} ms`], ["capture to screen", `${look.ageMs.toFixed(0)} ms`], ["lost frames", String(station.drops ?? 0)], ["reopened", String(station.reopened ?? 0)],
+    ["sent as", look.encoding === "raw" ? "depth 16 bit, image as it is" : "depth 16 bit at half size, image JPEG"], ["traffic", `${(look.bytesPerS / 1e6).toFixed(2)} MB/s`], ["surface", look.renderer],
+    ["background", station.background], ...Object.entries(station.settings).map(([name, value]) => [name.replace("_", " "), String(value)])];
+  byId("facts").replaceChildren(...rows.flatMap(([name, value]) => [element("dt", { text: name }), element("dd", { text: value })]));
+}
+
+export function drawFindings(frame) {
+  const findings = frame?.header.health ?? [], key = JSON.stringify(findings.map(([name]) => name)), list = byId("findings");
+  const texts = findings.length ? findings.map(([name, message]) => element("li", { text: message, "data-name": name })) : [element("li", { class: "well", text: frame?.has("depth") ? "Nothing to report." : "–" })];
+  if (list.dataset.key !== key + texts[0].textContent) list.replaceChildren(...texts);
+  list.dataset.key = key + texts[0].textContent;
+}
+
+const fact = (name, value) => element("span", {}, name ? `${name} ` : "", element("b", { text: value }));

@@ -1,0 +1,148 @@
+// The surface in three dimensions, by WebGL2: the depth map is a texture that lifts a grid of vertices.
+
+import { ramp } from "./colors.js";
+import { Orbit } from "./orbit.js";
+import { LINE_FRAGMENT, LINE_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.js";
+
+const MOST_VERTICES = 100_000, MOST_IN_SOFTWARE = 20_000;
+
+export class Surface {
+  /** Throws where the browser has no WebGL2. */
+  constructor(canvas, redraw) {
+    this.canvas = canvas;
+    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
+    if (!gl) throw new Error("no WebGL2");
+    this.gl = gl;
+    this.lost = false;
+    canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.lost = true; });
+    canvas.addEventListener("webglcontextrestored", () => { this.lost = false; this.prepare(); redraw(); });
+    const named = gl.getExtension("WEBGL_debug_renderer_info");
+    this.software = /swiftshader|llvmpipe|software/i.test(named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : "");
+    this.prepare();
+    this.orbit = new Orbit(canvas, redraw);
+  }
+
+  prepare() {
+    const { gl } = this;
+    this.program = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
+    this.lines = program(gl, LINE_VERTEX, LINE_FRAGMENT);
+    this.depth = texture(gl, gl.NEAREST);
+    this.colors = texture(gl, gl.LINEAR);
+    this.drape = texture(gl, gl.LINEAR);
+    this.indices = gl.createBuffer();
+    this.corners = gl.createBuffer();
+    this.gridKey = this.colorsKey = "";
+    gl.enable(gl.DEPTH_TEST);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  }
+
+  /** Draw a frame. `look`: {range, lift, colors, drape: null or a canvas, ink: [r, g, b, a]}; lift exaggerates the height. */
+  draw(frame, look) {
+    if (this.lost) return;
+    const map = frame.map("depth");
+    if (!map) return;
+    const { gl } = this, pitch = frame.pitch(map);
+    const spans = [map.width * pitch[0], map.height * pitch[1]], unit = 2 / Math.max(...spans);
+    this.fit();
+    this.upload(map, look);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const camera = this.orbit.matrix(this.canvas.width / this.canvas.height), extent = spans.map((span) => span * unit);
+    this.drawSurface(map, camera, extent, unit * look.lift, look);
+    this.drawFrame(camera, extent, look.ink);
+  }
+
+  drawSurface(map, camera, extent, lift, look) {
+    const { gl } = this, set = uniforms(gl, this.program);
+    gl.useProgram(this.program);
+    this.bind(0, this.depth); this.bind(1, this.colors); this.bind(2, this.drape);
+    gl.uniform1i(set("depth"), 0); gl.uniform1i(set("colors"), 1); gl.uniform1i(set("drape"), 2);
+    gl.uniform2i(set("size"), map.width, map.height); gl.uniform2i(set("grid"), ...this.grid);
+    gl.uniform2f(set("extent"), ...extent); gl.uniform1f(set("lift"), lift);
+    gl.uniform1f(set("range"), look.range); gl.uniform1i(set("draped"), look.drape ? 1 : 0);
+    gl.uniform3f(set("eye"), ...this.orbit.eye); gl.uniformMatrix4fv(set("camera"), false, camera);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.indices);
+    gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+  }
+
+  /** The border of the image at depth 0, so that one sees what is pressed and what is drawn down. */
+  drawFrame(camera, [width, height], ink) {
+    const { gl } = this, x = width / 2, y = height / 2, set = uniforms(gl, this.lines);
+    gl.useProgram(this.lines);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-x, -y, 0, x, -y, 0, x, y, 0, -x, y, 0]), gl.DYNAMIC_DRAW);
+    const position = gl.getAttribLocation(this.lines, "position");
+    gl.enableVertexAttribArray(position);
+    gl.vertexAttribPointer(position, 3, gl.FLOAT, false, 0, 0);
+    gl.uniformMatrix4fv(set("camera"), false, camera);
+    gl.uniform4f(set("ink"), ...ink);
+    gl.drawArrays(gl.LINE_LOOP, 0, 4);
+    gl.disableVertexAttribArray(position);
+  }
+
+  upload(map, look) {
+    const { gl } = this;
+    this.makeGrid(map);
+    this.bind(0, this.depth);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, map.width, map.height, 0, gl.RED, gl.FLOAT, map.values);
+    if (this.colorsKey !== look.colors) {
+      this.colorsKey = look.colors;
+      this.bind(1, this.colors);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, new Uint8Array(ramp(look.colors).flat()));
+    }
+    this.bind(2, this.drape);
+    if (look.drape) gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, look.drape);
+    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
+  /** Triangles over the map, of every pixel or of every second, third ... where there are too many. */
+  makeGrid({ width, height }) {
+    const key = `${width}x${height}`;
+    if (this.gridKey === key) return;
+    this.gridKey = key;
+    const stride = Math.max(1, Math.ceil(Math.sqrt((width * height) / (this.software ? MOST_IN_SOFTWARE : MOST_VERTICES))));
+    const columns = Math.ceil(width / stride), rows = Math.ceil(height / stride);
+    this.grid = [columns, rows];
+    const indices = new Uint32Array(6 * (columns - 1) * (rows - 1));
+    let at = 0;
+    for (let row = 0; row < rows - 1; row++) for (let column = 0; column < columns - 1; column++) {
+      const a = row * columns + column, b = a + columns;
+      indices.set([a, b, a + 1, a + 1, b, b + 1], at);
+      at += 6;
+    }
+    this.count = at;
+    this.gl.bindBuffer(this.gl.ELEMENT_ARRAY_BUFFER, this.indices);
+    this.gl.bufferData(this.gl.ELEMENT_ARRAY_BUFFER, indices, this.gl.STATIC_DRAW);
+  }
+
+  fit() {
+    const scale = this.software ? 1 : Math.min(2, devicePixelRatio || 1);
+    const width = Math.max(1, Math.round(this.canvas.clientWidth * scale)), height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
+    if (this.canvas.width !== width || this.canvas.height !== height) { this.canvas.width = width; this.canvas.height = height; }
+    this.gl.viewport(0, 0, width, height);
+  }
+
+  bind(unit, what) { this.gl.activeTexture(this.gl.TEXTURE0 + unit); this.gl.bindTexture(this.gl.TEXTURE_2D, what); }
+}
+
+function program(gl, vertex, fragment) {
+  const made = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error(gl.getProgramInfoLog(made) || "a WebGL program does not link");
+  return made;
+}
+
+function texture(gl, filter) {
+  const made = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, made);
+  for (const [name, value] of [[gl.TEXTURE_MIN_FILTER, filter], [gl.TEXTURE_MAG_FILTER, filter], [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE], [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE]]) gl.texParameteri(gl.TEXTURE_2D, name, value);
+  return made;
+}
+
+const uniforms = (gl, made) => (name) => (made[`at_${name}`] ??= gl.getUniformLocation(made, name));

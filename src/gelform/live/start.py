@@ -1,0 +1,93 @@
+"""From the command line's arguments to a hub whose stations run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelform.errors import DataError
+from gelform.live import actions
+from gelform.live.calibrations import Calibrations
+from gelform.live.hub import Hub
+from gelform.live.simulated.ready import ready_calibration
+from gelform.live.simulated.show import RATE_HZ, Show
+from gelform.live.station import Station
+from gelform.progress import Progress
+from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.sensors.source import DEFAULT_SENSOR, SIMULATED, Source, open_source
+from gelform.simulate import SimulatedSensor
+
+READY = "simulated sensor"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What `gelform live` is asked for.
+
+    Attributes
+    ----------
+    sources : "simulated", serials, names, paths ...
+    calibrations : files, one for all sources or one for each
+    folder : whose calibrations the page offers too
+    rate_hz : frames a second of simulated sensors
+    """
+
+    sources: Sequence[str] = (SIMULATED,)
+    calibrations: Sequence[Path] = ()
+    folder: Path | None = None
+    rate_hz: float = RATE_HZ
+
+
+def start(options: Options) -> Hub:
+    """Open the sources and reconstruct; a camera that is not there is waited for.
+
+    Raises
+    ------
+    DataError
+        Several calibrations, but not one for each source; a file that is missing.
+    CalibrationError
+        A calibration cannot be read.
+    """
+    if len(options.calibrations) not in (0, 1, len(options.sources)):
+        raise DataError(
+            f"Expected one calibration for all sources or one for each of the {len(options.sources)}, "
+            f"got {len(options.calibrations)}."
+        )
+    hub = Hub(calibrations=Calibrations(options.calibrations, options.folder))
+    names = [hub.calibrations.add_file(path) for path in options.calibrations]
+    for name in names:
+        hub.calibrations[name]  # one that cannot be read is said before anything opens
+    for number, spec in enumerate(options.sources):
+        sensor = _simulated_sensor(spec)
+        opener = _opener(spec, sensor, options.rate_hz)
+        station = Station(number, spec, opener, hub.changed)
+        hub.stations.append(station)
+        if names:
+            name = names[number % len(names)]
+            station.setup = station.setup.with_calibration(hub.calibrations[name], name)
+        station.start()
+        if sensor is not None and not names:
+            hub.start(_made_ready(hub, number, sensor), number, "calibrating the simulated sensor")
+    return hub
+
+
+def _simulated_sensor(spec: str) -> SimulatedSensor | None:
+    kind, _, name = spec.partition(":")
+    return simulated_sensor_named(name or DEFAULT_SENSOR) if kind == SIMULATED else None
+
+
+def _opener(spec: str, sensor: SimulatedSensor | None, rate_hz: float) -> Callable[[], Source]:
+    if sensor is not None:
+        return lambda: Show(sensor, rate_hz=rate_hz)
+    return lambda: open_source(spec, paced=True)
+
+
+def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:
+    def work(progress: Progress) -> None:
+        name = f"{READY} {sensor.name}"
+        if name not in hub.calibrations.names:
+            name = hub.calibrations.add(name, ready_calibration(sensor, progress=progress))
+        actions.use_calibration(hub, number, name)
+
+    return work

@@ -1,0 +1,1 @@
+"""What a visitor takes along: files of a frame, and the code that gives the same."""
