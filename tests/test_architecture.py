@@ -31,6 +31,7 @@ LEVELS = [
     {"reconstruct", "simulate"},
     {"sensors", "plots", "importers", "exporters", "torch"},
     {"calibration", "design", "streams"},
+    {"live"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line

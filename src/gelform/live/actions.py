@@ -10,6 +10,7 @@ import numpy as np
 from gelform.background.average import background_from_frames
 from gelform.errors import GelformError
 from gelform.live.hub import Hub, wait_for_frames
+from gelform.live.take.code import Situation, code_of
 from gelform.solvers import SOLVERS
 
 BACKGROUND_FRAMES, ZERO_FRAMES = 15, 8
@@ -90,6 +91,26 @@ def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     if not hasattr(source, "press_at"):
         raise GelformError("Only a simulated sensor can be pressed from here.")
     source.press_at(x_px, y_px)
+
+
+def snapshot(hub: Hub, station: int) -> dict[str, Any]:
+    """Keep what is shown now; the answer has its number and the names of its files."""
+    shown = hub.station(station).newest
+    if shown is None:
+        raise GelformError("There is no picture yet. Wait for the first one.")
+    number = hub.snapshots.add(shown)
+    return {"kind": "snapshot", "number": number, "files": hub.snapshots.names(number)}
+
+
+def code(hub: Hub, station: int, view: str) -> dict[str, Any]:
+    """What reproduces a view: the answer has it in Python and as command lines."""
+    chosen = hub.station(station)
+    setup = chosen.setup
+    paths = [hub.calibrations.path_of(name) if name else None for name in (setup.name, setup.other_name)]
+    mine, other = (None if path is None else str(path) for path in paths)
+    now = Situation(chosen.spec, mine, other, setup.background is not None, setup.solver)
+    title, parts = code_of(view, now)
+    return {"kind": "code", "title": title, "parts": parts}
 
 
 def _check_calibrated(calibration: Any) -> None:

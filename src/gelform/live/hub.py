@@ -13,6 +13,7 @@ from gelform import __version__
 from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
 from gelform.live.station import Station
+from gelform.live.take.snapshot import Snapshots
 from gelform.progress import Progress
 from gelform.solvers import SOLVERS
 
@@ -27,6 +28,7 @@ class Hub:
     ----------
     stations : in the order of the command line
     calibrations : to choose from
+    snapshots : frames that somebody wanted to keep
     work : (what, done, total) of long work by the station's number; shown as progress
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
     """
@@ -34,6 +36,7 @@ class Hub:
     stations: list[Station] = field(default_factory=list)
     calibrations: Calibrations = field(default_factory=Calibrations)
     work: dict[int, tuple[str, int, int]] = field(default_factory=dict)
+    snapshots: Snapshots = field(default_factory=Snapshots)
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)

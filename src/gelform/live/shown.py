@@ -32,6 +32,7 @@ class Shown:
     result : Reconstruction or None: no calibration, or this frame could not be reconstructed
     other : the same frame by the calibration that it is compared with, or None
     measures : numbers of the result, or None
+    background : (H, W, 3) that was taken live, or None: the calibration's own
     problem : why there is no result, in words; "" where there is one
     """
 
@@ -41,6 +42,7 @@ class Shown:
     result: Reconstruction | None = None
     other: Reconstruction | None = None
     measures: Measures | None = None
+    background: NDArray[np.float32] | None = None
     problem: str = ""
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)

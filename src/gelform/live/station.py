@@ -164,4 +164,5 @@ def _shown(serial: int, frame: Frame, setup: Setup) -> Shown:
         return Shown(serial, frame, image, problem=str(problem))
     if result is None:
         return Shown(serial, frame, image, problem="")
-    return Shown(serial, frame, image, result, setup.other_of(frame), measures_of(result))
+    other = setup.other_of(frame)
+    return Shown(serial, frame, image, result, other, measures_of(result), setup.background)

@@ -1,4 +1,4 @@
-"""The simulated sensor of the live page: objects touch it in turn, a visitor's pointer presses it, a guide asks for presses."""
+"""The simulated sensor of the live page: objects touch it in turn; a visitor or a guide says where to press."""
 
 from __future__ import annotations
 

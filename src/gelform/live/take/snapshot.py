@@ -39,6 +39,14 @@ class Snapshots:
                 self._kept.popitem(last=False)
             return self._count
 
+    def names(self, number: int) -> list[str]:
+        """The files that a snapshot has."""
+        shown = self._kept[number]
+        lacking = {"background.png"} if shown.background is None else set()
+        if shown.result is None:
+            lacking |= FILES.keys() - {"frame.png"}
+        return [name for name in FILES if name not in lacking]
+
     def file(self, number: int, name: str) -> tuple[str, bytes]:
         """Name and content of one file of a snapshot.
 
@@ -99,11 +107,19 @@ def points_ply(shown: Shown) -> bytes:
     return header.encode() + kept.tobytes()
 
 
+def background_png(shown: Shown) -> bytes:
+    """The background that was taken on the page: what `gelform reconstruct --background` takes."""
+    if shown.background is None:
+        raise GelformError("No background was taken on the page: the calibration has its own.")
+    return _png(np.rint(shown.background[..., ::-1]).astype(np.uint8))
+
+
 FILES: dict[str, Callable[[Shown], bytes]] = {
     "result.npz": result_npz,
     "frame.png": frame_png,
     "depth.png": depth_png,
     "points.ply": points_ply,
+    "background.png": background_png,
 }
 
 

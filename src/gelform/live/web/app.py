@@ -14,6 +14,7 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
+from gelform.errors import GelformError
 from gelform.live.hub import Hub
 from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
@@ -65,6 +66,15 @@ def make_app(hub: Hub, access: Access) -> Any:
             answer.set_cookie(access.cookie, access.token, httponly=True, samesite="strict", path="/")
         return answer
 
+    async def snapshot(request: Request) -> Response:
+        number, name = request.path_params["number"], request.path_params["name"]
+        try:
+            saved_as, content = await asyncio.to_thread(hub.snapshots.file, number, name)
+        except GelformError as problem:
+            return Response(str(problem), 404, media_type="text/plain")
+        headers = {"content-disposition": f'attachment; filename="{saved_as}"', "cache-control": "no-store"}
+        return Response(content, media_type="application/octet-stream", headers=headers)
+
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if len(clients) >= MAX_CLIENTS:
@@ -93,6 +103,7 @@ def make_app(hub: Hub, access: Access) -> Any:
     routes = [
         *[Route(path, page, methods=["GET"]) for path in files],
         Route("/session", session, methods=["POST"]),
+        Route("/snapshots/{number:int}/{name}", snapshot, methods=["GET"]),
         WebSocketRoute("/ws", socket),
     ]
     return Guard(Starlette(routes=routes, lifespan=lifespan), access, (*OPEN_PATHS, *files))

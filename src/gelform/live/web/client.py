@@ -146,7 +146,9 @@ class Client:
         """Do what a button asks for; the answer says how it went."""
         reply = {"kind": "done", "do": content["do"], "problem": ""}
         try:
-            await asyncio.to_thread(done, self._hub, content)
+            answer = await asyncio.to_thread(done, self._hub, content)
+            if answer is not None:
+                self._replies.append(answer)
         except MessageError as problem:
             await self._socket.close(POLICY, str(problem)[:120])
             return

@@ -50,9 +50,9 @@ def yes_no(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Command:
-    """What is done, and the check of each of its fields."""
+    """What is done, which may give an answer, and the check of each of its fields."""
 
-    act: Callable[..., None]
+    act: Callable[..., dict[str, Any] | None]
     fields: dict[str, Callable[[Any], Any]]
 
 
@@ -63,6 +63,8 @@ COMMANDS = {
     "calibration": Command(actions.use_calibration, {"station": station, "name": text}),
     "compare": Command(actions.compare_with, {"station": station, "name": text}),
     "solver": Command(actions.use_solver, {"station": station, "name": text}),
+    "snapshot": Command(actions.snapshot, {"station": station}),
+    "code": Command(actions.code, {"station": station, "view": text}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
     "press": Command(actions.press, {"station": station, "x_px": number, "y_px": number}),
 }
@@ -87,8 +89,8 @@ def parsed(message: str) -> dict[str, Any]:
     return content
 
 
-def done(hub: Hub, content: dict[str, Any]) -> None:
-    """Do what a message asks for.
+def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
+    """Do what a message asks for; gives the answer where there is one.
 
     Raises
     ------
@@ -103,7 +105,7 @@ def done(hub: Hub, content: dict[str, Any]) -> None:
     given = {name: value for name, value in content.items() if name != "do"}
     if given.keys() != command.fields.keys():
         raise MessageError(f"Expected the fields {', '.join(command.fields)}.")
-    command.act(hub, **{name: check(given[name]) for name, check in command.fields.items()})
+    return command.act(hub, **{name: check(given[name]) for name, check in command.fields.items()})
 
 
 def _no_constant(name: str) -> None:

@@ -33,11 +33,26 @@ class Server:
     _socket: socket.socket
     _host: str
 
+    @property
+    def address(self) -> str:
+        """Host and port, as a Host header has them."""
+        host, port = self._socket.getsockname()[:2]
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
     def serve(self, hub: Hub) -> None:
         """Answer until interrupted."""
-        self._server(hub).run(sockets=[self._socket])
+        self.run(self.uvicorn_of(hub))
 
-    def _server(self, hub: Hub) -> Any:
+    def run(self, uvicorn: Any) -> None:
+        """Answer until that server is told to exit."""
+        uvicorn.run(sockets=[self._socket])
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+    def uvicorn_of(self, hub: Hub) -> Any:
+        """A uvicorn server of the hub's application, with its limits."""
         import uvicorn
 
         from gelform.live.web.app import make_app

@@ -118,6 +118,7 @@ connection.addEventListener("state", ({ detail }) => {
 
 connection.addEventListener("done", ({ detail }) => { if (detail.problem) toast(detail.problem, "error"); });
 connection.addEventListener("code", ({ detail }) => showCode(detail.title, detail.parts));
+connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...detail.files.flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
 connection.addEventListener("trouble", ({ detail }) => toast(detail, "error"));
 connection.addEventListener("open", () => { series.clear(); drawStatus(station(), true, look); });
 connection.addEventListener("closed", () => { owed = 0; drawStatus(station(), false, look); });

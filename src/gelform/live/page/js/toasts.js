@@ -1,4 +1,4 @@
-// Short messages that go away by themselves; errors stay until they are clicked.
+// Short messages that go away by themselves; errors and what is to be fetched stay until they are clicked.
 
 import { byId, element } from "./dom.js";
 
@@ -9,5 +9,5 @@ export function toast(content, level = "info") {
   if ([...box.children].some((one) => one.textContent === made.textContent)) return;
   box.append(made);
   while (box.children.length > MOST) box.firstChild.remove();
-  if (level !== "error") setTimeout(() => made.remove(), SHOWN_MS);
+  if (level !== "error" && level !== "kept") setTimeout(() => made.remove(), SHOWN_MS);
 }

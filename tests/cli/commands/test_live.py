@@ -1,0 +1,38 @@
+"""gelform live: the address is printed, mistakes are one line; what it serves is tested in tests/live."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import pytest
+
+
+def test_it_prints_an_address_that_answers_and_ends_on_interrupt():
+    command = [sys.executable, "-m", "gelform", "live"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            url = running.stdout.readline().strip()
+            assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
+            with urllib.request.urlopen(url, timeout=20) as answer:
+                assert b"<title>gelform live</title>" in answer.read()
+        finally:
+            os.kill(running.pid, signal.SIGINT)
+        _, said = running.communicate(timeout=20)
+    assert "Traceback" not in said
+    assert running.returncode in (0, 130)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-c", "missing.npz"], "missing.npz"),
+        (["simulated:three-edge"], "three-edges"),
+        (["--host", "203.0.113.9"], "address of this machine"),
+        (["a", "b", "c", "-c", "x.npz", "-c", "y.npz"], "one for each of the 3"),
+    ],
+)
+def test_mistakes_are_one_line(fails, arguments, said):
+    assert said in fails("live", *arguments)

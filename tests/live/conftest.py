@@ -1,0 +1,50 @@
+"""A hub with one small simulated sensor, calibrated, running at 60 a second; and a frame of it."""
+
+import numpy as np
+import pytest
+
+from gelform.frames import Frame
+from gelform.live.calibrations import Calibrations
+from gelform.live.hub import Hub
+from gelform.live.measures import measures_of
+from gelform.live.setup import Setup
+from gelform.live.shown import Shown
+from gelform.live.simulated.show import Show
+from gelform.live.station import Station
+from gelform.reconstruct import Reconstructor
+from gelform.simulate import Ball, simulate_press
+from live_waiting import until
+
+
+@pytest.fixture(scope="session")
+def pressed(sensor):
+    """A ball pressed off the middle, with its truth."""
+    return simulate_press(
+        sensor, Ball(3.0), depth_mm=0.6, center_mm=(2.0, -1.5), rng=np.random.default_rng(2)
+    )
+
+
+@pytest.fixture(scope="session")
+def result(calibration, pressed):
+    return Reconstructor(calibration).from_image(pressed.image)
+
+
+@pytest.fixture
+def shown(pressed, result):
+    frame = Frame(pressed.image, 12.5, 10**18, 7)
+    return Shown(3, frame, pressed.image, result, measures=measures_of(result))
+
+
+@pytest.fixture
+def hub(sensor, calibration):
+    """A hub whose one station shows the simulated sensor at rest."""
+    made = Hub(calibrations=Calibrations())
+    show = Show(sensor)
+    show.rest()
+    station = Station(0, "simulated", lambda: show, made.changed)
+    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration))
+    made.stations.append(station)
+    station.start()
+    until(lambda: station.newest)
+    yield made
+    made.close()

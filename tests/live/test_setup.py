@@ -1,0 +1,56 @@
+"""How a station reconstructs: calibration, background, solver, zero, comparison."""
+
+import numpy as np
+import pytest
+
+from gelform.errors import CalibrationError
+from gelform.frames import Frame
+from gelform.live.setup import Setup
+from gelform.simulate import simulate_background
+
+
+@pytest.fixture
+def frame(pressed):
+    return Frame(pressed.image, 1.0, 2, 3)
+
+
+def test_without_a_calibration_there_is_no_result(frame):
+    setup = Setup()
+    assert setup.result_of(frame, setup.image_of(frame)) is None
+    assert setup.with_solver("dct").solver == "dct"
+
+
+def test_the_result_is_the_reconstructors_with_the_frames_times(frame, calibration, result):
+    setup = Setup().with_calibration(calibration, "mine")
+    found = setup.result_of(frame, setup.image_of(frame))
+    np.testing.assert_array_equal(found.depth, result.depth)
+    assert (found.index, found.time_s, found.wall_time_ns) == (3, 1.0, 2)
+
+
+def test_a_zero_that_is_set_is_taken_off(frame, calibration, result):
+    setup = Setup().with_calibration(calibration, "mine")
+    zeroed = Setup(setup.reconstruct, zero_mm=result.depth)
+    found = zeroed.result_of(frame, zeroed.image_of(frame))
+    np.testing.assert_allclose(found.depth, 0, atol=1e-6)
+    assert not found.contact.any()
+    assert found.zero == "set"
+
+
+def test_a_background_of_another_sensor_is_refused(calibration):
+    setup = Setup().with_calibration(calibration, "mine")
+    with pytest.raises(CalibrationError):
+        setup.with_background(calibration.background[..., ::-1].copy())
+
+
+def test_todays_background_is_used_and_given_back(calibration, sensor, frame):
+    today = simulate_background(sensor, np.random.default_rng(8)).astype(np.float32)
+    setup = Setup().with_calibration(calibration, "mine").with_background(today)
+    assert not setup.reconstruct.own_background
+    assert setup.with_solver("dct").background is today
+    assert setup.with_background(None).reconstruct.own_background
+
+
+def test_the_other_calibration_sees_the_same_frame(frame, calibration, result):
+    setup = Setup().with_calibration(calibration, "mine").with_other(calibration, "same")
+    np.testing.assert_array_equal(setup.other_of(frame).depth, result.depth)
+    assert setup.with_other(None, "").other_of(frame) is None

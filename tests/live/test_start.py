@@ -1,0 +1,32 @@
+"""From arguments to running stations."""
+
+import pytest
+
+from gelform.errors import CalibrationError, DataError
+from gelform.live.start import Options, start
+from live_waiting import until
+
+
+def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
+    hub = start(Options(rate_hz=30))
+    try:
+        shown = until(lambda: hub.stations[0].newest, 20)
+        assert shown.image.shape == (240, 320, 3)
+        until(lambda: hub.stations[0].newest.result is not None, 20)
+    finally:
+        hub.close()
+
+
+def test_calibrations_are_for_all_sources_or_one_for_each(tmp_path, calibration):
+    with pytest.raises(DataError, match="one for each of the 3"):
+        start(Options(["simulated"] * 3, [tmp_path / "a.npz", tmp_path / "b.npz"]))
+
+
+def test_a_calibration_that_cannot_be_read_is_said_at_once(tmp_path):
+    with pytest.raises(CalibrationError, match=r"missing\.npz"):
+        start(Options(calibrations=[tmp_path / "missing.npz"]))
+
+
+def test_an_unknown_simulated_sensor_gets_the_nearest_one_suggested():
+    with pytest.raises(ValueError, match="three-edges"):
+        start(Options(["simulated:three-edge"]))

@@ -1,0 +1,128 @@
+"""A station on a source that fails, comes late, is lost and comes back: it goes on, and says how things are."""
+
+import threading
+import time
+
+import numpy as np
+
+from gelform.errors import SensorError, SourceLostError
+from gelform.frames import Frame
+from gelform.live.setup import Setup
+from gelform.live.station import Station
+from live_waiting import until
+
+
+class Scripted:
+    """A live source of grey images that does what the test says."""
+
+    name, serial, settings, live, rate_hz = "scripted", "S1", {"fps": 100.0}, True, 100.0
+
+    def __init__(self, script, shape=(132, 176)):
+        self._script, self._closed, self._shape = script, threading.Event(), shape
+
+    def __iter__(self):
+        for index in range(10**6):
+            if self._closed.is_set():
+                return
+            self._script(index)
+            yield Frame(np.full((*self._shape, 3), 90, np.uint8), time.monotonic(), time.time_ns(), index)
+            time.sleep(0.002)
+
+    def close(self):
+        self._closed.set()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+
+def started(opener):
+    station = Station(0, "scripted", opener, lambda: None)
+    station.start()
+    return station
+
+
+def test_it_shows_the_image_without_a_calibration():
+    station = started(lambda: Scripted(lambda index: None))
+    try:
+        shown = until(lambda: station.newest)
+        assert shown.result is None
+        assert shown.image.shape == (132, 176, 3)
+        assert station.facts()["state"] == "running"
+        until(lambda: station.rate_hz > 0)
+    finally:
+        station.close()
+
+
+def test_a_frame_of_another_size_shows_with_the_reason(calibration):
+    station = started(lambda: Scripted(lambda index: None, (100, 100)))
+    try:
+        station.setup = Setup().with_calibration(calibration, "mine")
+        shown = until(lambda: station.newest if station.newest and station.newest.problem else None)
+        assert shown.result is None
+        assert "100" in shown.problem
+        assert "132" in shown.problem
+    finally:
+        station.close()
+
+
+def test_a_camera_that_is_not_there_is_waited_for(monkeypatch):
+    monkeypatch.setattr("gelform.live.station.RETRY_S", 0.05)
+    tries = []
+
+    def opener():
+        tries.append(1)
+        if len(tries) < 4:
+            raise SensorError("Expected a camera, found none. Plug it in.")
+        return Scripted(lambda index: None)
+
+    station = started(opener)
+    try:
+        until(lambda: station.facts()["reason"])
+        assert station.facts()["state"] == "missing"
+        assert "Plug it in" in station.facts()["reason"]
+        until(lambda: station.newest)
+        assert station.facts()["state"] == "running"
+    finally:
+        station.close()
+
+
+def test_a_camera_that_goes_away_comes_back():
+    lost = threading.Event()
+
+    def script(index):
+        if lost.is_set():
+            raise SourceLostError("The camera was unplugged.")
+
+    station = started(lambda: Scripted(script))
+    try:
+        until(lambda: station.newest)
+        lost.set()
+        until(lambda: station.facts()["state"] == "reconnecting")
+        before = station.newest.serial
+        lost.clear()
+        until(lambda: station.newest.serial > before and station.facts()["state"] == "running")
+        assert station.facts()["reopened"] >= 1
+    finally:
+        station.close()
+
+
+def test_numbers_are_those_of_every_result(hub):
+    station = hub.stations[0]
+    until(lambda: len(station.numbers_since(0)) > 5)
+    serials = [row[0] for row in station.numbers_since(0)]
+    assert serials == list(range(serials[0], serials[0] + len(serials)))
+    assert station.numbers_since(serials[-3])[0][0] == serials[-2]
+
+
+def test_paused_it_holds_the_picture(hub):
+    station = hub.stations[0]
+    station.paused = True
+    time.sleep(0.4)
+    held = station.newest.serial
+    time.sleep(0.1)
+    assert station.newest.serial == held
+    station.paused = False
+    until(lambda: station.newest.serial > held)

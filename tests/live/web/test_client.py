@@ -1,0 +1,207 @@
+"""Websockets to the running server: credit, the newest frame, slow and hostile clients, wrong origins."""
+
+import contextlib
+import json
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.sync.client import connect
+
+from gelform.live.web.app import MAX_CLIENTS
+from gelform.live.wire import read_message
+from live_waiting import until
+
+FIELDS = st.sampled_from(["do", "station", "planes"])
+WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags"], "encoding": "raw"}
+
+
+@pytest.fixture
+def running(serving):
+    return serving()
+
+
+def opened(running, **headers):
+    origin = headers.pop("origin", running.url)
+    return connect(
+        f"ws://{running.address}/ws",
+        origin=origin,
+        additional_headers=headers,
+        compression=None,
+        max_size=None,
+        close_timeout=1,
+        proxy=None,
+    )
+
+
+def say(socket, **message):
+    socket.send(json.dumps(message))
+
+
+def next_frame(socket, timeout=5):
+    """The next binary message."""
+    stop = time.monotonic() + timeout
+    while time.monotonic() < stop:
+        data = socket.recv(timeout=timeout)
+        if isinstance(data, bytes):
+            return read_message(data)
+    raise AssertionError("no frame came")
+
+
+def next_words(socket, kind, timeout=8):
+    stop = time.monotonic() + timeout
+    while time.monotonic() < stop:
+        data = socket.recv(timeout=timeout)
+        if isinstance(data, str) and json.loads(data)["kind"] == kind:
+            return json.loads(data)
+    raise AssertionError(f"nothing of kind {kind} came")
+
+
+def test_a_frame_comes_for_each_credit_and_no_more(running, hub):
+    with opened(running) as socket:
+        say(socket, **WATCH)
+        say(socket, do="credit")
+        header, planes = next_frame(socket)
+        assert header["station"] == 0
+        assert set(planes) == {"depth", "flags"}
+        shown = hub.stations[0].newest
+        assert len(planes["depth"]) == 2 * shown.result.depth.size
+        with pytest.raises((TimeoutError, AssertionError)):
+            next_frame(socket, 0.6)
+
+
+def test_what_was_missed_is_passed_over(running, hub):
+    with opened(running) as socket:
+        say(socket, **WATCH)
+        say(socket, do="credit")
+        first = next_frame(socket)[0]["serial"]
+        until(lambda: hub.stations[0].newest.serial > first + 10)
+        say(socket, do="credit")
+        header, _ = next_frame(socket)
+        assert header["serial"] > first + 9
+        assert len(header["numbers"]) > 5  # but their numbers come, for the curves
+
+
+def test_depth_is_the_results(running, hub):
+    hub.stations[0].source.press_at(90, 60, 0.4, held_s=20)
+    until(lambda: hub.stations[0].newest.measures.peak > 0.3)
+    hub.stations[0].paused = True
+    time.sleep(0.3)
+    with opened(running) as socket:
+        say(socket, **WATCH)
+        say(socket, do="credit")
+        header, planes = next_frame(socket)
+    plane = next(one for one in header["planes"] if one["name"] == "depth")
+    levels = np.frombuffer(planes["depth"], np.uint16).reshape(plane["height"], plane["width"])
+    depth = (levels.astype(float) - plane["zero"]) * plane["step"]
+    np.testing.assert_allclose(depth, hub.stations[0].newest.result.depth, atol=0.51e-4)
+
+
+def test_the_state_comes_by_itself_and_answers_to_buttons(running):
+    with opened(running) as socket:
+        assert next_words(socket, "state")["stations"][0]["state"] == "running"
+        say(socket, do="solver", station=0, name="nonsense")
+        assert "Expected a solver" in next_words(socket, "done")["problem"]
+        say(socket, do="ping", sent=1.5)
+        assert next_words(socket, "pong")["sent"] == 1.5
+        say(socket, do="code", station=0, view="depth")
+        assert next_words(socket, "code")["parts"][0]["language"] == "Python"
+
+
+def test_a_stalled_client_costs_the_others_nothing(running, hub):
+    with opened(running) as stalled, opened(running) as quick:
+        for socket in (stalled, quick):
+            say(socket, **{**WATCH, "planes": ["depth", "image", "confidence"]})
+        for _ in range(4):
+            say(stalled, do="credit")  # and then it never reads
+        serials = []
+        for _ in range(30):
+            say(quick, do="credit")
+            serials.append(next_frame(quick)[0]["serial"])
+        assert serials == sorted(set(serials))
+        assert hub.stations[0].rate_hz > 0
+        assert hub.stations[0].facts()["state"] == "running"
+
+
+FOREIGN = (
+    {"origin": None},
+    {"origin": "http://evil.example"},
+    {"Host": "evil.example"},
+    {"Sec-Fetch-Site": "cross-site"},
+)
+
+
+@pytest.mark.parametrize("headers", FOREIGN)
+def test_other_pages_get_no_websocket(running, headers):
+    with pytest.raises((InvalidHandshake, ConnectionClosed)), opened(running, **headers) as socket:
+        socket.recv(timeout=3)
+
+
+def test_without_the_token_there_is_no_websocket(serving):
+    running = serving(token=True)
+    with pytest.raises((InvalidHandshake, ConnectionClosed)), opened(running) as socket:
+        socket.recv(timeout=3)
+    port = running.address.split(":")[1]
+    with opened(running, Cookie=f"gelform_{port}={running.server.token}") as socket:
+        assert next_words(socket, "state")
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.text(max_size=300)
+    | st.binary(max_size=300)
+    | st.builds(json.dumps, st.dictionaries(FIELDS, st.none() | st.integers() | st.text(max_size=5)))
+)
+def test_nonsense_closes_its_own_websocket_alone(running, message):
+    with opened(running) as socket:
+        socket.send(message)
+        until_closed(socket)
+    with opened(running) as socket:
+        assert next_words(socket, "state")
+
+
+def test_oversized_messages_are_cut_off(running):
+    with opened(running) as socket:
+        socket.send("x" * 100_000)
+        until_closed(socket)
+
+
+def test_floods_are_cut_off(running):
+    with opened(running) as socket:
+        with contextlib.suppress(ConnectionClosed):
+            for _ in range(5000):
+                say(socket, do="credit")
+        until_closed(socket)
+
+
+def until_closed(socket):
+    """Read until the server closes."""
+    with contextlib.suppress(ConnectionClosed):
+        for _ in range(1000):
+            socket.recv(timeout=5)
+        raise AssertionError("it was not closed")
+
+
+def test_so_many_pages_and_no_more(running):
+    many = [opened(running) for _ in range(MAX_CLIENTS)]
+    try:
+        for socket in many:
+            next_words(socket, "state")
+        with pytest.raises(ConnectionClosed), opened(running) as socket:
+            socket.recv(timeout=3)
+        many.pop().close()
+        until(lambda: _welcome(running))
+    finally:
+        for socket in many:
+            socket.close()
+
+
+def _welcome(running):
+    try:
+        with opened(running) as socket:
+            return next_words(socket, "state")
+    except ConnectionClosed:
+        return None

@@ -1,0 +1,73 @@
+"""Where the server listens: ports, hosts, tokens, and what it says where it cannot."""
+
+import builtins
+import socket
+
+import pytest
+
+from gelform.errors import GelformError
+from gelform.live.web.server import check_extra, is_loopback, listen
+
+
+def test_this_machine_alone_needs_no_token():
+    server = listen(port=0)
+    assert server.token is None
+    assert server.url.startswith("http://127.0.0.1:")
+    server.close()
+
+
+def test_beyond_this_machine_there_is_a_token_of_its_own():
+    tokens = set()
+    for _ in range(2):
+        server = listen("0.0.0.0", 0)
+        tokens.add(server.token)
+        assert f"#token={server.token}" in server.url
+        server.close()
+    assert len(tokens) == 2
+    assert all(len(token) >= 40 for token in tokens)
+
+
+def test_a_port_in_use_is_said_where_it_was_asked_for_and_passed_over_where_not():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(GelformError, match=f"Port {port} is in use.*--port {port + 1}"):
+            listen(port=port)
+    first, second = listen(), listen()
+    assert first.address != second.address
+    first.close()
+    second.close()
+
+
+def test_a_host_that_is_not_ours_is_said():
+    with pytest.raises(GelformError, match="address of this machine"):
+        listen("203.0.113.7", 0)
+
+
+HOSTS = {
+    "127.0.0.1": True,
+    "::1": True,
+    "localhost": True,
+    "0.0.0.0": False,
+    "10.0.0.3": False,
+    "robot": False,
+}
+
+
+@pytest.mark.parametrize(("host", "own"), HOSTS.items())
+def test_which_hosts_are_this_machine_alone(host, own):
+    assert is_loopback(host) is own
+
+
+def test_without_the_extra_it_is_named(monkeypatch):
+    real = builtins.__import__
+
+    def lacking(name, *rest, **more):
+        if name == "uvicorn":
+            raise ImportError(name, name="uvicorn")
+        return real(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", lacking)
+    with pytest.raises(GelformError, match=r"needs uvicorn.*gelform\[live\]"):
+        check_extra()
