@@ -32,7 +32,7 @@ from gelform.background.change import PreparedBackground
 from gelform.background.untouched import reference_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.color_models.seam import gradients_from_pending
-from gelform.confidence import PreparedSigma, solved_sigma
+from gelform.confidence import PreparedSigma, prepared_causes, solved_sigma
 from gelform.contact import contact_from_depth
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.gradients import slopes_of_solution
@@ -79,7 +79,20 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     threshold, pitch = calibration.untouched_change, calibration.known_mm_per_px
     reference = reference_from_color_change(change, gradients, threshold)
     sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
-    untouched, deviation, confidence = sigma(image, change, gradients, reference)
+    causes = prepared_causes(
+        calibration.background,
+        calibration.change,
+        clean=calibration.slope_sigma.clean,
+        levels=calibration.settings.get("image_noise"),
+        gamut=calibration.gamut,
+        forward=calibration.forward,
+    )
+
+    def trusted(reference: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        untouched, deviation = sigma(change, gradients, reference)
+        return untouched, deviation, causes(image, change, gradients, reference, None, deviation)
+
+    untouched, deviation, confidence = trusted(reference)
     unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # gradients have lost theirs above
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
     hold = anchor(gradients, untouched)
@@ -100,7 +113,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "what untouched pixels have in common": lambda: reference_from_color_change(
             change, gradients, threshold
         ),
-        "untouched, gamut, sigma, confidence": lambda: sigma(image, change, gradients, unbiased),
+        "untouched, gamut, sigma, confidence": lambda: trusted(unbiased),
         "anchor at rest": lambda: anchor(gradients, untouched),
         "depth (dct), curl": lambda: (
             gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
@@ -111,7 +124,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "sigma of depth": lambda: depth_sigma(both, **how),
         "slopes of the depth and their sigma": lambda: (
             slopes_of_solution(depth, (pitch, pitch)),
-            solved_sigma(both, None, 1.0),
+            solved_sigma(both, 1.0),
         ),
         "contact": lambda: contact_from_depth(depth, mm_per_px=pitch),
         PLAIN: lambda: plain.from_image(image),

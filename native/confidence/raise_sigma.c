@@ -1,7 +1,8 @@
 // What raises the standard deviation of a frame's slopes beyond the law: one pass, and the confidence that follows.
 #include "../common.h"
 
-enum { ROWS = 8, COLUMNS = 16, TERMS = 9 };  // a cell of the forward response, and the monomials of two slopes
+enum { ROWS = 8, COLUMNS = LANES, TERMS = 9 };  // a cell of the forward response, and the monomials of two slopes
+enum { PIECE = 4 * COLUMNS };                   // pixels of a row that are unpacked at a time
 
 struct causes {
   const float *cells, *bias;
@@ -9,31 +10,39 @@ struct causes {
   uint8_t dark_to, saturated_from;
 };
 
-// RMS of the channels of the color change minus that which the slopes explain.
-static inline void find_unexplained(const float *restrict cell, const float *restrict change,
-                                    const float *restrict gradients, const float *restrict bias, float *restrict unexplained,
-                                    int n) {
-  for (int k = 0; k < n; k++) {
-    const float p = gradients[2 * k] + bias[0], q = gradients[2 * k + 1] + bias[1];
-    const float pp = p * p, pq = p * q, qq = q * q;
-    const float of[TERMS] = {p, q, pp, pq, qq, pp * p, pp * q, p * qq, qq * q};
-    float r = change[3 * k], g = change[3 * k + 1], b = change[3 * k + 2];
-    for (int t = 0; t < TERMS; t++) r -= of[t] * cell[3 * t], g -= of[t] * cell[3 * t + 1], b -= of[t] * cell[3 * t + 2];
-    unexplained[k] = sqrtf((r * r + g * g + b * b) * (1.0f / 3));
-  }
+struct lines {
+  float r[PIECE], g[PIECE], b[PIECE], p[PIECE], q[PIECE], variance[PIECE];
+};
+
+static inline void unpack(struct lines *restrict l, const float *restrict change, const float *restrict gradients,
+                          const float *restrict bias, int n) {
+  for (int k = 0; k < n; k++) l->r[k] = change[3 * k], l->g[k] = change[3 * k + 1], l->b[k] = change[3 * k + 2];
+  for (int k = 0; k < n; k++) l->p[k] = gradients[2 * k] + bias[0], l->q[k] = gradients[2 * k + 1] + bias[1];
 }
 
-static inline void add_unexplained(const struct causes *c, const float *restrict unexplained, float *restrict variance,
-                                   int n) {
+// Mean square of the channels of the color change minus that which the slopes explain, of a cell's pixels in a row.
+static inline void find_unexplained(const float *restrict cell, struct lines *restrict l, int x) {
+  const lanes p = load_lanes(l->p + x), q = load_lanes(l->q + x), pp = p * p, pq = p * q, qq = q * q;
+  const lanes of[TERMS] = {p, q, pp, pq, qq, pp * p, pp * q, p * qq, qq * q};
+  lanes r = load_lanes(l->r + x), g = load_lanes(l->g + x), b = load_lanes(l->b + x);
+  for (int t = 0; t < TERMS; t++) r -= of[t] * cell[3 * t], g -= of[t] * cell[3 * t + 1], b -= of[t] * cell[3 * t + 2];
+  store_lanes(l->variance + x, (r * r + g * g + b * b) * (1.0f / 3));
+}
+
+static inline void variance_of_unexplained(const struct causes *c, float *restrict variance, int n) {
   for (int k = 0; k < n; k++) {
-    const float sigma = c->per_change * larger(unexplained[k] - c->unexplained, 0);
-    variance[k] += sigma * sigma;
+    const float sigma = c->per_change * larger(sqrtf(variance[k]) - c->unexplained, 0);
+    variance[k] = sigma * sigma;
   }
 }
 
 // How many pixels have a channel at an end of the range; only these are marked in `clipped`.
 static inline int find_clipped(const struct causes *c, const uint8_t *restrict image, bool *restrict clipped, int n) {
   int count = 0;
+  uint8_t least = 255, most = 0;
+  for (int i = 0; i < 3 * n; i++) least = image[i] < least ? image[i] : least, most = image[i] > most ? image[i] : most;
+  memset(clipped, 0, (size_t)n * sizeof *clipped);
+  if (least > c->dark_to && most < c->saturated_from) return 0;  // as nearly everywhere
   for (int k = 0; k < n; k++) {
     const uint8_t r = image[3 * k], g = image[3 * k + 1], b = image[3 * k + 2];
     const uint8_t low = r < g ? (r < b ? r : b) : (g < b ? g : b), high = r > g ? (r > b ? r : b) : (g > b ? g : b);
@@ -61,20 +70,21 @@ EXPORT int raise_sigma(const uint8_t *image, const float *change, const float *g
   const float square = unseen * unseen;
   int count = 0;
   if (cells != NULL && (ch != (h + ROWS - 1) / ROWS || cw != (w + COLUMNS - 1) / COLUMNS)) return WRONG_SIZE;
+  struct lines l = {0};
   for (ptrdiff_t y = 0; y < h; y++)
-    for (ptrdiff_t x = 0; x < w; x += COLUMNS) {
+    for (ptrdiff_t x = 0; x < w; x += PIECE) {
       const ptrdiff_t at = y * w + x;
-      const int n = w - x < COLUMNS ? (int)(w - x) : COLUMNS;
-      float unexplained_by[COLUMNS], variance[COLUMNS] = {0};
+      const int n = w - x < PIECE ? (int)(w - x) : PIECE;
       if (cells != NULL) {
-        find_unexplained(cells + (y / ROWS * cw + x / COLUMNS) * TERMS * 3, change + 3 * at, gradients + 2 * at, bias,
-                         unexplained_by, n);
-        add_unexplained(&c, unexplained_by, variance, n);
-      }
+        const float *cell = cells + (y / ROWS * cw + x / COLUMNS) * TERMS * 3;
+        unpack(&l, change + 3 * at, gradients + 2 * at, bias, n);
+        for (int k = 0; k < n; k += COLUMNS, cell += TERMS * 3) find_unexplained(cell, &l, k);
+        variance_of_unexplained(&c, l.variance, PIECE);
+      } else memset(l.variance, 0, sizeof l.variance);
       if (unseen_at != NULL)
-        for (int k = 0; k < n; k++) variance[k] += unseen_at[at + k] ? square : 0;
+        for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
       count += find_clipped(&c, image + 3 * at, clipped + at, n);
-      finish(&c, variance, gain + at, sigma + at, confidence + at, n);
+      finish(&c, l.variance, gain + at, sigma + at, confidence + at, n);
     }
   return count;
 }

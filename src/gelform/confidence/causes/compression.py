@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.confidence.causes.seen import Seen
+from gelform.medians import medians_where
 
 BLOCK_PX = 8  # of JPEG
 EVERY = 4  # rows are looked at
@@ -40,9 +41,9 @@ def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_level
         return 0.0
     sums = np.empty(3 * (width - 1), dtype=np.int32)
     _column_jumps(pixels, rest, sums, EVERY)
-    jumps = sums.reshape(-1, 3).mean(axis=1) / -(-height // EVERY)
-    by_place = np.median(jumps[:columns].reshape(-1, BLOCK_PX), axis=0)
-    usual, most = float(np.median(by_place)), float(by_place.max())
+    jumps = (sums[0::3] + sums[1::3] + sums[2::3]).astype(np.float32) / np.float32(3 * -(-height // EVERY))
+    by_place = sorted(medians_where(jumps[:columns].reshape(-1, 1, BLOCK_PX))[0].tolist())
+    usual, most = (by_place[BLOCK_PX // 2 - 1] + by_place[BLOCK_PX // 2]) / 2, by_place[-1]
     single = FROM_JUMP * usual
     blocks = FROM_JUMP * np.sqrt(max(most**2 - usual**2, 0.0)) if most > EXCESS * usual else 0.0
     added = float(np.sqrt(max(single**2 - (USUALLY * usual_levels) ** 2, 0.0) + blocks**2))
