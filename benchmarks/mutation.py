@@ -31,13 +31,10 @@ from mutants.python_code import python_mutants
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results"
 EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
-PATH_TESTS = (
-    "tests/test_reconstruct_truth.py",
-    "tests/test_reconstruct_faults.py",
-    "tests/test_reconstruct.py",
-)
+PATH_TESTS = ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py")
 RELATED = {  # files of tests that hold what a module does beside its own
     "view": ("tests/test_lens.py",),
+    "background/untouched": ("tests/confidence/test_frame_sigma.py",),
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),
     "native/gradients/slopes.c": ("tests/test_depth.py",),
@@ -63,6 +60,8 @@ def modules() -> list[str]:
 
 def own_tests(module: str) -> str:
     """A module's own test file; of C, that of the same name."""
+    if module == "reconstruct":
+        return PATH_TESTS[0]
     room, _, name = module.removeprefix("native/").rpartition("/")
     return str(Path("tests") / room / f"test_{Path(name).stem}.py")
 
@@ -72,6 +71,7 @@ def candidates(module: str, wide: bool) -> list[str]:
     room = module.removeprefix("native/").rpartition("/")[0]
     found = [own_tests(module), *RELATED.get(module, ()), *PATH_TESTS]
     if wide or module.startswith("native/"):
+        found += ["tests/test_reconstruct.py"] if module == "reconstruct" else []
         found += [f"tests/test_{room}.py"]
         found += [
             str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests" / room).glob("test_*.py")) if room

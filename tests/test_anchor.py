@@ -25,6 +25,26 @@ def test_untouched_gel_is_held_as_the_units_say():
     np.testing.assert_allclose(anchor, (CLEAN * PITCH / REST_SIGMA_MM) ** 2, rtol=1e-3)
 
 
+@pytest.mark.parametrize("height_mm", [0.1, -0.1])
+def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
+    """(1 + (z/0.05)^2)^-2 of the firmness at rest: 1/25 at 0.1 mm, on either side."""
+    _, gradients, untouched, face = plateau(height_mm, radius_px=30)
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    assert anchor[face].mean() == pytest.approx((CLEAN * PITCH / REST_SIGMA_MM) ** 2 / 25, rel=0.15)
+
+
+def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
+    """A press over most of the frame, and nowhere a whole coarse pixel of untouched colour: 0 is still the gel's."""
+    depth, gradients, _, face = plateau(0.5, radius_px=75)
+    outside = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 70])[:, None, None])) > 84
+    untouched = outside & (np.add(*np.indices(SHAPE)) % 2 == 0)
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    assert outside.mean() < 0.3
+    assert face.mean() > 0.6
+    held = anchor[untouched & (np.roll(outside, 8, axis=1) & outside)]
+    assert np.median(held) > 0.8 * (CLEAN * PITCH / REST_SIGMA_MM) ** 2
+
+
 @pytest.mark.parametrize("height_mm", [0.15, 0.5])
 def test_a_flat_face_is_not_held(height_mm):
     _, gradients, untouched, face = plateau(height_mm)
@@ -59,7 +79,7 @@ def test_touched_pixels_hold_nothing():
     assert (anchor >= 0).all()
 
 
-@pytest.mark.parametrize("shape", [(1, 9), (7, 5), (61, 83), (3, 200)])
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (7, 5), (61, 83), (3, 200), (200, 3)])
 def test_any_shape(shape):
     gradients = np.zeros((*shape, 2), dtype=np.float32)
     anchor = RestAnchor(shape, PITCH, CLEAN)(gradients, np.ones(shape, dtype=bool))

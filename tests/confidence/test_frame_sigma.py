@@ -59,6 +59,14 @@ def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
         np.testing.assert_array_equal(untouched, ~hidden)
 
 
+def test_where_nobody_knows_every_slope_counts_alike():
+    gradients = np.random.default_rng(0).normal(size=(3, 4, 2)).astype(np.float32)
+    given = np.eye(3, 4, dtype=bool)
+    untouched, sigma = UnknownSigma(0.04)(grey((3, 4)), gradients, NOTHING._replace(given=given))
+    np.testing.assert_array_equal(sigma, np.full((3, 4), np.float32(0.04)))
+    np.testing.assert_array_equal(untouched, given)
+
+
 def test_colours_beyond_the_training_presses_are_not_trusted():
     gamut = seen_gamut()
     change = np.zeros((2, 3, 3), dtype=np.float32)

@@ -33,6 +33,8 @@ def test_the_rim_is_where_the_rule_says():
     assert contact.dtype == bool
     assert np.array_equal(contact, depth > 0.3 * depth.max())
     assert np.isclose(r[contact].max() / radius, 0.84, atol=0.02)
+    whole = contact_from_depth(depth, mm_per_px=PITCH, rim_fraction=0)
+    assert np.array_equal(whole, depth > 0.02)
 
 
 def test_a_faint_touch_beside_a_deep_one_is_seen():
@@ -50,6 +52,16 @@ def test_specks_go_and_nothing_is_found_on_a_gel_at_rest():
     speck[100:104, 100:104] = 0.5
     assert not contact_from_depth(speck, mm_per_px=PITCH).any()
     assert contact_from_depth(speck, mm_per_px=PITCH, min_area_mm2=0.05).sum() == 16
+
+
+@pytest.mark.parametrize(("deviations", "seen"), [(3.6, False), (4.4, True)])
+def test_what_counts_is_four_deviations_of_the_gel_at_rest(deviations, seen):
+    """Read from the gel below zero, also where a press covers a third of the frame."""
+    depth = np.random.default_rng(2).normal(0, 0.02, (120, 160))
+    depth[:, 100:] = 0.02 * deviations
+    contact = contact_from_depth(depth, mm_per_px=PITCH)
+    assert contact[:, 100:].all() == contact.any() == seen
+    assert contact_from_depth(depth, mm_per_px=PITCH, noise_factor=2.5)[:, 100:].all()
 
 
 def test_the_least_area_is_in_mm():
