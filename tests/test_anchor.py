@@ -35,7 +35,7 @@ def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
 
 def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
     """A press over most of the frame, and nowhere a whole coarse pixel of untouched colour: 0 is still the gel's."""
-    depth, gradients, _, face = plateau(0.5, radius_px=75)
+    _, gradients, _, face = plateau(0.5, radius_px=75)
     outside = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 70])[:, None, None])) > 84
     untouched = outside & (np.add(*np.indices(SHAPE)) % 2 == 0)
     anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
