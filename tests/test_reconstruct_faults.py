@@ -1,5 +1,7 @@
 """Frames that say nothing, or only in part: findings, large sigma, bounded depth; never an exception, never NaN."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,12 @@ def test_depth_ends_where_the_gel_does(reconstruct):
     result = reconstruct(ramp.astype(np.float32))
     assert np.abs(result.depth_mm).max() <= min(SHAPE) * MM_PER_PX + 1e-6
     assert np.abs(result.depth_mm).max() < 1e-3 or result.health
+
+
+def test_depth_stays_within_the_gel_where_its_thickness_is_known():
+    """The field of view alone would allow 6.4 mm."""
+    thin = replace(calibration(), settings={"gel_thickness_mm": 0.3})
+    result = gelform.Reconstructor(thin)(image_of(TOUCH))
+    assert "beyond_gel" in names(result)
+    assert result.depth_mm.max() == np.float32(0.3)
+    assert "beyond_gel" not in names(gelform.Reconstructor(calibration())(image_of(TOUCH)))

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from gelform.background.change import ChangeSettings
 from gelform.background.check import background_digest
-from gelform.checks import check_image, check_mm_per_px, check_positive, check_values, check_within
+from gelform.checks import (
+    check_gel_thickness,
+    check_image,
+    check_mm_per_px,
+    check_positive,
+    check_values,
+    check_within,
+)
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.color_models._shared.gamut import Gamut
@@ -95,6 +102,12 @@ class Calibration:
                 "pixel on the gel: gelform import ... --mm-per-px F."
             )
         return self.mm_per_px
+
+    @property
+    def gel_thickness_mm(self) -> float | None:
+        """Thickness of the gel at rest, mm, which no depth can exceed; None where nobody said it."""
+        thickness: float | None = self.settings.get("gel_thickness_mm")
+        return thickness
 
     @cached_property
     def background_digest(self) -> str:
@@ -214,6 +227,8 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
     if meta["mm_per_px_sigma"] is not None:
         check_within(meta["mm_per_px_sigma"], "mm_per_px_sigma", 0, 1e3)
     check_within(meta["untouched_change"], "untouched_change", 0, 1e3)
+    if "gel_thickness_mm" in meta["settings"]:
+        check_gel_thickness(meta["settings"]["gel_thickness_mm"])
     shape = tuple(meta["image_shape"])
     if len(shape) != 2 or not all(type(size) is int and size > 0 for size in shape):
         raise ValueError(f"Expected image_shape as two whole numbers, got {meta['image_shape']}.")

@@ -132,6 +132,8 @@ def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
             second_unit, ball_diameters_mm=[5.0, 8.0], count=count, rng=np.random.default_rng(seed)
         )
         gelform.save_simulated_presses(tmp_path / name, made)
+        with (tmp_path / name / "sensor.toml").open("a") as settings:
+            settings.write("gel_thickness_mm = 2.5\n")
         return gelform.read_presses(tmp_path / name)
 
     five, many, test = presses_of(5, 3, "five"), presses_of(14, 2, "many"), presses_of(5, 4, "test")
@@ -145,6 +147,7 @@ def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
     assert started.settings["start"] == calibration.digest
     started.save(tmp_path / "second.npz")
     assert gelform.load_calibration(tmp_path / "second.npz").digest == started.digest
+    assert gelform.load_calibration(tmp_path / "second.npz").gel_thickness_mm == 2.5
 
 
 def test_what_cannot_be_started_from_is_said(calibration, presses):

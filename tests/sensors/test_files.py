@@ -111,6 +111,7 @@ def test_sensor_toml(tmp_path):
         ('name = "G"\nmm_per_px = 1e300', "got 1e[+]300"),
         ('name = "G"\nmm_per_px = 15.8', r"If these are pixels per mm, give 1/15.8 = 0.06329"),
         ('name = "G"\nmm_per_px = 0.05\nmm_per_px_sigma = "1"', "mm_per_px_sigma as a number"),
+        ('name = "G"\nmm_per_px = 0.05\ngel_thickness_mm = 0', "gel_thickness_mm between 0.05 and 50, got 0"),
         ('name = "G"\nmm_per_px = 0.05\nscale = 3', "got scale"),
         ('name = "G"\nmm_per_px = 0.05\nserial = 3', "serial as text"),
         ('name = "G"\nmm_per_px = 0.05\nview = 3', r"table \[view\]"),

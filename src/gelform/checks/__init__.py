@@ -14,6 +14,7 @@ from gelform.checks.arrays import (
 )
 from gelform.checks.kinds import check_is, check_list, check_path
 from gelform.checks.numbers import (
+    check_gel_thickness,
     check_mm_per_px,
     check_number,
     check_numbers,
@@ -26,6 +27,7 @@ __all__ = [
     "LARGEST",
     "as_array",
     "check_finite",
+    "check_gel_thickness",
     "check_gradients",
     "check_image",
     "check_is",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.checks.kinds import check_list
 
+GEL_THICKNESS_MM = 0.05, 50.0
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1.0
 MM_PER_PX = 1e-6, 1e3  # what square sums of float32 can hold, and far beyond any sensor
 
@@ -54,6 +55,11 @@ def check_sensor_pitch(mm_per_px: float) -> float:
     if pitch < MIN_PITCH_MM:
         raise ValueError(f"Expected mm_per_px of at least {MIN_PITCH_MM:g} mm, got {pitch:g}. Is it in mm?")
     return pitch
+
+
+def check_gel_thickness(thickness_mm: float) -> float:
+    """Return the thickness of a gel, mm: one that a finger-sized sensor can have."""
+    return check_within(thickness_mm, "gel_thickness_mm", *GEL_THICKNESS_MM)
 
 
 def check_positive(value: float, name: str) -> float:

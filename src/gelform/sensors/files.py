@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_path, check_positive, check_sensor_pitch, check_within
+from gelform.checks import check_gel_thickness, check_path, check_positive, check_sensor_pitch, check_within
 from gelform.errors import DataError
 from gelform.sensors.jpeg_bytes import SIGNATURE as JPEG
 from gelform.sensors.jpeg_bytes import jpeg_fault
@@ -40,6 +40,7 @@ class SensorSettings:
     mm_per_px_sigma : its standard deviation, mm; None where it is not known
     response : exponent of the camera's response, I = light^response; 1 where it is linear or not known
     serial, gel_id : which unit and which gel; empty where they are not known
+    gel_thickness_mm : of the gel at rest, which no depth can exceed; None where it is not known
     view : from the camera's frames to the images; identity by default
     measured : what `gelform scale` and `gelform lens` wrote: where the scale and the lens come from (texts, by the
         names `scale` and `lens`), `crosstalk` and `crosstalk_spread` (3x3)
@@ -51,6 +52,7 @@ class SensorSettings:
     response: float = 1.0
     serial: str = ""
     gel_id: str = ""
+    gel_thickness_mm: float | None = None
     view: View = field(default_factory=View)
     measured: Mapping[str, Any] = field(default_factory=dict)
 
@@ -96,7 +98,8 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 def read_sensor_toml(path: str | Path) -> SensorSettings:
     """Read a `sensor.toml`.
 
-    It has `name` and `mm_per_px`, and may have `mm_per_px_sigma`, `response`, `serial`, `gel_id`, `[view]`, `[measured]`.
+    It has `name` and `mm_per_px`, and may have `mm_per_px_sigma`, `response`, `serial`, `gel_id`, `gel_thickness_mm`,
+    `[view]`, `[measured]`.
 
     Raises
     ------
@@ -122,7 +125,17 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
 
 
 def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
-    known = ("name", "mm_per_px", "mm_per_px_sigma", "serial", "gel_id", "response", "view", "measured")
+    known = (
+        "name",
+        "mm_per_px",
+        "mm_per_px_sigma",
+        "serial",
+        "gel_id",
+        "gel_thickness_mm",
+        "response",
+        "view",
+        "measured",
+    )
     unknown = [key for key in settings if key not in known]
     if unknown:
         raise ValueError(f"Expected keys among {', '.join(known)}, got {', '.join(unknown)}.")
@@ -136,11 +149,12 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
     for table in ("view", "measured"):
         if not isinstance(settings.get(table, {}), dict):
             raise ValueError(f"Expected a table [{table}], got {settings[table]!r}.")
-    sigma = settings.get("mm_per_px_sigma")
+    sigma, thickness = settings.get("mm_per_px_sigma"), settings.get("gel_thickness_mm")
     return SensorSettings(
         **texts,
         mm_per_px=check_sensor_pitch(settings["mm_per_px"]),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
+        gel_thickness_mm=None if thickness is None else check_gel_thickness(thickness),
         response=check_within(settings.get("response", 1.0), "response", 0.05, 20),
         view=View.from_dict(settings.get("view", {})),
         measured=_measured(settings.get("measured", {})),

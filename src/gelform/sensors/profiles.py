@@ -33,6 +33,7 @@ class SensorProfile:
     source : where these figures come from
     light_order : "clockwise" or "counter-clockwise": how red, green and blue light come round the gel in the
         image, measured on one unit. Turning the camera keeps it; reversed channels and mirrored images turn it.
+    gel_thickness_mm : of its gel at rest, which no depth can exceed; None where no source says it
     """
 
     name: str
@@ -43,6 +44,7 @@ class SensorProfile:
     verified: bool
     source: str
     light_order: str
+    gel_thickness_mm: float | None = None
 
     def view(self, frame_shape: tuple[int, int]) -> View:
         """The view of frames (H, W) of this sensor, upright or turned by 90 degrees.

@@ -18,22 +18,24 @@ class Geometry:
     scale_source : what told mm_per_px, with the figures; empty: given as a number
     crosstalk : undone before the color model; None: absorbed in it
     lens : what told distortion and perspective, with the residual; empty: none is undone
+    gel_thickness_mm : of the gel at rest; None: not known
     """
 
     scale_source: str = ""
     crosstalk: Crosstalk | None = None
     lens: str = ""
+    gel_thickness_mm: float | None = None
 
     @classmethod
-    def from_settings(cls, measured: Mapping[str, Any]) -> Geometry:
-        """From the table `[measured]` of a `sensor.toml` (`SensorSettings.measured`)."""
+    def from_settings(cls, measured: Mapping[str, Any], gel_thickness_mm: float | None = None) -> Geometry:
+        """From the table `[measured]` of a `sensor.toml` (`SensorSettings.measured`), and the gel's thickness."""
         crosstalk = None
         if "crosstalk" in measured:
             spread = measured.get("crosstalk_spread", ((0.0,) * 3,) * 3)
             crosstalk = Crosstalk(
                 *(tuple(tuple(map(float, row)) for row in m) for m in (measured["crosstalk"], spread))
             )
-        return cls(measured.get("scale", ""), crosstalk, measured.get("lens", ""))
+        return cls(measured.get("scale", ""), crosstalk, measured.get("lens", ""), gel_thickness_mm)
 
     @property
     def matrix(self) -> tuple[tuple[float, ...], ...] | None:
@@ -42,10 +44,11 @@ class Geometry:
 
     def settings(self) -> dict[str, Any]:
         """What a calibration records of it."""
-        said = {"scale_source": self.scale_source, "lens": self.lens}
+        said: dict[str, Any] = {"scale_source": self.scale_source, "lens": self.lens}
+        said["gel_thickness_mm"] = self.gel_thickness_mm
         if self.crosstalk is not None:
             said["crosstalk"] = self.crosstalk.describe()
-        return {name: text for name, text in said.items() if text}
+        return {name: value for name, value in said.items() if value}
 
     def notes(self, response: float, mm_per_px_sigma: float | None) -> tuple[str, ...]:
         """What a report says of it, one sentence each."""

@@ -117,7 +117,12 @@ class ReadOptions:
             settings = read_sensor_toml(beside)
         elif self.sensor is not None:
             profile = profile_named(self.sensor)
-            settings = known or SensorSettings(profile.name, profile.mm_per_px, profile.mm_per_px_sigma)
+            settings = known or SensorSettings(
+                profile.name,
+                profile.mm_per_px,
+                profile.mm_per_px_sigma,
+                gel_thickness_mm=profile.gel_thickness_mm,
+            )
         if self.mm_per_px is not None:
             pitch = check_sensor_pitch(self.mm_per_px)
             if settings is None:

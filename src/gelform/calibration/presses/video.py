@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import trimmed_mean
+from gelform.calibration.geometry.measured import Geometry
 from gelform.calibration.presses.press_set import Listed, Presses, ReadOptions, press_from_frame
 from gelform.calibration.presses.stills import (
     MIN_STILL,
@@ -188,6 +189,7 @@ def _presses(
         gel_id=settings.gel_id or None,
         view=view.view,
         response=settings.response,
+        geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
         background_noise=noise,
         notes=notes,
     )
