@@ -53,7 +53,7 @@ class Calibration:
     untouched_change : color changes smaller than this mean: not touched
     held_out : errors on presses that were left out, by name
     training_digests : SHA-256 of the images that were used
-    settings : what the calibration chose: training zone, model settings ...
+    settings : what the calibration chose and was given: training zone, model settings, gel_thickness_mm ...
     library_version, created_utc : by what and when
     gamut : the colours it was fitted on; None where they are not known
     report : the CalibrationReport of the run that made it; not saved
@@ -102,12 +102,6 @@ class Calibration:
                 "pixel on the gel: gelform import ... --mm-per-px F."
             )
         return self.mm_per_px
-
-    @property
-    def gel_thickness_mm(self) -> float | None:
-        """Thickness of the gel at rest, mm, which no depth can exceed; None where nobody said it."""
-        thickness: float | None = self.settings.get("gel_thickness_mm")
-        return thickness
 
     @cached_property
     def background_digest(self) -> str:

@@ -131,7 +131,8 @@ class Reconstructor:
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
         self._solved_factor = calibration.slope_sigma.solved_factor if calibration.slope_sigma else 1.0
         self._health = FrameHealth(self.background)
-        self._limit = DepthLimit.of(calibration.image_shape, self._pitch, calibration.gel_thickness_mm)
+        thickness_mm = calibration.settings.get("gel_thickness_mm")
+        self._limit = DepthLimit.of(calibration.image_shape, self._pitch, thickness_mm)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
 

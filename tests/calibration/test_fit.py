@@ -147,7 +147,7 @@ def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
     assert started.settings["start"] == calibration.digest
     started.save(tmp_path / "second.npz")
     assert gelform.load_calibration(tmp_path / "second.npz").digest == started.digest
-    assert gelform.load_calibration(tmp_path / "second.npz").gel_thickness_mm == 2.5
+    assert gelform.load_calibration(tmp_path / "second.npz").settings["gel_thickness_mm"] == 2.5
 
 
 def test_what_cannot_be_started_from_is_said(calibration, presses):
