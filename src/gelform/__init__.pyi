@@ -16,6 +16,8 @@ from .background.change import ChangeSettings as ChangeSettings
 from .background.average import background_from_frames as background_from_frames
 from .sensors.backgrounds import read_background as read_background
 from .background.exposure import exposure_from_image as exposure_from_image
+from .background.registration import Registration as Registration
+from .background.registration import registration_from_image as registration_from_image
 from .background.change import color_change_from_image as color_change_from_image
 from .background.change import image_from_color_change as image_from_color_change
 from .markers.finder import Markers as Markers

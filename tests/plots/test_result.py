@@ -1,11 +1,13 @@
 """Pictures show what they are given where it is: depth the right way round."""
 
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from gelform.markers import MarkerFlow
 from gelform.plots.result import _round_length, picture
 from gelform.reconstruction import Reconstruction
 
@@ -77,3 +79,13 @@ def test_scale_bars_are_of_round_lengths(length, rounded):
 def test_pyplot_is_not_touched():
     picture(result_with_bump(20, 30))
     assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_markers_are_arrows_on_the_depth():
+    rest = np.array([[20, 20], [40, 30]], dtype=np.float32)
+    flow = MarkerFlow(rest, rest + 8, np.ones(2, dtype=bool), np.ones(2, np.float32), 0.05)
+    bare = result_with_bump(20, 30, contact=False)
+    white = [
+        np.count_nonzero(near(picture(one), (255, 255, 255))) for one in (bare, replace(bare, markers=flow))
+    ]
+    assert white[1] > white[0] + 100

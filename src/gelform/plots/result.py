@@ -119,10 +119,23 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
         axes.contour(x, y, result.contact, levels=[0.5], colors="white", linewidths=0.8, alpha=0.8)
     axes.axhline(row * pitch_y, color=ORANGE, linewidth=1, alpha=0.9)
     axes.axvline(column * pitch_x, color=BLUE, linewidth=1, alpha=0.9)
+    _draw_markers(axes, result)
     _draw_scale_bar(axes, left, right, low, high, unit)
-    axes.set_title("depth, the contact outlined", fontsize=10, color=INK)
+    arrows = "" if result.markers is None else "; arrows: markers moved"
+    axes.set_title(f"depth, the contact outlined{arrows}", fontsize=10, color=INK)
     axes.set_xlabel(f"x ({unit})")
     axes.set_ylabel(f"y ({unit})")
+
+
+def _draw_markers(axes: Any, result: Reconstruction) -> None:
+    """Arrows as long as the dots have moved, from where they are at rest; those not seen are paler."""
+    flow = result.markers
+    if flow is None or not len(flow):
+        return
+    pitch = np.array(_pitch(result))
+    (x, y), (dx, dy) = (flow.rest_px * pitch).T, (flow.displacement_px * pitch).T
+    shades = [(1.0, 1.0, 1.0, 1.0 if seen else 0.3) for seen in flow.seen]
+    axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=1, color=shades, width=0.004, headwidth=4)
 
 
 def _draw_scale_bar(axes: Any, left: float, right: float, low: float, high: float, unit: str) -> None:

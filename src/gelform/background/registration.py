@@ -1,0 +1,219 @@
+"""How far an image has moved against the untouched one: whether the camera, or the gel before it, has shifted.
+
+Where nothing touches, the logarithm of the image is that of the background, moved a little, plus light that changed
+smoothly. The motion (shift, turn, stretch) and a quadratic light are fitted together to the pixels that a touch left alone,
+from the peak of the phase correlation, coarse to fine. What texture there is decides how well the motion is known: noise in
+the background's slopes is subtracted from its information, and along a direction that is mostly noise the answer is no
+motion, with the standard deviation of not knowing.
+
+Lucas and Kanade, An iterative image registration technique, IJCAI 1981; noisy regressors: Fuller, Measurement error models,
+1987, chapter 2; standard deviations by blocks, since residuals are correlated: Liang and Zeger, Biometrika 73, 1986.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image
+
+OFFSET = 10.0  # grey levels, as where the color change divides
+BLURS_PX = (6.0, 3.0, 1.5, 1.5)  # coarse to fine; with the first a shift of about 8 px is still seen
+PRIOR_PX = 5.0  # what is supposed where nothing is known: so far, at the image's corners, may it have moved
+TOUCH_BLUR_PX, TOUCHED = 8.0, 0.02  # a touch changes the mean level of its surroundings by this share
+BLOCKS = (8, 10)  # rows, columns
+MIN_UNTOUCHED = 0.1
+FINE_PX, MIN_RESPONSE, MOST_PX = 4.0, 0.08, 12.0
+STEP = 1 / 32  # px; cv2.remap knows no finer one
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How an image has moved against the background.
+
+    Attributes
+    ----------
+    shift_px : (2,) float64, x and y: what was at p is at p + shift_px, at the image's centre
+    shift_sigma_px : (2,) float64, one standard deviation; 5 along a direction without any texture, which means unknown
+    turn_deg, turn_sigma_deg : float, about the centre, from x towards y
+    stretch, stretch_sigma : float, how much larger the image has become, as a share
+    untouched : float, 0-1, share of the image that it was read from; 0: it is all touched, and nothing is known
+    """
+
+    shift_px: NDArray[np.float64]
+    shift_sigma_px: NDArray[np.float64]
+    turn_deg: float
+    turn_sigma_deg: float
+    stretch: float
+    stretch_sigma: float
+    untouched: float
+
+    def moved_px(self, sigmas: float = 4.0) -> float:
+        """How far it has moved at least: length of the shift, shortened by so many standard deviations; 0 or more."""
+        size = np.abs(self.shift_px) - sigmas * self.shift_sigma_px
+        return float(np.hypot(*np.maximum(size, 0)))
+
+
+def registration_from_image(
+    image: ArrayLike, background: ArrayLike, touched: NDArray[np.bool_] | None = None
+) -> Registration:
+    """Register an image against the untouched one.
+
+    Parameters
+    ----------
+    image, background : (H, W, 3), RGB, 0-255, of one size
+    touched : (H, W) bool, pixels to leave out, such as a result's contact; what changed over an area is left out anyway
+
+    Returns
+    -------
+    Registration
+        Of shifts up to about 8 px and turns up to 2 degrees. Marker dots are texture too; a contact that drags them
+        apart is seen as a stretch.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An image is no (H, W, 3) of numbers in 0-255, or they differ in size.
+    """
+    rest = check_image(background, name="background")
+    now = check_image(image, shape=rest.shape[:2])
+    return PreparedRegistration(rest)(now, touched)
+
+
+class PreparedRegistration:
+    """A background prepared for many images. Parameters as `registration_from_image`."""
+
+    def __init__(self, background: NDArray[Any]) -> None:
+        self._logs = _logs(background)
+        height, width = self._logs.shape
+        self._half = np.hypot(height, width) / 2
+        self._y, self._x = np.mgrid[:height, :width].astype(np.float32)
+        self._u = (self._x - (width - 1) / 2) / np.float32(self._half)
+        self._v = (self._y - (height - 1) / 2) / np.float32(self._half)
+        row, column = (np.minimum((np.arange(n) * b) // n, b - 1) for n, b in zip((height, width), BLOCKS))
+        self._block = (row[:, None] * BLOCKS[1] + column).ravel()
+        self._window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+        self._levels = {blur: self._regressors(blur) for blur in set(BLURS_PX)}
+
+    def __call__(self, image: NDArray[Any], touched: NDArray[np.bool_] | None = None) -> Registration:
+        """Register an image (H, W, 3), 0-255, of the background's size."""
+        logs = _logs(image)
+        motion, covariance, share = self._start(logs, touched), PRIOR_PX**2 * np.eye(4), 0.0
+        for blur in BLURS_PX:
+            motion[:2] = np.round(motion[:2] / STEP) * STEP
+            used = self._untouched(self._moved_back(logs, motion) - self._logs, touched)
+            share = float(used.mean())
+            if share < MIN_UNTOUCHED:
+                return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, 0.0)
+            change, covariance = self._fit(logs, motion, blur, used)
+            motion = motion + change
+            if np.abs(motion).max() > 2 * MOST_PX:  # it ran away: nothing that it could hold to
+                return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, share)
+        return _registration(motion, covariance, self._half, share)
+
+    def _regressors(self, blur: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The blurred background, and (H*W, 10): quadratic light, then what shift, turn and stretch change."""
+        logs = cv2.GaussianBlur(self._logs, (0, 0), blur)
+        down, across = np.asarray(np.gradient(logs))
+        u, v = self._u, self._v
+        light = [np.ones_like(u), u, v, u * u, u * v, v * v]
+        moved = [-across, -down, v * across - u * down, -(u * across + v * down)]
+        return logs, np.stack([*light, *moved], axis=-1).reshape(-1, 10)
+
+    def _moved_back(self, logs: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.float32]:
+        """The image where the background has its pixels: its value at p + motion(p)."""
+        shift_x, shift_y, turn, stretch = motion
+        x = self._x + np.float32(shift_x) + np.float32(stretch) * self._u - np.float32(turn) * self._v
+        y = self._y + np.float32(shift_y) + np.float32(stretch) * self._v + np.float32(turn) * self._u
+        return np.asarray(cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+    def _untouched(self, change: NDArray[np.float32], touched: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+        """Pixels (H, W) whose surroundings are as bright as before, but for a common factor; no border."""
+        smooth = cv2.GaussianBlur(change, (0, 0), TOUCH_BLUR_PX)
+        away = np.abs(smooth - np.median(smooth))
+        used = away < max(TOUCHED, 3 * float(np.median(away)))
+        if touched is not None:
+            used &= ~touched
+        margin = int(2 * BLURS_PX[0])
+        used[:margin] = used[-margin:] = used[:, :margin] = used[:, -margin:] = False
+        return used
+
+    def _fit(
+        self, logs: NDArray[np.float32], motion: NDArray[np.float64], blur: float, used: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What the motion (4,) lacks, and the covariance of the whole."""
+        rest, regressors = self._levels[blur]
+        seen = cv2.GaussianBlur(self._moved_back(logs, motion), (0, 0), blur)
+        of = used.ravel()
+        columns = regressors[of].astype(np.float64)
+        change = (seen - rest).ravel()[of].astype(np.float64)
+        square = columns.T @ columns
+        moved = columns[:, 6:] - columns[:, :6] @ np.linalg.solve(square[:6, :6], square[:6, 6:])
+        residual = change - columns @ np.linalg.lstsq(square, columns.T @ change, rcond=None)[0]
+        noise = self._noise(float(residual @ residual) / len(residual), blur, of)
+        return _solved(moved, change, residual, noise, self._block[of])
+
+    def _noise(self, variance: float, blur: float, of: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """What noise adds to the information on the motion: half of the residual is the background's own."""
+        slope = 0.5 * variance / (2 * blur**2)
+        radius = float(np.sum(self._u.ravel()[of] ** 2 + self._v.ravel()[of] ** 2))
+        count = np.count_nonzero(of)
+        return slope * np.diag([count, count, radius, radius])
+
+    def _start(self, logs: NDArray[np.float32], touched: NDArray[np.bool_] | None) -> NDArray[np.float64]:
+        """A shift to start from: the peak of the phase correlation of the fine texture, 0 where there is none."""
+        used = self._untouched(logs - self._logs, touched).astype(np.float32)
+        fine = [(part - cv2.GaussianBlur(part, (0, 0), FINE_PX)) * used for part in (self._logs, logs)]
+        shift, response = cv2.phaseCorrelate(fine[0], fine[1], self._window)
+        if response < MIN_RESPONSE or np.hypot(*shift) > MOST_PX:
+            return np.zeros(4)
+        return np.array([*shift, 0, 0])
+
+
+def _solved(
+    moved: NDArray[np.float64],
+    change: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    block: NDArray[np.intp],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The motion (4,) and its covariance (4, 4), along each direction by itself.
+
+    `moved` (N, 4) is what each motion changes, without what light could explain. A direction whose information is mostly
+    that of noise is unknown: no motion, and the deviation of what is supposed.
+    """
+    values, directions = np.linalg.eigh(moved.T @ moved)
+    true = values - np.einsum("ik,ij,jk->k", directions, noise, directions)
+    known = true > 0.5 * values
+    inverse = directions[:, known] / true[known] @ directions[:, known].T
+    scores = np.stack([np.bincount(block, moved[:, k] * residual) for k in range(4)])
+    unknown = directions[:, ~known]
+    covariance = inverse @ (scores @ scores.T) @ inverse + PRIOR_PX**2 * unknown @ unknown.T
+    return inverse @ (moved.T @ change), covariance
+
+
+def _registration(
+    motion: NDArray[np.float64], covariance: NDArray[np.float64], half: float, share: float
+) -> Registration:
+    sigma = np.minimum(np.sqrt(np.diag(covariance)), PRIOR_PX)
+    degrees = np.rad2deg(1 / half)
+    return Registration(
+        shift_px=motion[:2].copy(),
+        shift_sigma_px=sigma[:2],
+        turn_deg=float(motion[2] * degrees),
+        turn_sigma_deg=float(sigma[2] * degrees),
+        stretch=float(motion[3] / half),
+        stretch_sigma=float(sigma[3] / half),
+        untouched=share,
+    )
+
+
+def _logs(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Logarithm (H, W) of the mean of the channels."""
+    third = np.full((1, 3), 1 / 3, dtype=np.float32)
+    mean = cv2.transform(np.asarray(image, dtype=np.float32), third)
+    return np.asarray(cv2.log(np.maximum(mean, 0) + np.float32(OFFSET)))
