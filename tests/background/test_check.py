@@ -30,6 +30,13 @@ def test_brightness_drift_is_a_warning_with_its_figure(gain):
     assert "new background" in finding.message
 
 
+def test_a_channel_too_dark_to_compare_is_said():
+    """Its ratios would be those of noise."""
+    rest = scene() * np.array([1, 1, 0.02])
+    (finding,) = check_background(rest.astype(np.float32), rest.astype(np.float32))
+    assert (finding.name, finding.figure) == ("exposure_unknown", 0)
+
+
 @pytest.mark.parametrize("gain", [0.6, 1.5])
 def test_other_exposure_is_refused_with_its_figure(gain):
     with pytest.raises(CalibrationError, match=rf"R {gain:.1f}\d, G [\d.]+, B [\d.]+ times as bright"):

@@ -43,6 +43,7 @@ def test_law_is_recovered(floor, growth):
             law(slope), rel=0.12
         )
     assert sigma.rest == pytest.approx(0.01, rel=0.05)
+    assert sigma.clean == pytest.approx(law(0.95 * 0.8), rel=0.12)  # 95 % of the slopes are gentler
     assert (sigma.correlation_px, sigma.correlated_share) == (8.0, 0.7)
     shares = shares_within(sigma, held_out, np.digitize(held_out.slopes, np.linspace(0, 0.8, 9)[1:-1]))
     assert min(shares) > 0.64
@@ -78,6 +79,7 @@ def test_the_first_format_is_read():
     assert old.of(np.array([0.7]), np.array([0.1]), np.array([0.9])) == pytest.approx(
         np.hypot(0.02, 0.07), rel=0.02
     )
+    assert old.correlated_share == 1  # the cautious reading: no error is averaged away
     assert SlopeSigma.from_dict(asdict(LAW)) == LAW
 
 
