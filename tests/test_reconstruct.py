@@ -308,3 +308,14 @@ def test_a_path_is_a_calibration_and_a_wrong_solver_is_refused_at_once(calibrati
         gelform.Reconstructor({})
     with pytest.raises(ValueError, match=r"Expected a solver among auto, .*got 'poisson'"):
         gelform.Reconstructor(calibration, solver="poisson")
+
+
+def test_another_state_of_the_same_gel(calibration, simulated):
+    """As if it had been given from the start, and the first one is not touched."""
+    image, before = simulated.presses[0].image, gelform.Reconstructor(calibration)
+    brighter = np.clip(calibration.background * np.float32(1.02), 0, 255)
+    expected = gelform.Reconstructor(calibration, brighter).from_image(image)
+    np.testing.assert_array_equal(before.with_background(brighter).from_image(image).depth, expected.depth)
+    assert before.background is calibration.background
+    assert before.own_background
+    assert not before.with_background(brighter).own_background

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -135,6 +136,14 @@ class Reconstructor:
         self._limit = DepthLimit.of(calibration.image_shape, self._pitch, thickness_mm)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
+
+    def with_background(self, background: NDArray[np.float32]) -> Reconstructor:
+        """The same for another state (H, W, 3) of the same untouched gel, 0-255: quick, and nothing is checked."""
+        other = copy(self)
+        other.background, other.own_background = background, False
+        other._untouched_image = PreparedBackground(background, self.calibration.change)
+        other._model = self.calibration.color_model.prepare(background, self.calibration.image_shape)
+        return other
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
         """Reconstruct one frame: the calibration's view of it, then `from_image`.

@@ -1,5 +1,7 @@
 """Where frames come from: the newest of what is live, every one of a recording."""
 
+import cv2
+import numpy as np
 import pytest
 
 from gelform.errors import DataError
@@ -28,7 +30,8 @@ def test_a_live_source_gives_frames_newer_than_the_last(at_rest):
     assert feed.state == "ended"
 
 
-def test_the_first_source_is_not_opened_twice(at_rest):
+def test_a_live_source_is_opened_once(at_rest):
+    """A camera cannot be opened twice."""
     opened = []
 
     def open_it():
@@ -40,6 +43,16 @@ def test_the_first_source_is_not_opened_twice(at_rest):
     feed.close()
     assert len(opened) == 1
     assert opened[0].closed
+
+
+def test_a_folder_is_read_from_its_first_image(at_rest, tmp_path):
+    for number, image in enumerate(at_rest[:4]):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image[..., ::-1])
+    feed = feed_from_source(tmp_path)
+    frames = [feed.next(-1) for _ in range(5)]
+    assert [frame.index for frame in frames[:4]] == [0, 1, 2, 3]
+    assert frames[4] is None
+    np.testing.assert_array_equal(frames[0].image, at_rest[0])
 
 
 def test_a_grabber_that_is_shared_goes_on(at_rest):

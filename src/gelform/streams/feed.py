@@ -58,6 +58,11 @@ class NewestFrames:
         self._grabber, self._owned = grabber, owned
 
     @property
+    def live(self) -> bool:
+        """Whether frames come at their own time."""
+        return self._grabber.source.live
+
+    @property
     def state(self) -> str:
         return self._grabber.state
 
@@ -106,8 +111,8 @@ def feed_from_source(source: SourceLike) -> Feed:
 
     Parameters
     ----------
-    source : what `open_source` takes; an open Source; a function that opens one, called again when it is lost; or a
-        running Grabber, which other streams may share
+    source : what `open_source` takes, or a function that opens a source: opened again when it is lost; an open Source; or
+        a running Grabber, which other streams may share
 
     Raises
     ------
@@ -116,23 +121,21 @@ def feed_from_source(source: SourceLike) -> Feed:
     """
     if isinstance(source, Grabber):
         return NewestFrames(source, owned=False)
-    reopen = _opener(source)
-    opened = [reopen()]
-    if not opened[0].live:
-        return EveryFrame(opened[0])
-    grabber = Grabber(lambda: opened.pop() if opened else reopen())
-    grabber.__enter__()
-    return NewestFrames(grabber, owned=True)
-
-
-def _opener(source: Any) -> Callable[[], Source]:
-    if isinstance(source, (str, PathLike)):
-        return lambda: open_source(source)
-    if callable(source):
-        opener: Callable[[], Source] = source
-        return opener
-    if not hasattr(source, "live"):
+    if hasattr(source, "live"):
+        opened: Any = source
+        return _entered(lambda: opened) if opened.live else EveryFrame(opened)
+    if not (callable(source) or isinstance(source, (str, PathLike))):
         raise TypeError(
             f"Expected a source: text, a path, a Source or a Grabber, got {type(source).__name__}."
         )
-    return lambda: source
+    feed = _entered(source)
+    if feed.live:
+        return feed
+    feed.close()  # of a recording no frame is passed over: it is read again, frame by frame
+    return EveryFrame(source() if callable(source) else open_source(source))
+
+
+def _entered(source: str | PathLike[str] | Callable[[], Source]) -> NewestFrames:
+    grabber = Grabber(source)
+    grabber.__enter__()
+    return NewestFrames(grabber, owned=True)

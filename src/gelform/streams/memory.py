@@ -10,6 +10,7 @@ from gelform import view
 from gelform.frames import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
+from gelform.streams.rest import BackgroundDrift
 from gelform.streams.smoothing import Smoothing
 from gelform.streams.unusable import result_from_image
 
@@ -29,7 +30,12 @@ class Memory:
 
     def __init__(self, reconstruct: Reconstructor, *, smoothing: float | None = None) -> None:
         self.reconstruct = reconstruct
+        self._drift = BackgroundDrift(reconstruct.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
+
+    def take_background(self) -> None:
+        """Nothing touches now: what the next second shows is the untouched gel. From any thread."""
+        self._drift.take()
 
     def image_from_frame(self, frame: Frame) -> NDArray[Any]:
         """The calibration's view of a frame; ValueError where it is of another size."""
@@ -41,4 +47,7 @@ class Memory:
 
     def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with what the sequence adds to it; learns from both."""
+        background = self._drift(image, result)
+        if background is not None:
+            self.reconstruct = self.reconstruct.with_background(background)
         return result if self._smoothing is None else self._smoothing(result)

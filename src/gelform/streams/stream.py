@@ -160,6 +160,10 @@ class Stream:
             f"The image of frame {result.index} is not held any more: take both by newest() or pairs()."
         )
 
+    def take_background(self) -> None:
+        """Say that nothing touches the gel: the mean of the next second becomes the untouched image."""
+        self._pipeline.memory.take_background()
+
     @property
     def stats(self) -> StreamStats:
         """Rate, drops, age, time of each stage, and the state."""

@@ -1,0 +1,83 @@
+"""Light that changed smoothly over the whole image: for each channel a cubic of the place, fitted to untouched blocks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+DEGREE = 3
+POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x and y
+ROUNDS = 3
+OUTLIER = 4.0  # deviations of noise from which on a block no longer counts (Tukey's biweight)
+STEP = 3e-3  # by how much a coefficient may change from fit to fit; matters where no block is untouched
+LEAST_NOISE = 0.02  # grey levels of a block's mean
+
+
+class SmoothLight:
+    """The light of now relative to the untouched image's, 1 + polynomial; third degree, for each channel.
+
+    Warming LEDs change their own share of the light, which varies slowly over the image; so does the colour of a gel
+    that relaxes over widths of many millimetres. A contact is far narrower, and its blocks are left out.
+
+    Parameters
+    ----------
+    blocks : (h, w), how many blocks
+    """
+
+    def __init__(self, blocks: tuple[int, int]) -> None:
+        in_y, in_x = (_legendre(n) for n in blocks)
+        self._basis = np.stack([in_y[:, None, j] * in_x[None, :, i] for i, j in POWERS], axis=-1)
+        self.coefficients = np.zeros((3, len(POWERS)))
+        self.noise = np.full(3, LEAST_NOISE)
+
+    def at(self, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """The light (H, W, 3), relative, at the centres of as many rows and columns over the image."""
+        in_y, in_x = (_legendre(n).astype(np.float32) for n in shape)
+        light = np.empty((*shape, 3), dtype=np.float32)
+        for channel, values in enumerate(self.coefficients):
+            square = np.zeros((DEGREE + 1, DEGREE + 1), dtype=np.float32)  # of y's and x's polynomials
+            for value, (i, j) in zip(values, POWERS):
+                square[j, i] = value
+            light[..., channel] = 1 + in_y @ square @ in_x.T
+        return light
+
+    def fit(self, seen: NDArray[np.float32], rest: NDArray[np.float32], free: NDArray[np.bool_]) -> None:
+        """Follow the light of untouched blocks.
+
+        Iteratively reweighted least squares with Tukey's biweight (P. J. Huber and E. M. Ronchetti, Robust Statistics,
+        2009, chapter 7), and a prior that the light is as it was, which decides where blocks do not.
+
+        Parameters
+        ----------
+        seen, rest : (h, w, 3), means of blocks now and of the untouched image, grey levels
+        free : (h, w), blocks where nothing touches
+        """
+        basis = self._basis[free]
+        for channel in range(3):
+            levels = rest[free][:, channel].astype(np.float64)
+            columns = basis * levels[:, None]
+            wanted = seen[free][:, channel] - levels
+            coefficients = before = self.coefficients[channel]
+            for _ in range(ROUNDS):
+                off = wanted - columns @ coefficients
+                noise = max(1.4826 * float(np.median(np.abs(off))), LEAST_NOISE)
+                weights = np.square(np.clip(1 - np.square(off / (OUTLIER * noise)), 0, None))
+                normal = (columns * weights[:, None]).T @ columns
+                normal[np.diag_indices_from(normal)] += (noise / STEP) ** 2
+                right = columns.T @ (weights * (wanted - columns @ before))
+                coefficients = before + np.linalg.solve(normal, right)
+            self.coefficients[channel], self.noise[channel] = coefficients, noise
+
+
+def _legendre(count: int) -> NDArray[np.float64]:
+    """Legendre polynomials (count, 4) at the centres of so many parts of -1..1."""
+    centers = (np.arange(count) + 0.5) / count * 2 - 1
+    return np.asarray(np.polynomial.legendre.legvander(centers, DEGREE), dtype=np.float64)
+
+
+def block_means(image: NDArray[np.generic], block_px: int) -> NDArray[np.float32]:
+    """Means of an image (H, W, 3) over square blocks of about `block_px`, (h, w, 3) float32."""
+    height, width = image.shape[:2]
+    size = max(1, round(width / block_px)), max(1, round(height / block_px))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)

@@ -1,0 +1,143 @@
+"""The untouched image over minutes: it follows LEDs and gel, and not a slow press. Simulated, much faster than in time."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.background.check import Finding
+from gelform.streams.memory import Memory
+from gelform.streams.rest.background_drift import AFTER_S, BackgroundDrift
+from gelform.streams.rest.smooth_light import block_means
+from slow_gel import SlowGel, Touch
+
+STEP_S = 5.0
+
+
+def run(memory, gel, times_s, seed=5):
+    """The results of the gel's images at these times."""
+    rng, results = np.random.default_rng(seed), []
+    for index, time_s in enumerate(times_s):
+        image = gel.image_at(time_s, rng)
+        result = replace(memory.result_from_image(image), index=index, time_s=float(time_s))
+        results.append(memory(image, result))
+    return results
+
+
+def kept(result, gel):
+    """How deep the result is, in depths of the truth: the best factor over the press."""
+    truth = gel.pressed_at(result.time_s).depth_mm
+    return float((result.depth_mm * truth).sum() / (truth * truth).sum())
+
+
+def rms_um(result):
+    return 1e3 * float(np.sqrt(np.mean(np.square(result.depth_mm))))
+
+
+@pytest.fixture(scope="module")
+def two_presses(sensor):
+    """0.2 mm over 180 s, twice on one place; LEDs drift all the while."""
+    touches = tuple(Touch(start, 180.0, 5.0, 0.2, (1.5, -1.0), 4.0) for start in (30.0, 260.0))
+    return SlowGel.drawn(sensor, np.random.default_rng(11), drift=0.03, touches=touches)
+
+
+def test_slow_presses_are_not_absorbed(reconstruct, two_presses):
+    memory = Memory(reconstruct)
+    results = run(memory, two_presses, np.arange(0, 446, STEP_S))
+    pressed = [r for r in results if two_presses.pressed_at(r.time_s).depth_mm.max() > 0.19]
+    assert len(pressed) >= 3
+    alone = run(Memory(reconstruct), two_presses, [r.time_s for r in pressed][:1])[0]
+    depths = [kept(result, two_presses) for result in pressed]
+    assert min(depths) > 0.95 * kept(alone, two_presses)
+
+
+@pytest.fixture(scope="module")
+def drifting(sensor):
+    """Light that turns across the image by 5 % and a hill of 30 um."""
+    gel = SlowGel.drawn(sensor, np.random.default_rng(4), drift=0.05)
+    ends = np.where(np.arange(len(sensor.leds)) % 4 < 2, 0.08, 0.02)
+    return replace(gel, led_ends=ends, hill_mm=0.03, hill_width_mm=3.0)
+
+
+def test_drift_and_relaxation_are_followed(reconstruct, drifting):
+    memory = Memory(reconstruct)
+    results = run(memory, drifting, np.arange(0, 601, STEP_S))
+    assert max(rms_um(result) for result in results) < 5
+    image = drifting.image_at(600, np.random.default_rng(6))
+    alone, now = reconstruct.from_image(image), memory.reconstruct.from_image(image)
+    assert rms_um(now) < 0.5 * rms_um(alone)
+
+
+def test_smooth_light_is_followed_before_the_quarantine_ends(reconstruct, drifting):
+    memory = Memory(reconstruct)
+    run(memory, drifting, np.arange(0, AFTER_S, STEP_S))
+    truth = block_means(drifting.image_at(AFTER_S - STEP_S, None), 8)
+    start, now = (block_means(r.background, 8) for r in (reconstruct, memory.reconstruct))
+    assert np.abs(now - truth).mean() < 0.4 * np.abs(start - truth).mean()
+
+
+def still(drift, image, result, times_s):
+    """Show one image at these times; the last background that came of it."""
+    found = None
+    for index, time_s in enumerate(times_s):
+        background = drift(image, replace(result, index=index, time_s=float(time_s)))
+        found = found if background is None else background
+    return found
+
+
+@pytest.fixture
+def spot(reconstruct, at_rest):
+    """The gel with a faint spot, too small to be smooth light and too slight to be contact."""
+    spot = np.zeros(at_rest[0].shape[:2], np.float32)
+    cv2.circle(spot, (60, 50), 6, 1.0, -1)
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    return rest, rest * (1 + 0.0015 * spot[..., None]), spot > 0
+
+
+def test_what_is_slight_comes_late_and_slowly(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    drift = BackgroundDrift(rest)
+    early = still(drift, spotted, result, np.arange(0, AFTER_S, 2.0))
+    assert np.abs(early[inside] / rest[inside] - 1).mean() < 2e-4
+    late = still(drift, spotted, result, np.arange(AFTER_S, 400, 2.0))
+    assert (late[inside] / rest[inside] - 1).mean() == pytest.approx(0.0015, rel=0.15)
+
+
+def test_contact_after_it_keeps_it_out(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    touched = replace(result, contact=inside)
+    drift = BackgroundDrift(rest)
+    for start in np.arange(0, 400, 50.0):  # touched every 50 s, for a second
+        still(drift, spotted, result, np.arange(start, start + 48, 2.0))
+        found = still(drift, spotted, touched, [start + 48, start + 49])
+    assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
+
+
+def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
+    rest, spotted, inside = spot
+    result = reconstruct.from_image(at_rest[0])
+    drift = BackgroundDrift(rest)
+    for start in np.arange(0, 500, 60.0):
+        found = still(drift, spotted, result, np.arange(start, start + 50, 2.0))  # then nobody looks for 10 s
+    assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
+
+
+def test_frames_that_measure_nothing_teach_nothing(reconstruct, at_rest):
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    torn = replace(reconstruct.from_image(at_rest[0]), health=(Finding("torn", "half of it", 0.5),))
+    assert still(BackgroundDrift(rest), at_rest[0] // 2, torn, np.arange(0, 200, 1.0)) is None
+
+
+def test_a_background_can_be_taken(reconstruct, sensor, at_rest, pressed):
+    """Also where something rests on the gel for ever; and in any light."""
+    dimmed = [(0.9 * image).astype(np.uint8) for image in pressed]
+    memory = Memory(reconstruct)
+    memory.take_background()
+    for index in range(30):
+        image = dimmed[index % 10]
+        memory(image, replace(memory.result_from_image(image), index=index, time_s=index / 10))
+    assert memory.result_from_image(dimmed[0]).peak_mm < 0.05
+    assert reconstruct.from_image(dimmed[0]).peak_mm > 0.3
