@@ -170,8 +170,7 @@ class Reconstructor:
         Parameters
         ----------
         image : (H, W, 3) uint8 or float 0-255, RGB, of the calibrated size; never turned, cropped or resized
-        markers : where the dots are, of a `MarkerTracker`; by default sought from rest, which finds those that have
-            moved less than half their spacing
+        markers : where the dots are, of a `MarkerTracker`; by default sought within half their spacing of rest
 
         Raises
         ------
@@ -214,11 +213,7 @@ class Reconstructor:
     def explain(self, image: ArrayLike) -> Explanation:
         """Why each pixel of an image was trusted or not: the sigma that each cause adds, and its share.
 
-        Of the same sigma and confidence that `from_image` solves with; takes longer than a frame.
-
-        Parameters
-        ----------
-        image, and what is raised : as for `from_image`
+        Of the same sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
         """
         image = self._checked(image, "image")
         change = np.empty((*self.calibration.image_shape, 3), dtype=np.float32)

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from gelform import Reconstructor
 from gelform.frames import Frame
 from gelform.streams.memory import Memory
+from made.dots import grid, image_of_dots
 
 
 def remembered(memory, images, rate_hz=25.0):
@@ -33,3 +35,19 @@ def test_smoothing_is_asked_for(reconstruct, at_rest):
     assert smooth[-1].depth_sigma_mm.mean() < plain[-1].depth_sigma_mm.mean()
     moved = [np.abs(one[-1].depth - one[-2].depth).mean() for one in (smooth, plain)]
     assert moved[0] < 0.4 * moved[1]
+
+
+def test_marker_dots_are_followed_from_frame_to_frame(calibration):
+    """Over one and a half spacings, where a Reconstructor alone takes them for their neighbours."""
+    shape, pitch = calibration.image_shape, 14.0
+    rest = grid(pitch, shape, 12.0)
+    away = np.sum(((rest - [70, 50]) / [70, 60]) ** 2, axis=1)
+    drag = np.exp(-1.2 * away)[:, None] * np.array([1.5 * pitch, 0.4 * pitch])
+    marked = replace(calibration, background=image_of_dots(rest, shape=shape).astype(np.float32))
+    images = [image_of_dots(rest + share * drag, shape=shape) for share in np.linspace(0, 1, 12)]
+    flow = remembered(Memory(Reconstructor(marked)), images)[-1].markers
+    nearest = np.linalg.norm(flow.rest_px[:, None] - rest, axis=-1).argmin(axis=1)
+    error = np.linalg.norm(flow.displacement_px - drag[nearest], axis=1)[flow.seen]
+    assert error.max() < 1.0
+    alone = Reconstructor(marked).from_image(images[-1]).markers
+    assert np.linalg.norm(alone.displacement_px, axis=1).max() < pitch

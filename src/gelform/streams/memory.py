@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gelform import view
 from gelform.frames import Frame
+from gelform.markers import MarkerTracker
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 from gelform.streams.rest import BackgroundDrift
@@ -30,6 +31,7 @@ class Memory:
 
     def __init__(self, reconstruct: Reconstructor, *, smoothing: float | None = None) -> None:
         self.reconstruct = reconstruct
+        self._markers = MarkerTracker(reconstruct.markers)
         self._drift = BackgroundDrift(reconstruct.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
 
@@ -42,8 +44,8 @@ class Memory:
         return view.image_from_frame(frame.image, self.reconstruct.calibration.view)
 
     def result_from_image(self, image: NDArray[Any]) -> Reconstruction:
-        """Reconstruct an image as the sequence is understood now."""
-        return result_from_image(self.reconstruct, image)
+        """Reconstruct an image as the sequence is understood now; its marker dots are followed from image to image."""
+        return result_from_image(self.reconstruct, image, self._markers.update(image))
 
     def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with what the sequence adds to it; learns from both."""

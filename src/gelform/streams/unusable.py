@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gelform.background.check import Finding
 from gelform.errors import CalibrationError
 from gelform.health import DepthLimit
+from gelform.markers import MarkerFlow
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 
@@ -17,7 +18,9 @@ NOT_THIS_GEL = "not_this_gel"
 UNKNOWN_SLOPE = 1.0  # standard deviation of a slope of which nothing is known, mm/mm
 
 
-def result_from_image(reconstruct: Reconstructor, image: NDArray[Any]) -> Reconstruction:
+def result_from_image(
+    reconstruct: Reconstructor, image: NDArray[Any], markers: MarkerFlow | None = None
+) -> Reconstruction:
     """The image's result; where the Reconstructor refuses the image, one that knows nothing.
 
     In a sequence a frame that is clearly not of the calibrated gel (the gel was taken off, a light went out) is no
@@ -29,7 +32,7 @@ def result_from_image(reconstruct: Reconstructor, image: NDArray[Any]) -> Recons
         As `Reconstructor.from_image`: the source gives no images of the calibrated size.
     """
     try:
-        return reconstruct.from_image(image)
+        return reconstruct.from_image(image, markers=markers)
     except CalibrationError as refusal:
         return unusable(reconstruct, Finding(NOT_THIS_GEL, str(refusal), 1.0))
 
