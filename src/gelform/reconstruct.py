@@ -197,7 +197,7 @@ class Reconstructor:
             gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
             observed_gradients=observed,
             confidence=confidence,
-            contact=contact_from_depth(depth_mm, mm_per_px=self._pitch),
+            contact=contact_from_depth(depth_mm, mm_per_px=self._pitch, depth_sigma_mm=depth_sigma),
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,

@@ -12,6 +12,7 @@ from gelform.cli.commands import (
     demo,
     design,
     evaluate,
+    explain,
     import_,
     info,
     lens,
@@ -44,6 +45,7 @@ app.command()(simulate.simulate)
 app.command()(design.design)
 app.command("import")(import_.import_)
 app.command()(compare.compare)
+app.command()(explain.explain)
 app.command()(info.info)
 app.command()(live.live)
 

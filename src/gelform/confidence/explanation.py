@@ -22,8 +22,8 @@ NAMED_FROM = (
 NAMED_IF_ANY = ("compression",)  # what is 0 unless it is there
 LEAST_PX = 12  # connected, where a cause adds so much: less is not named
 SAID = {
-    "saturated": "a channel is at the camera's upper end. Lower exposure, gain or the lights.",
-    "dark": "a channel is at the camera's lower end. Is a light off, or the exposure too short?",
+    "saturated": "at the camera's upper end in a channel. Lower exposure, gain or the lights.",
+    "dark": "at the camera's lower end in a channel. Is a light off, or the exposure too short?",
     "shadow": "darker than any slope makes it: a cast shadow.",
     "specular": "brighter than any slope makes it: a mirrored light.",
     "off_gamut": "of colours that no training press has shown. Calibrate with deeper presses too.",
