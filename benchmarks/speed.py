@@ -33,7 +33,7 @@ from gelform.background.untouched import reference_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.color_models.seam import gradients_from_pending
 from gelform.confidence import PreparedSigma, prepared_causes, solved_sigma
-from gelform.contact import contact_from_depth
+from gelform.contact import contact_from_depth, contacts_from_mask
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.gradients import slopes_of_solution
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
@@ -105,6 +105,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         correlation_px=calibration.slope_sigma.correlation_px,
         correlated_share=calibration.slope_sigma.correlated_share,
     )
+    known = depth_sigma(both, **how)
+    touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)
     return {
         "exposure, background check": lambda: prepared.compare(image),
         "color change, blur and color model": lambda: gradients_from_pending(
@@ -126,7 +128,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             slopes_of_solution(depth, (pitch, pitch)),
             solved_sigma(both, 1.0),
         ),
-        "contact": lambda: contact_from_depth(depth, mm_per_px=pitch),
+        "contact": lambda: contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known),
+        "contacts": lambda: contacts_from_mask(touched, depth, mm_per_px=pitch),
         PLAIN: lambda: plain.from_image(image),
         EVERYTHING: lambda: reconstruct.from_image(image),
     }

@@ -86,7 +86,7 @@ def test_the_file_of_a_result_in_pixels(bare, image, tmp_path):
         assert "depth_mm" not in file.files
         assert "mm_per_px" not in file.files
         np.testing.assert_array_equal(file["depth_px"], result.depth_px)
-        assert json.loads(str(file["meta"]))["format_version"] == 3
+        assert json.loads(str(file["meta"]))["format_version"] == 4
     again = gelform.load_result(path)
     np.testing.assert_array_equal(again.depth_px, result.depth_px)
     assert again.mm_per_px is None
@@ -98,7 +98,7 @@ def test_a_result_in_mm_is_as_before(calibration, image, tmp_path):
     result = gelform.Reconstructor(calibration)(image)
     gelform.save_result(result, tmp_path / "result.npz")
     with np.load(tmp_path / "result.npz") as file:
-        assert json.loads(str(file["meta"]))["format_version"] == 3
+        assert json.loads(str(file["meta"]))["format_version"] == 4
         np.testing.assert_array_equal(file["depth_mm"], result.depth_mm)
         assert "depth_px" not in file.files
     uneven = replace(result, mm_per_px=(0.1, 0.2))

@@ -6,21 +6,8 @@ import os
 
 import typer
 
-from gelform.cli.commands import (
-    calibrate,
-    compare,
-    demo,
-    design,
-    evaluate,
-    explain,
-    import_,
-    info,
-    lens,
-    live,
-    reconstruct,
-    scale,
-    simulate,
-)
+from gelform.cli.commands import calibrate, demo, design, import_, lens, live, reconstruct, scale, simulate
+from gelform.cli.commands.inspection import compare, evaluate, explain, info
 from gelform.cli.failures import DEBUG, ReportedFailures
 from gelform.cli.process import as_process
 
