@@ -1,10 +1,13 @@
 """The color model of all presses: how large a change an untouched pixel may show."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.draft import USUAL_UNTOUCHED_CHANGE, untouched_change
+from gelform.calibration.draft import USUAL_UNTOUCHED_CHANGE, _settings, untouched_change
 
 
 class Change:
@@ -40,3 +43,11 @@ def test_the_draft_is_of_the_accepted_presses(presses, calibration):
     ]
     assert list(calibration.training_digests) == digests
     assert calibration.settings["presses"] == len(digests)
+
+
+def test_the_cameras_settings_are_kept(presses, calibration):
+    assert "camera" not in calibration.settings
+    candidate = SimpleNamespace(zone="contact", settings={}, start=None)
+    with_camera = replace(presses, camera={"exposure": 50.0})
+    kept = _settings(with_camera, candidate, [press.image for press in presses.presses])
+    assert kept["camera"] == {"exposure": 50.0}

@@ -47,7 +47,7 @@ def test_every_command_is_listed_and_has_its_own_file(run):
     assert tuple(listed) == COMMANDS
     files = {
         path.stem.rstrip("_")
-        for path in (Path(gelform.__file__).parent / "cli" / "commands").glob("[a-z]*.py")
+        for path in (Path(gelform.__file__).parent / "cli" / "commands").rglob("[a-z]*.py")
     }
     assert files == set(COMMANDS)
 

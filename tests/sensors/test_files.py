@@ -95,6 +95,8 @@ def test_sensor_toml(tmp_path):
     assert read_sensor_toml(path) == SensorSettings(
         "Gel é", 0.05, serial="A1", view=View((480, 640), flip="x")
     )
+    path.write_text('name = "G"\nmm_per_px = 0.1\n[camera]\nexposure = 50\nfourcc = "MJPG"\n')
+    assert read_sensor_toml(path).camera == {"exposure": 50, "fourcc": "MJPG"}
     path.write_text('name = "G"\nmm_per_px = 1\nmm_per_px_sigma = 0.01\n')
     assert read_sensor_toml(path) == SensorSettings("G", 1.0, mm_per_px_sigma=0.01)
 
@@ -116,6 +118,9 @@ def test_sensor_toml(tmp_path):
         ('name = "G"\nmm_per_px = 0.05\nserial = 3', "serial as text"),
         ('name = "G"\nmm_per_px = 0.05\nview = 3', r"table \[view\]"),
         ('name = "G"\nmm_per_px = 0.05\n[view]\nflop = "x"', "got flop"),
+        ('name = "G"\nmm_per_px = 0.05\ncamera = 3', r"table \[camera\]"),
+        ('name = "G"\nmm_per_px = 0.05\n[camera]\ngain = true', r"gain of \[camera\] as a number"),
+        ('name = "G"\nmm_per_px = 0.05\n[camera]\ngain = nan', r"gain of \[camera\] as a number"),
         ("name = ", "no TOML"),
     ],
 )

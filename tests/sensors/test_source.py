@@ -31,6 +31,18 @@ def test_a_folder_and_a_video(tmp_path):
         open_source(tmp_path / "none.mp4")
 
 
-def test_what_is_no_source_says_what_is():
+def test_what_is_no_source_says_what_is(tmp_path):
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(DataError, match=r"is no video, no folder of images and no recording"):
+        open_source(tmp_path / "notes.txt")
+    with pytest.raises(DataError, match="Check the path"):
+        open_source(tmp_path / "none")
     with pytest.raises(TypeError, match="text or a path"):
         open_source(3)
+
+
+def test_a_name_is_a_cameras(monkeypatch):
+    monkeypatch.setattr("gelform.sensors.cameras.there.cameras_there", lambda: [])
+    for spec in ("D20123", "", "/dev/video77"):
+        with pytest.raises(SensorError, match=r"No camera.*plugged in"):
+            open_source(spec)

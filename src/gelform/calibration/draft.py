@@ -77,6 +77,7 @@ def _settings(presses: Presses, chosen: Candidate, images: Sequence[Any]) -> dic
         **({} if chosen.start is None else {"start": chosen.start.digest}),
         "presses": len(images),
         "response": presses.response,
+        **({"camera": dict(presses.camera)} if presses.camera else {}),
         **presses.geometry.settings(),
         "image_noise": image_noise(images, presses.background).tolist(),
     }

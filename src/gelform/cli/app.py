@@ -8,6 +8,7 @@ import typer
 
 from gelform.cli.commands import calibrate, demo, design, import_, lens, live, reconstruct, scale, simulate
 from gelform.cli.commands.inspection import compare, evaluate, explain, info
+from gelform.cli.commands.sources import cameras, record
 from gelform.cli.failures import DEBUG, ReportedFailures
 from gelform.cli.process import as_process
 
@@ -34,6 +35,8 @@ app.command("import")(import_.import_)
 app.command()(compare.compare)
 app.command()(explain.explain)
 app.command()(info.info)
+app.command()(cameras.cameras)
+app.command()(record.record)
 app.command()(live.live)
 
 

@@ -44,6 +44,7 @@ class SensorSettings:
     view : from the camera's frames to the images; identity by default
     measured : what `gelform scale` and `gelform lens` wrote: where the scale and the lens come from (texts, by the
         names `scale` and `lens`), `crosstalk` and `crosstalk_spread` (3x3)
+    camera : how the camera was set while the images were taken (exposure, gain ...): numbers and texts
     """
 
     name: str
@@ -55,6 +56,7 @@ class SensorSettings:
     gel_thickness_mm: float | None = None
     view: View = field(default_factory=View)
     measured: Mapping[str, Any] = field(default_factory=dict)
+    camera: Mapping[str, float | str] = field(default_factory=dict)
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
@@ -99,7 +101,7 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
     """Read a `sensor.toml`.
 
     It has `name` and `mm_per_px`, and may have `mm_per_px_sigma`, `response`, `serial`, `gel_id`, `gel_thickness_mm`,
-    `[view]`, `[measured]`.
+    `[view]`, `[measured]`, `[camera]`.
 
     Raises
     ------
@@ -135,6 +137,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         "response",
         "view",
         "measured",
+        "camera",
     )
     unknown = [key for key in settings if key not in known]
     if unknown:
@@ -146,7 +149,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
     wrong = [key for key, value in texts.items() if not isinstance(value, str)]
     if wrong:
         raise ValueError(f"Expected {wrong[0]} as text in quotes.")
-    for table in ("view", "measured"):
+    for table in ("view", "measured", "camera"):
         if not isinstance(settings.get(table, {}), dict):
             raise ValueError(f"Expected a table [{table}], got {settings[table]!r}.")
     sigma, thickness = settings.get("mm_per_px_sigma"), settings.get("gel_thickness_mm")
@@ -158,7 +161,16 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         response=check_within(settings.get("response", 1.0), "response", 0.05, 20),
         view=View.from_dict(settings.get("view", {})),
         measured=_measured(settings.get("measured", {})),
+        camera=_camera(settings.get("camera", {})),
     )
+
+
+def _camera(table: dict[str, Any]) -> dict[str, float | str]:
+    """The table `[camera]`: numbers and texts by name."""
+    for key, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float, str)) or value != value:
+            raise ValueError(f"Expected {key} of [camera] as a number or a text, got {value!r}.")
+    return dict(table)
 
 
 def _measured(table: dict[str, Any]) -> dict[str, Any]:

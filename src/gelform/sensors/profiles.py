@@ -78,6 +78,24 @@ class SensorProfile:
 
 
 @dataclass(frozen=True)
+class KnownCamera:
+    """The camera of a kind of sensor.
+
+    Attributes
+    ----------
+    usb_id : vendor and product
+    modes : ((height, width), frames a second) that it offers, the usual one first
+    fourcc : the picture format that is asked for
+    led_levels : how many steps of LED brightness there are beside 0, set through the zoom control; 0: it cannot be set
+    """
+
+    usb_id: str
+    modes: tuple[tuple[tuple[int, int], float], ...]
+    fourcc: str
+    led_levels: int = 0
+
+
+@dataclass(frozen=True)
 class KnownSensor:
     """A row of the table.
 
@@ -85,10 +103,12 @@ class KnownSensor:
     ----------
     profile : SensorProfile, or None where there is no real sensor that it was taken from
     preset : the function of `gelform.simulate.presets` that makes its simulation
+    camera : KnownCamera, or None where it is built with any camera
     """
 
     profile: SensorProfile | None
     preset: str
+    camera: KnownCamera | None = None
 
     def simulated(self) -> SimulatedSensor:
         """The sensor to simulate."""
@@ -112,6 +132,7 @@ SENSORS = {
             light_order="clockwise",
         ),
         preset="gelsight_mini",
+        camera=KnownCamera("0c45:636d", (((2464, 3280), 25.0),), "MJPG"),
     ),
     "digit": KnownSensor(
         SensorProfile(
@@ -125,6 +146,12 @@ SENSORS = {
             light_order="counter-clockwise",
         ),
         preset="digit",
+        camera=KnownCamera(
+            "2833:0209",
+            (((240, 320), 60.0), ((240, 320), 30.0), ((480, 640), 30.0), ((480, 640), 15.0)),
+            "YUYV",
+            led_levels=15,
+        ),
     ),
     "gelslim": KnownSensor(None, preset="gelslim"),
     "first-build": KnownSensor(None, preset="first_build"),

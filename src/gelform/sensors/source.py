@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
 from gelform.checks import check_path
 from gelform.errors import DataError, SensorError
 from gelform.frames import Frame
+from gelform.sensors.cameras.there import camera_named
+from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.mjpeg.url import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
 from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback
@@ -62,6 +65,7 @@ def open_source(
     paced: bool = False,
     rate_hz: float | None = None,
     timeout_s: float = OPEN_S,
+    settings: Mapping[str, float | str] | None = None,
 ) -> Source:
     """Open a camera, a file, a folder or the simulated sensor.
 
@@ -71,10 +75,14 @@ def open_source(
 
         - "simulated", or "simulated:NAME" for another simulated sensor than three-edges, such as gelsight-mini
         - http://... or https://...: a camera that pushes JPEG pictures (multipart/x-mixed-replace)
+        - the serial number of a USB camera, its name (or a part of it, or "digit", "gelsight-mini"), or its path; "" for the
+          only one that is plugged in
         - *.mcap, a video file, or a folder of images (one that `gelform record` wrote has its times)
     paced : whether files play at the pace at which they were taken, instead of as fast as they are read
     rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : for the connection to an address
+    settings : of a USB camera, those that are to be set: width, height, fps, fourcc, exposure, gain, white_balance,
+        led_level; they are read back
 
     Returns
     -------
@@ -84,7 +92,8 @@ def open_source(
     Raises
     ------
     SensorError
-        There is no such camera; the message lists what is there.
+        There is no such camera, or several (the message lists what is there); it may not be opened (with the udev rule), is
+        in use, or does not take a setting.
     DataError
         The file or folder is missing or cannot be read.
     """
@@ -94,7 +103,12 @@ def open_source(
         return _simulated(spec, rate_hz)
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
-    path = check_path(spec, "a source")
+    opened = _of_files(check_path(spec, "a source"), paced, rate_hz) if str(spec) else None
+    return opened or UsbCamera(camera_named(str(spec)), settings)
+
+
+def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
+    """A recording, a video or a folder; None where the path can only be a camera's name."""
     if path.suffix.lower() == ".mcap":
         return mcap_playback(path, paced=paced)
     if path.is_dir():
@@ -103,11 +117,13 @@ def open_source(
         return folder_playback(path, rate_hz=rate_hz, paced=paced)
     if is_video(path):
         return video_playback(path, paced=paced)
-    raise DataError(
-        f"Expected {SIMULATED!r}, a video, a folder of images, a recording (*.mcap) or "
-        f"an address (http://...), got "
-        f"{str(spec)!r}, which is none of them."
-    )
+    if str(path).startswith("/dev/"):
+        return None
+    if path.exists():
+        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).")
+    if path.parent != Path():
+        raise DataError(f"No file or folder {path}. Check the path.")
+    return None
 
 
 def _simulated(spec: str, rate_hz: float | None) -> Source:

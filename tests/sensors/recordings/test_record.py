@@ -3,7 +3,7 @@
 import pytest
 
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.recordings.record import KEPT_FRAMES, new_recording, record
+from gelform.sensors.recordings.record import KEPT_FRAMES, new_recording, record_frames
 from gelform.sensors.source import open_source
 from made.recorded import camera
 
@@ -11,7 +11,7 @@ from made.recorded import camera
 def test_every_frame_is_written_and_gaps_are_counted(tmp_path):
     with Grabber(camera(12), keep=KEPT_FRAMES) as grabber:
         recording = new_recording(tmp_path / "r", grabber, calibration_digest="abc")
-        stats = record(grabber, recording)
+        stats = record_frames(grabber, recording)
         recording.close()
     assert (stats.frames, stats.missing) == (12, 1)
     assert stats.duration_s == pytest.approx(12 / 50)
@@ -23,16 +23,16 @@ def test_every_frame_is_written_and_gaps_are_counted(tmp_path):
 def test_stops_after_so_many_frames_or_when_told(tmp_path):
     with Grabber(camera(200), keep=KEPT_FRAMES) as grabber:
         recording = new_recording(tmp_path / "r", grabber)
-        assert record(grabber, recording, frames=3).frames == 3
-        assert record(grabber, recording, going_on=lambda stats: stats.frames < 2).frames == 2
-        assert record(grabber, recording, seconds=0.05).duration_s < 0.2
+        assert record_frames(grabber, recording, frames=3).frames == 3
+        assert record_frames(grabber, recording, going_on=lambda stats: stats.frames < 2).frames == 2
+        assert record_frames(grabber, recording, seconds=0.05).duration_s < 0.2
 
 
 def test_the_name_says_which_kind(tmp_path):
     pytest.importorskip("mcap", reason="the extra mcap is not installed")
     with Grabber(camera(5), keep=KEPT_FRAMES) as grabber:
         recording = new_recording(tmp_path / "r.mcap", grabber)
-        record(grabber, recording)
+        record_frames(grabber, recording)
         recording.close()
     assert (tmp_path / "r.mcap").is_file()
     assert len(list(open_source(tmp_path / "r.mcap"))) == 5

@@ -141,6 +141,7 @@ def _read(place: Path, source: Source, options: ReadOptions, progress: Progress)
         gel_id=settings.gel_id or None,
         view=view,
         response=settings.response,
+        camera=settings.camera,
         geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,7 @@ class Presses:
     geometry : what was measured beside the presses: scale, crosstalk, lens
     background_noise : (3,) standard deviation of a pixel in one frame, grey levels; None where there was
         only one untouched frame to tell it
+    camera : how the camera was set, from sensor.toml; empty where that is not known
     notes : what a user should know of how they were read, such as parts of a video that were left out
     """
 
@@ -73,6 +74,7 @@ class Presses:
     response: float = 1.0
     geometry: Geometry = field(default_factory=Geometry)
     background_noise: NDArray[np.float64] | None = None
+    camera: Mapping[str, float | str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property

@@ -189,6 +189,7 @@ def _presses(
         gel_id=settings.gel_id or None,
         view=view.view,
         response=settings.response,
+        camera=settings.camera,
         geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
         background_noise=noise,
         notes=notes,

@@ -9,6 +9,6 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "image_folder": ["FolderRecording", "recorded_folder_playback"],
         "mcap_reader": ["mcap_playback", "mcap_summary"],
         "mcap_writer": ["McapRecording"],
-        "record": ["Recording", "RecordStats", "new_recording", "record"],
+        "record": ["Recording", "RecordStats", "new_recording", "record_frames"],
     },
 )

@@ -15,7 +15,7 @@ from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
 
-KEPT_FRAMES = 32  # of a grabber for `record`: half a second in which the disk may stand still
+KEPT_FRAMES = 32  # of a grabber for `record_frames`: half a second in which the disk may stand still
 WAIT_S = 0.25
 
 
@@ -53,7 +53,7 @@ def new_recording(path: Path, grabber: Grabber, *, calibration_digest: str = "")
     return (McapRecording if path.suffix.lower() == ".mcap" else FolderRecording)(path, facts)
 
 
-def record(
+def record_frames(
     grabber: Grabber,
     recording: Recording,
     *,

@@ -1,0 +1,174 @@
+"""A USB camera through OpenCV. BGR is turned round here."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import SensorError, SourceLostError
+from gelform.frames import Frame
+from gelform.sensors.cameras.access import check_access, in_use
+from gelform.sensors.cameras.camera import Camera
+from gelform.sensors.cameras.settings import check_settings, controls_of, set_controls
+from gelform.sensors.mjpeg.jpeg import image_from_jpeg, reduction_of
+from gelform.sensors.profiles import SENSORS, KnownCamera
+
+# Read by OpenCV when a camera is opened: 10 s by default, during which a camera that stands still blocks its reader.
+os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
+JPEG = "MJPG"
+SIZE = {  # OpenCV takes a size over when both sides are set
+    "width": cv2.CAP_PROP_FRAME_WIDTH,
+    "height": cv2.CAP_PROP_FRAME_HEIGHT,
+    "fps": cv2.CAP_PROP_FPS,
+}
+LONGEST_AGE_S = 5.0  # of the driver's time stamp; older ones are of another clock
+MAX_TORN = 10  # torn pictures in a row after which the camera is opened anew
+
+
+class UsbCamera:
+    """The frames of a USB camera.
+
+    A known sensor's camera is asked for its usual mode, any other keeps its own. Where the camera compresses large
+    frames as JPEG, they come undecoded and are decoded at reduced size (see `reduction_of`). `time_s` is the driver's time
+    stamp, where it has one on the monotonic clock.
+
+    Parameters
+    ----------
+    camera : one of `cameras_there`
+    settings : width, height, fps, fourcc, exposure, gain, white_balance, led_level, those that are to be set
+
+    Raises
+    ------
+    SensorError
+        It is not there, not allowed, in use, or does not take a setting.
+    """
+
+    live = True
+
+    def __init__(self, camera: Camera, settings: Mapping[str, float | str] | None = None) -> None:
+        wanted = check_settings(settings or {})
+        if sys.platform.startswith("linux"):
+            check_access(camera)
+        known = SENSORS[camera.kind].camera if camera.kind is not None else None
+        self.name = camera.name
+        self.serial = camera.serial
+        self._lock = threading.Lock()
+        self._closed = False
+        self._capture = _opened(camera)
+        try:
+            _set_mode(self._capture, wanted, known, camera.name)
+            set_controls(self._capture, wanted, known.led_levels if known else 0, camera.name)
+            self.settings = self._read_back(known)
+        except BaseException:
+            self._capture.release()
+            raise
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self.rate_hz: float | None = float(rate) if rate > 0 else None
+
+    def __iter__(self) -> Iterator[Frame]:
+        index, torn = -1, 0
+        while not self._closed:
+            with self._lock:
+                grabbed = not self._closed and self._capture.grab()
+                time_s, wall_time_ns = self._captured_s(), time.time_ns()
+                pixels = self._capture.retrieve()[1] if grabbed else None
+            if self._closed:
+                return
+            if not grabbed:
+                raise SourceLostError(f"{self.name} gives no frame: it was unplugged, or stands still.")
+            index += 1
+            frame = self._frame(pixels, time_s, wall_time_ns, index)
+            torn = torn + 1 if frame is None else 0
+            if torn > MAX_TORN:
+                raise SourceLostError(f"{self.name} gave {torn} torn pictures in a row.")
+            if frame is not None:
+                yield frame
+
+    def close(self) -> None:
+        """Give the camera back, after the frame that is being read."""
+        self._closed = True
+        with self._lock:
+            self._capture.release()
+
+    def __enter__(self) -> UsbCamera:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _frame(
+        self, pixels: NDArray[Any] | None, time_s: float, wall_time_ns: int, index: int
+    ) -> Frame | None:
+        """RGB, decoded where it is a JPEG; None where it is torn."""
+        if pixels is None or pixels.size == 0:
+            return None
+        if not self._undecoded:
+            return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), time_s, wall_time_ns, index)
+        content = pixels.tobytes()
+        image = image_from_jpeg(content, self._reduction)
+        return None if image is None else Frame(image, time_s, wall_time_ns, index, content)
+
+    def _captured_s(self) -> float:
+        """When the driver had the frame; now, where it does not say on our clock."""
+        now = time.monotonic()
+        stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
+        return stamp if 0 <= now - stamp < LONGEST_AGE_S else now
+
+    def _read_back(self, known: KnownCamera | None) -> dict[str, float | str]:
+        """The settings that the camera has now, after choosing how its pictures are decoded."""
+        capture = self._capture
+        shape = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        fourcc = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
+        self._reduction = reduction_of(shape) if fourcc == JPEG else 1
+        self._undecoded = self._reduction > 1 and bool(capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
+        self._reduction = self._reduction if self._undecoded else 1
+        facts: dict[str, float | str] = {"width": shape[1], "height": shape[0], "fourcc": fourcc}
+        facts |= {"fps": float(capture.get(cv2.CAP_PROP_FPS)), "reduced": self._reduction}
+        return facts | controls_of(capture, known.led_levels if known else 0)
+
+
+def fourcc_text(code: float) -> str:
+    """The four letters of a picture format; empty where there is none."""
+    number = int(code) if code > 0 else 0
+    return number.to_bytes(8, "little")[:4].decode("latin-1").rstrip("\0 ")
+
+
+def _opened(camera: Camera) -> cv2.VideoCapture:
+    if sys.platform.startswith("linux"):
+        capture = cv2.VideoCapture(camera.path, cv2.CAP_V4L2)
+    else:
+        capture = cv2.VideoCapture(int(camera.path))
+    if not capture.isOpened():
+        raise in_use(camera)
+    return capture
+
+
+def _set_mode(
+    capture: cv2.VideoCapture, wanted: Mapping[str, float | str], known: KnownCamera | None, name: str
+) -> None:
+    """Picture format, size and rate: the wanted ones, else the usual ones of a known camera."""
+    mode: dict[str, float | str] = {}
+    if known is not None:
+        (height, width), rate = known.modes[0]
+        mode = {"fourcc": known.fourcc, "height": height, "width": width, "fps": rate}
+    mode |= {key: value for key, value in wanted.items() if key in ("fourcc", *SIZE)}
+    if "fourcc" in mode:
+        capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*str(mode["fourcc"]))))
+    for key, which in SIZE.items():
+        if key in mode:
+            capture.set(which, float(mode[key]))
+    for key, which in SIZE.items():
+        found = float(capture.get(which))
+        if key in wanted and abs(found - float(wanted[key])) > 0.5:
+            raise SensorError(
+                f"{name}: expected {key} {float(wanted[key]):g}, but it has {found:g} afterwards. Choose one of the modes "
+                "that gelform cameras lists."
+            )

@@ -1,0 +1,154 @@
+"""gelform record: frames into a file or a folder, and presses taken with the space bar."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.calibration.presses.folder import read_presses
+from gelform.calibration_file import load_calibration
+from gelform.sensors.files import read_image, read_sensor_toml
+from gelform.sensors.source import open_source
+from made.mjpeg_server import MjpegServer, jpeg, part
+
+WAIT_S = 30.0
+
+
+def jpeg_of(image):
+    return cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+
+
+def sent(picture, rate_hz=100.0):
+    """Parts without end of what `picture()` is at the moment."""
+    while True:
+        yield part(picture())
+        yield 1 / rate_hz
+
+
+def awaited(condition):
+    until = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < until, "it did not happen"
+        time.sleep(0.01)
+
+
+def test_into_a_folder_that_plays_again(run_json, tmp_path):
+    with MjpegServer(sent(jpeg)) as server:
+        said = run_json("record", server.url, "-o", tmp_path / "r", "--frames", "5")
+    assert said["frames"] == 5
+    assert said["written_bytes"] > 0
+    taken = list(open_source(tmp_path / "r"))
+    assert len(taken) == 5
+    assert taken[0].encoded == jpeg()
+
+
+def test_into_mcap_with_the_calibrations_digest(run, tmp_path, calibration_file):
+    pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    from gelform.sensors.recordings.mcap_reader import mcap_summary
+
+    path = tmp_path / "r.mcap"
+    with MjpegServer(sent(jpeg)) as server:
+        code, _, err = run("record", server.url, "-o", path, "--seconds", "0.2", "-c", calibration_file)
+    assert code == 0, err
+    summary = mcap_summary(path)
+    assert summary.finished
+    assert summary.facts.calibration_digest == load_calibration(calibration_file).digest
+    assert f"{summary.frames} frames" in err
+
+
+def test_ctrl_c_is_the_usual_end(tmp_path):
+    with MjpegServer(sent(jpeg)) as server:
+        command = [sys.executable, "-m", "gelform", "record", server.url, "-o", str(tmp_path / "r"), "--json"]
+        recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+            awaited(lambda: len(list((tmp_path / "r").glob("*.jpg"))) > 3)
+            recorder.send_signal(signal.SIGINT)
+            out, err = recorder.communicate(timeout=WAIT_S)
+        finally:
+            recorder.kill()
+    assert recorder.returncode == 0, err
+    assert json.loads(out)["frames"] == len(list(open_source(tmp_path / "r")))
+
+
+def test_presses_with_the_space_bar(run, tmp_path, press_folder, monkeypatch):
+    """Keys come through a real terminal, pictures from a real server: background, two presses, one taken out."""
+    given = read_presses(press_folder)
+    rest = read_image(press_folder / "background.png")
+    pressed = [jpeg_of(press.image) for press in given.presses[:2]]
+    showing = [jpeg_of(rest)]
+    folder = tmp_path / "taken"
+
+    def hand():
+        try:
+            awaited((folder / "sensor.toml").exists)
+            os.write(keyboard, b" ")
+            awaited((folder / "background" / "09.png").exists)
+            for k, picture in enumerate((pressed[0], pressed[1], pressed[1])):
+                showing[0], before = picture, len(counted)
+                awaited(lambda before=before: len(counted) > before + 30)
+                os.write(keyboard, b" ")
+                awaited((folder / "images" / f"000{k}.png").exists)
+            os.write(keyboard, b"u")
+            awaited(lambda: not (folder / "images" / "0002.png").exists())
+        finally:
+            os.write(keyboard, b"q")
+
+    counted = []
+
+    def picture_now():
+        counted.append(1)
+        return showing[0]
+
+    keyboard, terminal = os.openpty()
+    hands = threading.Thread(target=hand)
+    with MjpegServer(sent(picture_now)) as server, os.fdopen(terminal) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        hands.start()
+        how = ("--presses", "--ball-diameter-mm", "6", "--mm-per-px", "0.1268")
+        code, _, err = run("record", server.url, "-o", folder, *how)
+        hands.join()
+    os.close(keyboard)
+    assert code == 0, err
+    assert f"gelform calibrate {folder}" in err
+    taken = read_presses(folder)
+    assert [press.ball_diameter_mm for press in taken.presses] == [6.0, 6.0]
+    for mine, theirs in zip(taken.presses, given.presses):
+        assert np.abs(mine.image.astype(float) - theirs.image).mean() < 2
+    assert np.abs(taken.background - rest).mean() < 2
+    assert taken.camera == {"width": 160, "height": 120, "reduced": 1}
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == 0.1268
+
+
+def test_presses_need_a_terminal_a_ball_and_a_scale(fails, monkeypatch, tmp_path):
+    say = fails("record", "simulated", "-o", tmp_path / "r", "--presses", status=2)
+    assert "which ball" in say
+    monkeypatch.setattr(sys, "stdin", open(os.devnull))  # noqa: SIM115
+    how = ("record", "simulated", "-o", tmp_path / "r", "--presses", "--ball-diameter-mm", "6")
+    assert "standard input is none" in fails(*how)
+
+
+def test_wrong_usage_says_what_is_expected(fails, tmp_path):
+    out = tmp_path / "r"
+    assert "NAME=VALUE" in fails("record", "simulated", "-o", out, "--set", "exposure", status=2)
+    assert "a number" in fails("record", "simulated", "-o", out, "--set", "exposure=x", status=2)
+    assert "exposur" in fails("record", "simulated", "-o", out, "--set", "exposur=3", status=2)
+    assert "--presses only" in fails("record", "simulated", "-o", out, "--sensor", "digit", status=2)
+
+
+def test_a_source_that_is_not_there_leaves_no_file(fails, tmp_path):
+    assert "Nothing answers" in fails("record", "http://127.0.0.1:9/x", "-o", tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_recording_that_is_there_is_kept(fails, tmp_path):
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r" / "mine").write_text("x")
+    with MjpegServer(sent(jpeg)) as server:
+        assert "not empty" in fails("record", server.url, "-o", tmp_path / "r")

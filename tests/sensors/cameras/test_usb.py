@@ -1,0 +1,106 @@
+"""A USB camera's frames behind OpenCV's interface; no camera is plugged in where this runs."""
+
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.errors import SensorError, SourceLostError
+from gelform.sensors.cameras import usb
+from gelform.sensors.cameras.camera import Camera
+from made.capture import Capture, large_jpeg
+
+BGR = np.full((240, 320, 3), (10, 30, 200), np.uint8)
+
+
+@pytest.fixture
+def camera(tmp_path):
+    def made(capture, monkeypatch, settings=None, kind=None):
+        (tmp_path / "video0").write_text("")
+        monkeypatch.setattr(usb, "_opened", lambda _: capture)
+        return usb.UsbCamera(Camera("DIGIT", str(tmp_path / "video0"), "D1", kind=kind), settings)
+
+    return made
+
+
+def test_frames_are_rgb_and_counted(camera, monkeypatch):
+    source = camera(Capture([BGR, BGR]), monkeypatch)
+    reader = iter(source)
+    first, second = next(reader), next(reader)
+    np.testing.assert_array_equal(first.image[0, 0], (200, 30, 10))
+    assert (first.index, second.index) == (0, 1)
+    assert 0 <= time.monotonic() - first.time_s < 5
+    assert (source.name, source.serial, source.rate_hz) == ("DIGIT", "D1", 30.0)
+    assert source.settings["width"] == 320
+    assert source.settings["fourcc"] == "YUYV"
+    with pytest.raises(SourceLostError, match="unplugged"):
+        next(reader)
+
+
+def test_the_drivers_time_stamp_is_taken_where_it_is_of_our_clock(camera, monkeypatch):
+    taken = time.monotonic() - 0.02
+    stamped = next(iter(camera(Capture([BGR], pos_msec=1000 * taken), monkeypatch)))
+    assert stamped.time_s == pytest.approx(taken)
+    foreign = next(iter(camera(Capture([BGR], pos_msec=1e9), monkeypatch)))
+    assert foreign.time_s == pytest.approx(time.monotonic(), abs=1)
+
+
+def test_large_jpegs_come_undecoded_and_are_reduced(camera, monkeypatch):
+    fourcc = float(cv2.VideoWriter.fourcc(*"MJPG"))
+    torn = large_jpeg()[:5000]
+    capture = Capture(
+        [large_jpeg(), torn, None, large_jpeg()], fourcc=fourcc, frame_width=1280.0, frame_height=960.0
+    )
+    source = camera(capture, monkeypatch)
+    assert source.settings["reduced"] == 2
+    reader = iter(source)
+    first, fourth = next(reader), next(reader)
+    assert first.image.shape == (480, 640, 3)
+    np.testing.assert_allclose(first.image[10, 10], (200, 30, 10), atol=3)
+    assert first.encoded == large_jpeg()
+    assert (first.index, fourth.index) == (0, 3)
+
+
+def test_nothing_but_torn_pictures_is_a_lost_camera(camera, monkeypatch):
+    with pytest.raises(SourceLostError, match="torn"):
+        list(camera(Capture([None] * 20), monkeypatch))
+
+
+def test_a_known_camera_gets_its_usual_mode(camera, monkeypatch):
+    source = camera(Capture([], zoom=0.0), monkeypatch, kind="digit")
+    assert (source.settings["height"], source.settings["fps"], source.settings["fourcc"]) == (
+        240,
+        60.0,
+        "YUYV",
+    )
+    assert source.settings["led_level"] == 0.0
+    other = camera(Capture([]), monkeypatch)
+    assert other.settings["fps"] == 30.0
+
+
+def test_a_wish_that_is_not_met_is_an_error_and_gives_the_camera_back(camera, monkeypatch):
+    capture = Capture([], limits={cv2.CAP_PROP_FRAME_HEIGHT: (0, 480)})
+    with pytest.raises(SensorError, match="expected height 960, but it has 480"):
+        camera(capture, monkeypatch, {"width": 1280, "height": 960})
+    assert capture.released == 1
+    with pytest.raises(SensorError, match="gain"):
+        camera(capture, monkeypatch, {"gain": 3})
+
+
+def test_closing_ends_the_loop(camera, monkeypatch):
+    source = camera(Capture([BGR] * 5), monkeypatch)
+    with source:
+        reader = iter(source)
+        next(reader)
+    assert list(reader) == []
+
+
+def test_a_camera_that_is_not_there_is_not_opened(tmp_path):
+    with pytest.raises(SensorError, match="not there any more"):
+        usb.UsbCamera(Camera("DIGIT", str(tmp_path / "video7"), "D1"))
+
+
+def test_picture_formats_as_letters():
+    assert usb.fourcc_text(cv2.VideoWriter.fourcc(*"MJPG")) == "MJPG"
+    assert (usb.fourcc_text(0), usb.fourcc_text(-1)) == ("", "")
