@@ -94,3 +94,24 @@ EXPORT int least_changed_sums(const float *seen, const float *untouched, const f
   }
   return (int)count;
 }
+
+// Means over blocks of `step` x `step` pixels, in whole grey levels, half to even, as a camera's image would have them.
+EXPORT int means_of_bytes(const uint8_t *image, int64_t step, uint16_t *work, float *means, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n,
+                          ptrdiff_t bh, ptrdiff_t bw) {
+  if (step < 1 || step > 256 || bh * step != h || bw * step != w || n != 3 * w) return WRONG_SIZE;
+  const float share = 1.0f / (float)(step * step);
+  for (ptrdiff_t i = 0; i < bh; i++) {
+    memset(work, 0, (size_t)n * sizeof *work);
+    for (ptrdiff_t y = i * step; y < (i + 1) * step; y++) {
+      const uint8_t *restrict row = image + 3 * w * y;
+      for (ptrdiff_t x = 0; x < n; x++) work[x] += row[x];
+    }
+    for (ptrdiff_t j = 0; j < bw; j++)
+      for (int c = 0; c < 3; c++) {
+        int32_t total = 0;
+        for (ptrdiff_t x = j * step; x < (j + 1) * step; x++) total += work[3 * x + c];
+        means[3 * (i * bw + j) + c] = rintf((float)total * share);
+      }
+  }
+  return OK;
+}

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -131,3 +132,16 @@ def test_the_lit_ratios_are_those_of_numpy():
     assert_kernel_agrees(
         exposure._lit_ratios, lambda *_: ratios.copy(), seen, rest, 20.0, 240.0, np.zeros_like(ratios)
     )
+
+
+@pytest.mark.parametrize(("shape", "step"), [((24, 32), 8), ((30, 45), 15), ((12, 21), 3)])
+def test_the_means_of_bytes_are_those_of_opencv(shape, step):
+    image = np.random.default_rng(5).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    image[: shape[0] // 2] //= 2
+    size = shape[1] // step, shape[0] // step
+
+    def by_opencv(image, *_):
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+
+    work, means = np.zeros(3 * shape[1], np.uint16), np.zeros((size[1], size[0], 3), np.float32)
+    assert_kernel_agrees(exposure._means_of_bytes, by_opencv, image, step, work, means)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import log
 from typing import Any
 
 import numpy as np
@@ -146,8 +147,9 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
     if gain is None:
         message = "No part of the image is bright enough in all channels, and not saturated, to compare its exposure."
         return (Finding("exposure_unknown", message, 0.0),)
-    largest = float(gain[np.argmax(np.abs(np.log(gain)))])
-    if gain.min() < RATIO_WARN[0] or gain.max() > RATIO_WARN[1]:
+    gains = gain.tolist()
+    largest = max(gains, key=lambda one: abs(log(one)))
+    if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
         message = f"Untouched pixels are {_times(gain)} times as bright as in the background: take a new background."
         return (Finding("background_ratio", message, largest),)
     if exposure.is_known and abs(largest - 1) > GAIN_REPORTED:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.check import Finding
+from gelform.checks import value_range
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class DepthLimit:
 
     def bound(self, depth_mm: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[Finding, ...]]:
         """The depth (H, W) within plus and minus the limit, and a finding where it was not."""
-        low, high = float(depth_mm.min()), float(depth_mm.max())
+        low, high = value_range(depth_mm)
         largest = max(high, -low)
         if largest <= self.limit_mm:
             return depth_mm, ()
