@@ -21,6 +21,8 @@ from gelform.markers.neighbours import MOST_ASTRAY, Neighbours
 from gelform.markers.patches import Patches, logs_from_image
 
 ROUNDS = 8
+AGAIN = 0.3  # of the spacing: as far as a dot that memory has lost may be from where its neighbours say it is
+CLEARLY = 0.5  # of the distance to the next candidate: nearer than this, it is the dot and not another one
 HALF = 0.5  # of the spacing: a dot found further from where it was sought is another one
 SIGMA_FACTOR, SIGMA_FLOOR_PX = (
     1.5,
@@ -65,6 +67,11 @@ class MarkerFollower:
         return len(self.rest_px)
 
     @property
+    def radius_px(self) -> float:
+        """Of a dot, from their median area."""
+        return self._patches.radius_px
+
+    @property
     def spacing_px(self) -> float:
         """Median distance between neighbouring dots at rest."""
         return self._neighbours.spacing_px
@@ -100,7 +107,7 @@ class MarkerFollower:
         at = self._dark + np.rint(shift).astype(np.intp)[self._owner]
         at = at[np.all((at >= 0) & (at < moved.shape[::-1]), axis=1)]
         moved[at[:, 1], at[:, 0]] = 1
-        reach = int(self._patches.radius_px) | 1
+        reach = int(self.radius_px) | 1
         near = cv2.dilate(moved, np.ones((2 * reach + 1,) * 2, dtype=np.uint8))
         near &= self._finder.mask(image).view(np.uint8)
         near |= cv2.dilate(moved, np.ones((3, 3), dtype=np.uint8))
@@ -123,6 +130,7 @@ class MarkerFollower:
         shift, sigma = found.shift_px.astype(np.float64), found.sigma_px.copy()
         close = np.linalg.norm(shift - expected, axis=1) < HALF * self.spacing_px
         seen = self._agreeing(shift, found.ok & close)
+        reach = (HALF if not expected.any() else AGAIN) * self.spacing_px
         candidates = None
         for _ in range(ROUNDS):
             guess = shift.copy()
@@ -134,9 +142,13 @@ class MarkerFollower:
             if not len(todo):
                 break
             candidates = self._candidates(logs) if candidates is None else candidates
-            start = self._at_candidates(guess, todo, shift[seen] + self.rest_px[seen], candidates)
+            if reach < HALF * self.spacing_px:
+                todo = todo[self._clear(self.rest_px[todo] + guess[todo], candidates)]
+            if not len(todo):
+                break
+            start = self._at_candidates(guess, todo, shift[seen] + self.rest_px[seen], candidates, reach)
             again = self._patches(logs, start, todo)
-            close = np.linalg.norm(again.shift_px - guess[todo], axis=1) < HALF * self.spacing_px
+            close = np.linalg.norm(again.shift_px - guess[todo], axis=1) < reach
             trial, taken = shift.copy(), seen.copy()
             trial[todo], taken[todo] = again.shift_px, again.ok & close
             taken = self._agreeing(trial, taken)
@@ -150,20 +162,34 @@ class MarkerFollower:
         return shift, seen, sigma
 
     def _at_candidates(
-        self, guess: NDArray[Any], todo: NDArray[np.intp], taken: NDArray[Any], candidates: NDArray[Any]
+        self,
+        guess: NDArray[Any],
+        todo: NDArray[np.intp],
+        taken: NDArray[Any],
+        candidates: NDArray[Any],
+        reach: float,
     ) -> NDArray[np.float64]:
-        """Shifts (M, 2) to the free candidate nearest to each guess, within half a spacing; else the guess itself."""
+        """Shifts (M, 2) to the free candidate nearest to each guess, within reach; else the guess itself."""
         start = guess[todo].copy()
         if len(taken) and len(candidates):
             apart = np.linalg.norm(candidates[:, None] - taken, axis=-1).min(axis=1)
-            candidates = candidates[apart > self._patches.radius_px]
+            candidates = candidates[apart > self.radius_px]
         if len(candidates):
             away = candidates[None] - (self.rest_px[todo] + guess[todo])[:, None]
             length = np.linalg.norm(away, axis=-1)
             best = length.argmin(axis=1)
-            near = length.min(axis=1) < HALF * self.spacing_px
+            near = length.min(axis=1) < reach
             start[near] += away[np.arange(len(todo)), best][near]
         return start
+
+    def _clear(self, places: NDArray[Any], candidates: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether one candidate is much nearer to each place (M, 2) than any other; of crowded dots none is."""
+        if len(candidates) < 2:
+            return np.ones(len(places), dtype=bool)
+        apart = np.linalg.norm(places[:, None] - candidates, axis=-1)
+        apart.partition(1, axis=1)
+        clear: NDArray[np.bool_] = apart[:, 0] < CLEARLY * apart[:, 1]
+        return clear
 
     def _agreeing(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The dots seen that move like their neighbours and stand alone; of two on one place the better stays."""
@@ -172,7 +198,7 @@ class MarkerFollower:
         number = np.nonzero(seen)[0]
         place = (self.rest_px + shift)[number]
         apart = np.linalg.norm(place[:, None] - place, axis=-1)
-        first, second = np.nonzero(np.triu(apart < self._patches.radius_px, 1))
+        first, second = np.nonzero(np.triu(apart < self.radius_px, 1))
         worse = np.where(astray[number[first]] > astray[number[second]], number[first], number[second])
         seen[worse] = False
         return seen

@@ -70,7 +70,7 @@ class Patches:
         self._weight = np.empty((count, self._side**2), dtype=np.float32)
         self._basis = np.empty((count, BASIS, self._side**2), dtype=np.float32)
         self._triangle = np.empty((count, 3, 3), dtype=np.float32)
-        self._spread = np.empty(count)
+        self._spread, self._freedom = np.empty(count), np.empty(count)
         self._prepare(logs.astype(np.float64))
 
     def __call__(
@@ -84,7 +84,7 @@ class Patches:
         picked = parts if of is None else tuple(part[chosen] for part in parts)
         _follow_patches(logs, *picked, shift, fit, self._side, STEPS, self._longest)
         strength, left, own, last = fit.T
-        noise = np.sqrt(left / (self._side**2 - BASIS))
+        noise = np.sqrt(left / self._freedom[chosen])
         sigma = (noise / np.maximum(strength, 0.1) * self._spread[chosen]).astype(np.float32)
         ok = (strength > STRENGTH[0]) & (strength < STRENGTH[1]) & (last < LAST_STEP_PX)
         ok &= left < MOST_LEFT * (left + own)
@@ -103,19 +103,26 @@ class Patches:
         half = self._side // 2
         down, across = np.asarray(np.gradient(logs))
         y, x = np.mgrid[-half : half + 1, -half : half + 1] / max(half, 1)
+        away = half * np.hypot(x, y).ravel()
+        taper = 1 / (
+            1 + np.exp((away - 1.6 * self.radius_px) / (0.3 * self.radius_px))
+        )  # of other dots that come near
         light = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
         for i, (left, top) in enumerate(self._corners):
             at = slice(top, top + self._side), slice(left, left + self._side)
-            weight = np.exp(logs[at]).ravel()  # the noise of a logarithm falls with the level
+            weight = taper * np.exp(logs[at]).ravel()  # the noise of a logarithm falls with the level
             weight /= weight.mean()
             columns = np.column_stack([light, *(part[at].ravel() for part in (logs, across, down))])
             basis, triangle = np.linalg.qr(columns * weight[:, None])
             sign = np.sign(np.diag(triangle))
             self._weight[i], self._basis[i] = weight, (basis * sign).T
-            own = (triangle * sign[:, None])[6:, 6:]
-            self._triangle[i] = own
-            inverse = np.asarray(np.linalg.inv(own))
-            self._spread[i] = np.sqrt(np.mean(np.sum(inverse[1:] ** 2, axis=1)))
+            self._triangle[i] = (triangle * sign[:, None])[6:, 6:]
+            noise = (
+                basis * taper[:, None] ** 2
+            ).T @ basis  # of the coordinates, where the noise is tapered too
+            inverse = np.asarray(np.linalg.inv(triangle))[7:]
+            self._spread[i] = np.sqrt(np.trace(inverse @ noise @ inverse.T) / 2)
+            self._freedom[i] = max(float(np.sum(taper**2) - np.trace(noise)), 1.0)
 
 
 def logs_from_image(image: NDArray[Any]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from gelform.markers.flow import MarkerFlow
 from gelform.markers.follower import MarkerFollower
 
 FAST = 0.05  # of the spacing, per frame: slower dots are sought where they were last, noise is not carried on
-DOUBTFUL = 0.03  # share of the dots lost since the last frame: then rest is tried too
+DOUBTFUL = 0.1  # share of the dots lost since the last frame: then rest is tried too
 
 
 class MarkerTracker:
