@@ -198,7 +198,7 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, hard))
     try:
-        with pytest.raises(DataError, match="Nothing was written"):
+        with pytest.raises(DataError, match="Nothing of it was kept"):
             write(tmp_path / "x.npz", {"big": np.zeros(1 << 18, dtype=np.uint8)})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

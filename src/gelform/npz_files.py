@@ -62,7 +62,9 @@ def written_file(
         check_free(path, overwrite=overwrite, error=error)  # another process may have been quicker
         os.replace(temporary, path)
     except OSError as problem:
-        raise error(f"Cannot write {path}: {problem.strerror or problem}. Nothing was written.") from problem
+        raise error(
+            f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
+        ) from problem
     finally:
         temporary.unlink(missing_ok=True)
 

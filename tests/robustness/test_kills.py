@@ -1,4 +1,4 @@
-"""Killed at any moment, or on a full disk: what is under its name is whole, and what was there stays.
+"""Killed at any moment: what is under its name is whole, and what was there stays.
 
 `GELFORM_ROBUSTNESS_FACTOR=5` asks for the 20 kills of each command that the guarantees speak of.
 """
@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -18,10 +15,8 @@ import pytest
 import gelform
 from gelform.cli import main
 from hostile.budget import FACTOR
-from hostile.small_gel import MM_PER_PX, Touch, background, calibration, image_of
-from made.torch_file_writer import network_arrays, torch_file
+from hostile.commands import commands, make_work
 
-PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
 COMMANDS = ("calibrate", "import", "reconstruct", "simulate")
 KILLS = 3 if FACTOR < 5 else 20
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")
@@ -29,42 +24,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked 
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory):
-    """A calibration, images, a background, another package's network."""
-    folder = tmp_path_factory.mktemp("work")
-    calibration().save(folder / "cal.npz")
-    for k in range(3):
-        save(folder / f"image{k}.png", image_of(Touch(seed=k)))
-    save(folder / "rest.png", np.rint(background()).astype(np.uint8))
-    torch_file(folder / "net.pth", network_arrays((5, 32, 32, 32, 2)))
-    touches = [Touch(x_px=x, y_px=y, depth_mm=0.35, seed=k) for k, (x, y) in enumerate(PLACES)]
-    gelform.save_press_folder(
-        folder / "presses",
-        background=image_of(None),
-        images=[image_of(touch) for touch in touches],
-        ball_diameters_mm=[8.0] * len(touches),
-        mm_per_px=MM_PER_PX,
-        name="known gel",
-    )
-    return folder
-
-
-def save(path, image):
-    import cv2
-
-    path.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
-
-
-def commands(work, out):
-    """Each command that writes, with its output below `out`."""
-    images = [work / f"image{k}.png" for k in range(3)]
-    imported = ["--from", "gs_sdk", "--background", work / "rest.png", "--mm-per-px", "0.1"]
-    fitted = ["--model", "polynomial", "--report", out / "report"]
-    return {
-        "calibrate": ["calibrate", work / "presses", *fitted, "-o", out / "cal.npz"],
-        "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
-        "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
-        "import": ["import", work / "net.pth", *imported, "-o", out / "imported.npz"],
-    }
+    return make_work(tmp_path_factory.mktemp("work"))
 
 
 def start(arguments, before=lambda: None):
@@ -134,33 +94,3 @@ def test_killed_at_each_step_of_writing(work, tmp_path, step, there_before):
     assert (target.read_bytes() == before) if there_before else not target.exists()
     assert os.waitpid(start(arguments), 0)[1] == 0  # what is left over is in nobody's way
     gelform.load_calibration(target)
-
-
-@contextmanager
-def full_disk(folder, kilobytes):
-    """A file system of 1 MB, filled but for so many kilobytes."""
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True)
-    if mounted.returncode:
-        pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
-    try:
-        (folder / "filler").write_bytes(bytes((1024 - kilobytes) * 1024))
-        yield
-    finally:
-        subprocess.run(["umount", "-l", folder], check=True)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
-@pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.parametrize("kilobytes", [0, 24])
-def test_a_full_disk_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name, kilobytes):
-    disk = tmp_path / "disk"
-    with full_disk(disk, kilobytes):
-        with pytest.raises(SystemExit) as stopped:
-            main([str(one) for one in commands(work, disk)[name]])
-        said = capfd.readouterr().err
-        files = [path for path in disk.rglob("*") if path.is_file() and path.name != "filler"]
-    assert stopped.value.code == 1
-    assert "Traceback" not in said
-    assert "No space left on device" in said
-    assert not [path for path in files if path.name.startswith(".") or path.suffix in (".tmp", ".partial")]

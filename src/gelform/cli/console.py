@@ -66,6 +66,22 @@ def show_table(
     console.print()
 
 
+def check_pictures() -> None:
+    """See that pictures can be drawn; that matplotlib cannot keep a cache where HOME is read-only is no concern of a user's.
+
+    Raises
+    ------
+    GelformError
+        matplotlib is not installed.
+    """
+    import logging
+
+    from gelform.plots.canvas import check_matplotlib
+
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    check_matplotlib()
+
+
 def print_json(content: Mapping[str, Any]) -> None:
     """One JSON object on standard output; what is not a number (NaN) becomes null."""
     utf8 = "utf" in (getattr(sys.stdout, "encoding", None) or "").lower()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import json_bytes
-from gelform.cli.result_names import make_folder
+from gelform.cli.result_names import check_output, make_folder
 from gelform.errors import DataError
 from gelform.progress import Progress
 
@@ -25,7 +25,7 @@ REPORT_SEED = 0
 
 def check_report_folder(folder: Path, overwrite: bool) -> None:
     """Make the folder, and refuse one that holds a report (unless `overwrite`): before the work, not after it."""
-    make_folder(folder)
+    check_output(folder / REPORT_FILES[0], overwrite=True)
     there = [name for name in REPORT_FILES if (folder / name).exists()]
     if there and not overwrite:
         raise DataError(f"{folder / there[0]} is already there. Choose another folder, or allow --overwrite.")

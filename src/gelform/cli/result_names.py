@@ -65,7 +65,7 @@ def check_output(path: Path, *, overwrite: bool) -> None:
         raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
     if os.path.lexists(path) and not overwrite:
         raise DataError(f"{path} is already there. Choose another name, or allow --overwrite.")
-    make_folder(path.parent)
+    _check_room(make_folder(path.parent))
 
 
 def make_folder(folder: Path) -> Path:
@@ -83,5 +83,15 @@ def make_folder(folder: Path) -> Path:
     except OSError as problem:
         raise DataError(f"Cannot make the folder {folder}: {problem.strerror or problem}.") from problem
     if not os.access(folder, os.W_OK):
+        _check_room(folder)
         raise DataError(f"Cannot write into {folder}: permission denied.")
     return folder
+
+
+def _check_room(folder: Path) -> None:
+    from gelform.exporters.folders import check_room
+
+    try:
+        check_room(folder)
+    except OSError as problem:
+        raise DataError(f"Cannot write into {folder}: {problem.strerror or problem}.") from problem

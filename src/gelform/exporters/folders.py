@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 from gelform.checks import check_image
 from gelform.errors import DataError
 
+PROBE_BYTES = 16_384
+
 
 @contextmanager
 def written_whole(target: Path) -> Iterator[Path]:
@@ -32,6 +34,7 @@ def written_whole(target: Path) -> Iterator[Path]:
     except OSError as error:
         raise DataError(f"Cannot write into {target.parent}: {error.strerror or error}.") from error
     try:
+        check_room(partial)
         yield partial
         partial.chmod(0o777 & ~_umask())
         if target.exists():
@@ -39,10 +42,24 @@ def written_whole(target: Path) -> Iterator[Path]:
         partial.rename(target)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
-        raise DataError(f"Cannot write {target}: {error.strerror or error}. Nothing was kept.") from error
+        raise DataError(
+            f"Cannot write {target}: {error.strerror or error}. Nothing of it was kept."
+        ) from error
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
+
+
+def check_room(folder: Path) -> None:
+    """Write a few kilobytes into a folder and take them away: a full disk is said before the work, not after it.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written to, or the disk is full.
+    """
+    with tempfile.TemporaryFile(dir=folder) as probe:
+        probe.write(bytes(PROBE_BYTES))
 
 
 def write_sensor_toml(path: Path, name: str, mm_per_px: float) -> None:

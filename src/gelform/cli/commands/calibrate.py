@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,8 +23,10 @@ from gelform.cli.process import only_writer
 from gelform.cli.report_files import REPORT_FILES, check_report_folder, content_of, write_report
 from gelform.cli.result_names import check_output
 from gelform.cli.tables import COLOR_MODELS, listed
+from gelform.errors import DataError
 
 if TYPE_CHECKING:
+    from gelform.calibration.presses.folder import Presses
     from gelform.calibration_file import Calibration
 
 MODELS = ("auto", *COLOR_MODELS)
@@ -99,7 +101,7 @@ def calibrate(
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:
-            write_report(content, found, calibration, report, overwrite=overwrite)
+            _write_report(content, found, calibration, output, report, overwrite)
     verdict = content["verdict"]
     _show(calibration, quiet or as_json)
     say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.", quiet)
@@ -114,6 +116,21 @@ def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:
     check_output(output, overwrite=overwrite)
     if report is not None:
         check_report_folder(report, overwrite)
+
+
+def _write_report(
+    content: dict[str, Any],
+    presses: Presses,
+    calibration: Calibration,
+    output: Path,
+    report: Path,
+    overwrite: bool,
+) -> None:
+    """The report's files; where they cannot be written the calibration stays, and is said to."""
+    try:
+        write_report(content, presses, calibration, report, overwrite=overwrite)
+    except DataError as problem:
+        raise DataError(f"{output} is written, its report is not. {problem}") from problem
 
 
 def _show(calibration: Calibration, quiet: bool) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import json_bytes, print_json, progress_shown, say, show_table
+from gelform.cli.console import check_pictures, json_bytes, print_json, progress_shown, say, show_table
 from gelform.cli.options import Json, Quiet
 from gelform.progress import Progress
 
@@ -37,9 +37,8 @@ def demo(
       gelform demo -o somewhere --json
     """
     from gelform.exporters.folders import written_whole
-    from gelform.plots.canvas import check_matplotlib
 
-    check_matplotlib()
+    check_pictures()
     started = time.monotonic()
     with written_whole(output) as folder, progress_shown(quiet) as progress:
         sensor = _simulated(folder / "presses", progress)

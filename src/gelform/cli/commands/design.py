@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.console import check_pictures, figure, print_json, progress_shown, say, show_table
 from gelform.cli.options import Json, Overwrite, Quiet
 from gelform.cli.result_names import check_output
 
@@ -42,9 +42,7 @@ def design(
 
     chosen = sensor_of(sensor)
     if output is not None:
-        from gelform.plots.canvas import check_matplotlib
-
-        check_matplotlib()
+        check_pictures()
         check_output(output, overwrite=overwrite)
     with progress_shown(quiet) as progress:
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)

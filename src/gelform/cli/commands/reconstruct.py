@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.console import check_pictures, figure, print_json, progress_shown, say, show_table
 from gelform.cli.failures import MISTAKE, one_line
 from gelform.cli.options import Background, CalibrationFile, Json, Overwrite, Quiet, one_of
 from gelform.cli.result_names import check_results, make_folder, result_paths
@@ -76,9 +76,7 @@ def reconstruct(
         todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
     check_results([results for _, results in todo], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
-        from gelform.plots.canvas import check_matplotlib
-
-        check_matplotlib()
+        check_pictures()
     with progress_shown(quiet) as progress:
         run = _prepared(calibration, background, solver)
         rows, failed = [], []

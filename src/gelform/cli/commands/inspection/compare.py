@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.console import check_pictures, figure, print_json, progress_shown, say, show_table
 from gelform.cli.options import Background, Json, Overwrite, Quiet
 from gelform.cli.result_names import check_results, make_folder, result_paths
 from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
@@ -46,9 +46,7 @@ def compare(
         raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
     paths: list[dict[str, Path]] = [{} for _ in images]
     if output is not None:
-        from gelform.plots.canvas import check_matplotlib
-
-        check_matplotlib()
+        check_pictures()
         paths = result_paths(images, output, ["png"])
         protected = [*images, *calibrations, *([background] if background else [])]
         check_results(paths, overwrite=overwrite, protected=protected)

@@ -1,0 +1,68 @@
+"""Every command that writes, with its output below a folder; and what it needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import gelform
+from hostile.small_gel import MM_PER_PX, Touch, background, calibration, image_of
+from made.torch_file_writer import network_arrays, torch_file
+
+PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
+WRITE_NOTHING = ("evaluate", "info", "cameras")
+SERVERS = ("live",)  # writes when the page asks for it: tests/live
+
+
+def make_work(folder: Path) -> Path:
+    """A calibration, images, a background, another package's network, presses, images of three LEDs."""
+    calibration().save(folder / "cal.npz")
+    for k in range(3):
+        save(folder / f"image{k}.png", image_of(Touch(seed=k)))
+    save(folder / "rest.png", np.rint(background()).astype(np.uint8))
+    for k, name in enumerate(("red", "green", "blue")):
+        save(folder / f"{name}.png", np.full((64, 80, 3), 20, np.uint8) + 100 * np.eye(3, dtype=np.uint8)[k])
+    torch_file(folder / "net.pth", network_arrays((5, 32, 32, 32, 2)))
+    touches = [Touch(x_px=x, y_px=y, depth_mm=0.35, seed=k) for k, (x, y) in enumerate(PLACES)]
+    gelform.save_press_folder(
+        folder / "presses",
+        background=image_of(None),
+        images=[image_of(touch) for touch in touches],
+        ball_diameters_mm=[8.0] * len(touches),
+        mm_per_px=MM_PER_PX,
+        name="known gel",
+    )
+    return folder
+
+
+def save(path: Path, image: np.ndarray) -> None:
+    """An RGB image as a file."""
+    path.write_bytes(cv2.imencode(path.suffix, image[..., ::-1])[1].tobytes())
+
+
+def commands(work: Path, out: Path) -> dict[str, list[Any]]:
+    """The arguments of each command that writes, with its output below `out`."""
+    images = [work / f"image{k}.png" for k in range(3)]
+    imported = ["--from", "gs_sdk", "--background", work / "rest.png", "--mm-per-px", "0.1"]
+    fitted = ["--model", "lambertian", "--report", out / "report"]
+    two = ["-c", work / "cal.npz", "-c", work / "cal.npz"]
+    leds = [work / f"{name}.png" for name in ("red", "green", "blue")]
+    return {
+        "demo": ["demo", "-o", out / "demo"],
+        "calibrate": ["calibrate", work / "presses", *fitted, "-o", out / "cal.npz"],
+        "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
+        "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],
+        "lens": ["lens", out / "sensor.toml", "--led-frames", *leds],
+        "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
+        "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],
+        "import": ["import", work / "net.pth", *imported, "-o", out / "imported.npz"],
+        "compare": ["compare", images[0], *two, "-o", out / "compared"],
+    }
+
+
+def prepare(out: Path) -> None:
+    """What is changed in place."""
+    (out / "sensor.toml").write_text('name = "known gel"\nmm_per_px = 0.1\n')

@@ -1,0 +1,105 @@
+"""Full and read-only disks, no home: one sentence before the work, and nothing that stays."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+from gelform.cli import main
+from gelform.cli.app import command_names
+from hostile.commands import SERVERS, WRITE_NOTHING, commands, make_work, prepare
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
+WRITERS = tuple(name for name in command_names() if name not in (*WRITE_NOTHING, *SERVERS))
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    return make_work(tmp_path_factory.mktemp("work"))
+
+
+def test_every_command_that_writes_is_tried(work):
+    """A new one needs its arguments in hostile/commands.py."""
+    assert set(WRITERS) == set(commands(work, work))
+
+
+@contextmanager
+def disk(folder, kilobytes):
+    """A file system of 1 MB with something to edit, filled but for so many kilobytes."""
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True)
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
+    try:
+        prepare(folder)
+        (folder / "filler").write_bytes(bytes((1024 - kilobytes) * 1024 - 4096))
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def said_by(arguments, capfd):
+    """What a command that fails says, which is one line."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(one) for one in arguments])
+    said = capfd.readouterr().err
+    assert stopped.value.code == 1
+    assert said.startswith("gelform: error: ")
+    assert said.count("\n") == 1
+    return said
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name):
+    with disk(tmp_path / "disk", 0) as out:
+        before = contents(out)
+        assert "No space left on device" in said_by(commands(work, out)[name], capfd)
+        assert contents(out) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "kilobytes"),
+    [("reconstruct", 60), ("simulate", 40), ("import", 40), ("compare", 40)],
+)
+def test_a_disk_that_fills_up_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name, kilobytes):
+    with disk(tmp_path / "disk", kilobytes) as out:
+        before = contents(out)
+        assert "No space left on device" in said_by(commands(work, out)[name], capfd)
+        assert contents(out) == before
+
+
+def test_a_report_that_does_not_fit_leaves_the_calibration_and_says_so(work, tmp_path, capfd):
+    with disk(tmp_path / "disk", 220) as out:
+        said = said_by([*commands(work, out)["calibrate"], "--quiet"], capfd)
+        assert "cal.npz is written, its report is not. Cannot write" in said
+        assert contents(out).keys() == {"sensor.toml", "filler", "cal.npz"}
+        assert not list(out.rglob(".*"))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_read_only_disk_is_one_sentence(work, tmp_path, capfd, name):
+    with disk(tmp_path / "disk", 500) as out:
+        subprocess.run(["mount", "-o", "remount,ro", out], check=True)
+        assert "Read-only file system" in said_by(commands(work, out)[name], capfd)
+
+
+def test_no_home_and_no_cache_are_no_matter(work, tmp_path):
+    """Pictures are drawn all the same, and nothing is said of it."""
+    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"), "/dev/null/none")
+    command = [*commands(work, tmp_path)["reconstruct"], "--format", "npz,png", "--quiet"]
+    done = subprocess.run(
+        [sys.executable, "-m", "gelform", *map(str, command)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **nowhere},
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert len(list((tmp_path / "results").glob("*.png"))) == 3
