@@ -82,3 +82,21 @@ def test_a_score_finds_its_centre_and_reads_the_errors_put_in():
     steeper = score_slopes(1.1 * truth, x, y, (78.0, 61.0), 50.0)
     np.testing.assert_allclose(steeper.errors, 0.1 * truth, atol=5e-3)
     assert steeper.normal_deg == pytest.approx(angle_deg(1.1 * truth, truth).mean(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"depth_mm": [[1, 2], [3]]}, "depth_mm as an array"),
+        ({"depth_mm": np.zeros((2, 9, 9))}, r"depth_mm of shape \(H, W\)"),
+        ({"gradients": np.zeros((8, 9, 2))}, r"gradients of shape \(9, 9, 2\), got \(8, 9, 2\)"),
+        ({"circle_px": (4, 4)}, "circle_px as 3 finite numbers"),
+        ({"ball_radius_mm": 1e300}, "ball_radius_mm between"),
+        ({"mm_per_px": np.ones(4)}, "mm_per_px as a number"),
+    ],
+)
+def test_arguments_of_press_errors_are_checked(changed, said):
+    right = {"depth_mm": np.zeros((9, 9)), "gradients": np.zeros((9, 9, 2)), "circle_px": (4.0, 4.0, 3.0)}
+    arguments = {**right, "ball_radius_mm": 4.0, "mm_per_px": 0.1, **changed}
+    with pytest.raises((ValueError, TypeError), match=said):
+        press_errors(**arguments)

@@ -93,3 +93,13 @@ def test_depth_stays_within_the_gel_where_its_thickness_is_known():
     assert "beyond_gel" in names(result)
     assert result.depth_mm.max() == np.float32(0.3)
     assert "beyond_gel" not in names(gelform.Reconstructor(calibration())(image_of(TOUCH)))
+
+
+def test_a_seam_right_at_a_contact_is_found(reconstruct):
+    """The row below it jumps too, as the displaced ball begins there."""
+    frame = image_of(Touch(radius_mm=3.5, depth_mm=0.27, x_px=50, y_px=41.4, seed=216))
+    frame[28:] = np.roll(frame[28:], 40, axis=1)
+    result = reconstruct(frame)
+    assert names(result) == ["torn"]
+    assert not result.known[30:60].any()
+    assert np.abs(result.depth_mm).max() < 0.1

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere
-from gelform.checks import check_gradients, check_map, check_numbers, check_positive
+from gelform.checks import check_gradients, check_map, check_numbers, check_positive, check_within
 
 
 def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
@@ -106,7 +106,7 @@ def press_errors(
     y, x = np.mgrid[:height, :width]
     cx, cy, contact = check_numbers(circle_px, "circle_px", 3)
     mm_per_px = check_positive(mm_per_px, "mm_per_px")
-    ball_px = check_positive(ball_radius_mm, "ball_radius_mm") / mm_per_px
+    ball_px = check_within(ball_radius_mm, "ball_radius_mm", 1e-3, 1e4) / mm_per_px
     inset = 3 * min(height, width) / 240
     rho = np.hypot(x - cx, y - cy)
     reach = min(contact - inset, STEEPEST_FRACTION * ball_px)

@@ -88,6 +88,8 @@ def test_wrong_input():
     depth = np.zeros((8, 8))
     with pytest.raises(TypeError, match="contact as bool"):
         contacts_from_mask(depth, depth, mm_per_px=1.0)
+    with pytest.raises(ValueError, match="contact as an array, got a list of unequal parts"):
+        contacts_from_mask([[1, 2], [3]], depth, mm_per_px=1.0)
     with pytest.raises(ValueError, match=r"one frame, \(H, W\), got \(8, 7\)"):
         contacts_from_mask(np.zeros((8, 7), bool), depth, mm_per_px=1.0)
     with pytest.raises(ValueError, match="mm_per_px > 0"):

@@ -208,6 +208,8 @@ def test_prepared_settings_and_arguments_are_checked():
     [
         ({"gradients_sigma": np.ones((4, 5))}, r"gradients_sigma of shape \(H, W, 2\), got \(4, 5\)"),
         ({"gradients_sigma": np.zeros((4, 5, 2))}, "Expected gradients_sigma > 0, got 0"),
+        ({"probes": 1}, "Expected probes between 2 and 10000"),
+        ({"gradients_sigma": np.ones((0, 5, 2))}, "Expected gradients_sigma of some pixels"),
         ({"correlation_px": -1.0}, "Expected correlation_px between 0 and"),
         ({"correlation_px": 3.0, "correlated_share": 1.5}, "Expected correlated_share between 0 and 1"),
     ],

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.checks import check_map, check_mm_per_px
+from gelform.checks import as_array, check_map, check_mm_per_px
 
 MOST_CONTACTS = 65_535  # labels are uint16
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
@@ -74,7 +74,7 @@ def contacts_from_mask(
         Wrong shapes, NaN, or a pitch that is not positive.
     """
     height = check_map(depth, "depth")
-    mask = np.asarray(contact)
+    mask = as_array(contact, "contact")
     if height.ndim != 2 or mask.shape != height.shape:
         raise ValueError(
             f"Expected contact and depth of one frame, (H, W), got {mask.shape} and {height.shape}."

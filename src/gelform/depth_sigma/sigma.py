@@ -86,7 +86,7 @@ class DepthSigma:
         )
         self.pitch = check_mm_per_px(mm_per_px)
         self.share = _checked_share(correlation_px, correlated_share)
-        probes = int(check_within(probes, "probes", 2, MOST_PROBES))
+        probes = _checked_probes(probes)
         block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
         blocks = block_rows_and_columns(self.shape, block)
         rng = rng or np.random.default_rng(0)
@@ -194,7 +194,7 @@ def depth_sigma_from_gradients_sigma(
     if uniform and constant and correlation_px == 0 and isinstance(zero, str) and zero == "mean":
         per_x, per_y = variance_of_white(shape, pitch)
         return np.sqrt(sigma[0, 0, 0] ** 2 * per_x + sigma[0, 0, -1] ** 2 * per_y).astype(np.float32)
-    settings = shape, pitch, float(correlation_px), float(correlated_share), probes
+    settings = shape, pitch, float(correlation_px), float(correlated_share), _checked_probes(probes)
     prepared = _prepared(*settings) if rng is None else _prepared.__wrapped__(*settings, rng)
     return prepared(sigma, weights=weights, mask=mask, anchor=anchor, zero=zero, level=level)
 
@@ -241,6 +241,11 @@ def _checked_weights(weights: ArrayLike, shape: tuple[int, int]) -> NDArray[np.f
     if array.ndim != 2:
         raise ValueError(f"Expected weights of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
     return array
+
+
+def _checked_probes(probes: int) -> int:
+    """Return a number of random draws that tell a deviation."""
+    return int(check_within(probes, "probes", 2, MOST_PROBES))
 
 
 def _checked_share(correlation_px: float, correlated_share: float) -> float:

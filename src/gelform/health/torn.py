@@ -97,12 +97,13 @@ class Torn:
         return far if away[blocks_far].mean() > away[~blocks_far].mean() else ~far
 
     def _seams(self, jumps: NDArray[np.float32]) -> NDArray[np.intp]:
-        """Rows that jump by far more than the rows beside them and the middle one."""
+        """Rows that jump by far more than a row beside them and the middle one: a contact may begin right at a seam."""
         if jumps.max() <= JUMP:
             return np.zeros(0, dtype=np.intp)
         least = max(JUMP_FACTOR * float(np.median(jumps)), JUMP)
-        beside = np.maximum(np.append(jumps[1:], 0), np.append(0, jumps[:-1]))
-        return np.flatnonzero((jumps > least) & (jumps > beside + JUMP))
+        beside = np.stack([np.append(jumps[1:], 0), np.append(0, jumps[:-1])])
+        alone = (jumps > beside.min(axis=0) + JUMP) & (jumps > beside.max(axis=0) + JUMP / 2)
+        return np.flatnonzero((jumps > least) & alone)
 
 
 def torn_finding(lost: NDArray[np.bool_]) -> Finding:
