@@ -38,8 +38,9 @@ def test_it_is_the_numpy_path(request, name, images):
     expected = [reconstruct.from_image(image) for image in images]
     found = Reconstruct(calibration)(batch_of(images))
     peak = max(np.abs(one.depth_mm).max() for one in expected)
+    tolerance = 2e-4 if name == "crosstalk" else 1e-4  # its inverse makes more of the last bits
     for k, one in enumerate(expected):
-        np.testing.assert_allclose(found.depth_mm[k, 0], one.depth_mm, atol=1e-4 * peak)
+        np.testing.assert_allclose(found.depth_mm[k, 0], one.depth_mm, atol=tolerance * peak)
         np.testing.assert_allclose(found.gradients[k].permute(1, 2, 0), one.observed_gradients, atol=3e-4)
 
 
