@@ -1,0 +1,58 @@
+"""Depth in 16 bits: depth_mm = (v - 32768) x 1e-4, and 0 where it is not known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_mask, check_values
+from gelform.errors import DataError
+
+ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0
+
+
+def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> NDArray[np.uint16]:
+    """16-bit levels (H, W) of a depth map in mm, rounded to 0.1 um.
+
+    Parameters
+    ----------
+    depth_mm : (H, W), -3.2767 to 3.2767 mm where it is known
+    known : (H, W) bool; False becomes level 0
+
+    Raises
+    ------
+    DataError
+        Depth out of range: nothing is clipped.
+    ValueError, TypeError
+        No finite (H, W) of numbers, or another shape of `known`.
+    """
+    depth = check_values(depth_mm, "depth_mm", (), np.float64)
+    mask = None if known is None else check_mask(known, shape=depth.shape, name="known")
+    levels = np.rint(depth / MM_PER_LEVEL) + ZERO_LEVEL
+    if mask is not None:
+        levels[~mask] = ZERO_LEVEL
+    if levels.min() < UNKNOWN + 1 or levels.max() > np.iinfo(np.uint16).max:
+        raise DataError(
+            f"Expected depth from -3.2767 to 3.2767 mm, which 16 bits hold at 0.1 um, got {depth.min():.3f} to "
+            f"{depth.max():.3f} mm. Write npz or tiff."
+        )
+    if mask is not None:
+        levels[~mask] = UNKNOWN
+    return levels.astype(np.uint16)
+
+
+def depth_from_levels(levels: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Depth (H, W) float32, mm, 0 where unknown, and where it is known, of 16-bit levels.
+
+    Raises
+    ------
+    TypeError
+        No uint16.
+    """
+    if getattr(levels, "dtype", None) != np.uint16:
+        raise TypeError(f"Expected levels as uint16, got {getattr(levels, 'dtype', type(levels).__name__)}.")
+    known = levels != UNKNOWN
+    depth = (levels.astype(np.float64) - ZERO_LEVEL) * MM_PER_LEVEL
+    return np.where(known, depth, 0).astype(np.float32), known

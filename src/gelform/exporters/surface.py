@@ -1,0 +1,142 @@
+"""A result as a file that other programs read: PLY, STL, float TIFF, 16-bit PNG."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.checks import check_is, check_path
+from gelform.errors import DataError
+from gelform.exporters.quantised import levels_from_depth
+from gelform.reconstruction import Reconstruction
+
+BASE_SHARE = 0.1  # an STL's base lies this share of the frame's width below the lowest point
+
+
+def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write a result's surface; the ending of the name says how.
+
+    | ending | what it holds |
+    |---|---|
+    | .ply | points_mm (x, y, -depth) of the camera's optical frame, x right, y down, z away from the camera, as triangles |
+    | .stl | the same surface, closed by walls and a flat base: watertight, to print |
+    | .tif, .tiff | depth_mm, float32 |
+    | .png | 16 bits: depth_mm = (v - 32768) x 1e-4, 0 where depth is not known |
+
+    Parameters
+    ----------
+    result : with mm_per_px
+    path : one of SURFACES' endings
+    overwrite : whether a file that is there may be replaced
+
+    Raises
+    ------
+    ValueError, TypeError
+        Another ending, or no Reconstruction.
+    DataError
+        A result in pixels, depth out of the format's range, trimesh missing (extra `mesh`), or the file is there or
+        cannot be written.
+    """
+    check_is(result, Reconstruction, "result")
+    path = check_path(path)
+    if path.suffix.lower() not in SURFACES:
+        raise ValueError(f"Expected a name that ends in {', '.join(SURFACES)}, got {path.name}.")
+    if result.mm_per_px is None:
+        raise DataError(f"Expected a result in mm to write {path.name}, got one without mm_per_px.")
+    if path.exists() and not overwrite:
+        raise DataError(f"{path} is there already. Choose another name, or overwrite.")
+    content = SURFACES[path.suffix.lower()](result)
+    unfinished = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_bytes(content)
+        unfinished.replace(path)
+    except OSError as error:
+        unfinished.unlink(missing_ok=True)
+        raise DataError(f"Cannot write {path}: {error.strerror or error}. Nothing was kept.") from error
+    return path
+
+
+def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
+    """points_mm (H*W, 3), row by row: (x, y, -depth_mm), right-handed, from the middle of the image."""
+    height, width = result.depth.shape
+    pitch_x, pitch_y = np.broadcast_to(np.asarray(result.mm_per_px, dtype=np.float64), 2)
+    y, x = np.mgrid[:height, :width]
+    points = np.stack(
+        [(x - (width - 1) / 2) * pitch_x, (y - (height - 1) / 2) * pitch_y, -result.depth_mm], axis=-1
+    )
+    return points.reshape(-1, 3).astype(np.float32)
+
+
+def _grid_triangles(height: int, width: int) -> NDArray[np.int64]:
+    """Triangles (n, 3) of a grid of points, seen from the camera (z down) counter-clockwise."""
+    index = np.arange(height * width).reshape(height, width)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+
+
+def _mesh_bytes(points: NDArray[Any], triangles: NDArray[Any], form: str) -> bytes:
+    try:
+        import trimesh
+    except ImportError as missing:
+        raise DataError('Writing meshes needs trimesh: pip install "gelform[mesh]".') from missing
+    mesh = trimesh.Trimesh(points, triangles, process=False)
+    content: bytes = mesh.export(file_type=form)
+    return content
+
+
+def _ply(result: Reconstruction) -> bytes:
+    return _mesh_bytes(points_from_result(result), _outward(_grid_triangles(*result.depth.shape)), "ply")
+
+
+def _outward(triangles: NDArray[Any]) -> NDArray[Any]:
+    """Turned round: normals towards the camera, -z."""
+    return triangles[:, ::-1]
+
+
+def _stl(result: Reconstruction) -> bytes:
+    height, width = result.depth.shape
+    top = points_from_result(result)
+    base = top.copy()
+    base[:, 2] = top[:, 2].max() + BASE_SHARE * np.ptp(top[:, 0])
+    count = height * width
+    surface = _outward(_grid_triangles(height, width))
+    index = np.arange(count).reshape(height, width)
+    rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+    after = np.roll(rim, -1)
+    walls = np.concatenate(
+        [np.stack([rim, after, rim + count], -1), np.stack([after, after + count, rim + count], -1)]
+    )
+    triangles = np.concatenate([surface, surface[:, ::-1] + count, walls])
+    return _mesh_bytes(np.concatenate([top, base]), triangles, "stl")
+
+
+def _encoded(ending: str, pixels: NDArray[Any]) -> bytes:
+    done, content = cv2.imencode(ending, pixels)
+    if not done:
+        raise DataError(f"Cannot encode the depth as {ending}.")
+    return bytes(content.tobytes())
+
+
+def _tiff(result: Reconstruction) -> bytes:
+    return _encoded(".tiff", result.depth_mm)
+
+
+def _png(result: Reconstruction) -> bytes:
+    return _encoded(".png", levels_from_depth(result.depth_mm, result.known))
+
+
+SURFACES: dict[str, Callable[[Reconstruction], bytes]] = {
+    ".ply": _ply,
+    ".stl": _stl,
+    ".tiff": _tiff,
+    ".tif": _tiff,
+    ".png": _png,
+}

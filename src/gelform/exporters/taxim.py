@@ -1,0 +1,129 @@
+"""A calibration as the tables that Taxim, TacEx and Isaac Lab render a sensor's images from.
+
+Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors, RA-L 7(2), 2022: bins of the
+slope's angle and direction hold, for each channel, a quadratic polynomial in the pixel's place of the change in grey
+levels. The table is filled from the calibration's forward response.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.change import image_from_color_change
+from gelform.calibration_file import Calibration, as_calibration
+from gelform.checks import check_path
+from gelform.errors import CalibrationError
+from gelform.exporters.folders import written_whole
+from gelform.simulate.twin import STEEPEST
+
+RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, grad_b
+    "taxim": (2, 1, 0),  # whose images are OpenCV's, blue first
+    "isaaclab": (0, 1, 2),
+}
+BINS = 125
+PLACES = 9, 12  # pixels, rows and columns, that a bin's polynomial is fitted to
+BACKGROUND_BLUR_PX = 4.0  # a quadratic in the place knows no dust
+
+
+def save_taxim(
+    calibration: Calibration | str | PathLike[str], folder: str | PathLike[str], *, renderer: str = "taxim"
+) -> Path:
+    """Write `polycalib.npz`, `bg.jpg`, `real_bg.npy` and a note of the settings that belong to them.
+
+    Parameters
+    ----------
+    calibration : or its file
+    folder : new or empty; appears whole or not at all
+    renderer : "taxim" (and TacEx), whose `grad_r` is the blue channel, or "isaaclab", whose `grad_r` is the red one
+
+    Returns
+    -------
+    folder : Path
+
+    Raises
+    ------
+    CalibrationError
+        Imported without a forward response, or without mm per px.
+    DataError
+        The folder holds something, or cannot be written.
+    ValueError
+        Another renderer.
+    """
+    calibration, folder = as_calibration(calibration), check_path(folder)
+    if renderer not in RENDERERS:
+        raise ValueError(f"Expected renderer among {', '.join(RENDERERS)}, got {renderer!r}.")
+    if calibration.mm_per_px is None:
+        raise CalibrationError(
+            "Expected a calibration with mm_per_px, which a renderer needs. Measure it with gelform scale."
+        )
+    table = taxim_table(calibration)
+    with written_whole(folder) as partial:
+        channels = zip(("grad_r", "grad_g", "grad_b"), RENDERERS[renderer])
+        np.savez(partial / "polycalib.npz", bins=BINS, **{name: table[:, :, c] for name, c in channels})
+        background = calibration.background
+        levels = np.rint(background[..., ::-1]).astype(np.uint8)
+        done, jpeg = cv2.imencode(".jpg", levels, [cv2.IMWRITE_JPEG_QUALITY, 100])
+        if not done:
+            raise CalibrationError("Cannot encode the background as JPEG.")
+        (partial / "bg.jpg").write_bytes(jpeg.tobytes())
+        np.save(partial / "real_bg.npy", background[..., list(RENDERERS[renderer])])
+        (partial / "settings.txt").write_text(_settings(calibration, renderer), encoding="utf-8")
+    return folder
+
+
+def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
+    """Changes in grey levels, (bins, bins, 3, 6): by angle and direction, for R, G, B, in x^2, y^2, xy, x, y, 1.
+
+    Angles run from 0 to 90 degrees, directions of the gradient from -180 to 180, both in BINS - 1 steps; places are
+    pixels of the calibrated image. A level gel changes nothing.
+
+    Raises
+    ------
+    CalibrationError
+        Imported without a forward response.
+    """
+    y_px, x_px = _places(calibration.image_shape)
+    blurred = cv2.GaussianBlur(calibration.background, (0, 0), BACKGROUND_BLUR_PX)
+    untouched = blurred[y_px.astype(int), x_px.astype(int)]
+    terms = np.stack([x_px**2, y_px**2, x_px * y_px, x_px, y_px, np.ones(x_px.size)], axis=1)
+    fit = np.linalg.pinv(terms)
+    angles = (np.arange(BINS) + 0.5) * (np.pi / 2 / (BINS - 1))
+    slopes = np.minimum(np.tan(np.minimum(angles, np.pi / 2 - 1e-6)), STEEPEST)
+    slopes[0] = 0
+    directions = (np.arange(BINS) + 0.5) * (2 * np.pi / (BINS - 1)) - np.pi
+    table = np.empty((BINS, BINS, 3, 6))
+    for steepness, slope in enumerate(slopes):
+        gradients = slope * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+        change = calibration.color_change_at(
+            np.repeat(gradients, x_px.size, axis=0), np.tile(x_px, BINS), np.tile(y_px, BINS)
+        )
+        background = np.tile(untouched, (BINS, 1, 1))
+        levels = image_from_color_change(change.reshape(background.shape), background, calibration.change)
+        table[steepness] = np.einsum("kp,dpc->dck", fit, levels.astype(np.float64) - background)
+    return table
+
+
+def _places(shape: tuple[int, int]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Rows and columns of pixels spread over an image."""
+    rows, columns = (np.round(np.linspace(0, n - 1, k)) for n, k in zip(shape, PLACES))
+    grid = np.meshgrid(rows, columns, indexing="ij")
+    return grid[0].ravel(), grid[1].ravel()
+
+
+def _settings(calibration: Calibration, renderer: str) -> str:
+    height, width = calibration.image_shape
+    if renderer == "isaaclab":
+        return (
+            "GelSightRenderCfg(\n"
+            '    base_data_path="<the folder above this one>",\n'
+            '    sensor_data_dir_name="<this folder>",\n'
+            f"    image_height={height},\n    image_width={width},\n    num_bins={BINS},\n"
+            f"    mm_per_pixel={calibration.mm_per_px:.6g},\n)\n"
+        )
+    return f"h = {height}\nw = {width}\npixmm = {calibration.mm_per_px:.6g}\nnumBins = {BINS}\n"

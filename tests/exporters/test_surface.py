@@ -1,0 +1,73 @@
+"""Each file holds the surface: axes, signs, mm; an STL is closed and its volume is the depth's."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.errors import DataError
+from gelform.exporters.quantised import depth_from_levels
+from gelform.exporters.surface import BASE_SHARE, SURFACES, points_from_result, save_surface
+from gelform.reconstruction import Reconstruction
+
+SHAPE, PITCH = (30, 40), 0.1
+
+
+@pytest.fixture
+def result():
+    """A bump, above and left of the middle; the last row is not known."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    depth = np.maximum(0, 1 - ((x - 10) ** 2 + (y - 8) ** 2) / 36).astype(np.float32)
+    known = np.ones(SHAPE, dtype=bool)
+    known[-1] = False
+    gradients = np.zeros((*SHAPE, 2), dtype=np.float32)
+    return Reconstruction(
+        depth, None, gradients, None, np.ones(SHAPE, np.float32), depth > 0, known, mm_per_px=PITCH
+    )
+
+
+def test_points_are_of_the_optical_frame(result):
+    x, y, z = points_from_result(result)[8 * SHAPE[1] + 10]
+    assert (x, y, z) == pytest.approx(((10 - 19.5) * PITCH, (8 - 14.5) * PITCH, -1))
+
+
+@pytest.mark.parametrize("ending", [".ply", ".stl"])
+def test_meshes_come_back(result, tmp_path, ending):
+    trimesh = pytest.importorskip("trimesh", reason="needs the extra 'mesh'")
+    mesh = trimesh.load(save_surface(result, tmp_path / f"bump{ending}"), force="mesh")
+    assert mesh.bounds[0, 2] == pytest.approx(-1)  # the deepest point is nearest to the camera
+    assert mesh.bounds[:, 0] == pytest.approx([-1.95, 1.95])
+    middle = mesh.face_normals[np.argmin(np.linalg.norm(mesh.triangles_center - [-0.95, -0.65, -1], axis=1))]
+    assert middle[2] < -0.9  # towards the camera
+    assert mesh.is_watertight == (ending == ".stl")
+    if ending == ".stl":
+        base = 3.9 * 2.9 * BASE_SHARE * 3.9
+        assert mesh.volume == pytest.approx(base + float(result.depth.sum()) * PITCH**2, rel=0.01)
+
+
+def test_tiff_is_the_depth(result, tmp_path):
+    path = save_surface(result, tmp_path / "deep" / "bump.tiff")
+    np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), result.depth_mm)
+
+
+def test_png_is_the_depth_in_16_bits(result, tmp_path):
+    levels = cv2.imread(str(save_surface(result, tmp_path / "bump.png")), cv2.IMREAD_UNCHANGED)
+    depth, known = depth_from_levels(levels)
+    np.testing.assert_array_equal(known, result.known)
+    np.testing.assert_allclose(depth[known], result.depth_mm[known], atol=0.51e-4)
+
+
+def test_what_cannot_be_written_is_said(result, tmp_path):
+    with pytest.raises(ValueError, match=r"\.obj"):
+        save_surface(result, tmp_path / "bump.obj")
+    with pytest.raises(DataError, match="mm_per_px"):
+        save_surface(replace(result, mm_per_px=None), tmp_path / "bump.tiff")
+    with pytest.raises(DataError, match="16 bits"):
+        save_surface(replace(result, depth=result.depth * 10), tmp_path / "bump.png")
+    (tmp_path / "there.tiff").write_bytes(b"mine")
+    with pytest.raises(DataError, match="is there already"):
+        save_surface(result, tmp_path / "there.tiff")
+    assert (tmp_path / "there.tiff").read_bytes() == b"mine"
+    assert list(tmp_path.iterdir()) == [tmp_path / "there.tiff"]
+    assert set(SURFACES) == {".ply", ".stl", ".tif", ".tiff", ".png"}
