@@ -19,7 +19,7 @@ def test_other_files_are_refused(tmp_path):
         read_taxim(path, background)
     good = taxim_arrays(bins=20)
     for spoilt, why in (
-        ({k: v for k, v in good.items() if k != "bins"}, "Expected bins, grad_r"),
+        ({k: v for k, v in good.items() if k != "bins"}, "lacks bins"),
         ({**good, "grad_r": good["grad_r"][:-1]}, "three tables"),
         ({**good, "bins": np.array(21)}, "three tables"),
         ({**good, "grad_g": good["grad_g"] * np.nan}, "finite"),

@@ -6,7 +6,18 @@ import os
 
 import typer
 
-from gelform.cli.commands import calibrate, demo, design, import_, lens, live, reconstruct, scale, simulate
+from gelform.cli.commands import (
+    calibrate,
+    demo,
+    design,
+    export,
+    import_,
+    lens,
+    live,
+    reconstruct,
+    scale,
+    simulate,
+)
 from gelform.cli.commands.inspection import compare, evaluate, explain, info
 from gelform.cli.commands.sources import cameras, record
 from gelform.cli.failures import DEBUG, ReportedFailures
@@ -34,6 +45,7 @@ app.command()(design.design)
 app.command("import")(import_.import_)
 app.command()(compare.compare)
 app.command()(explain.explain)
+app.command()(export.export)
 app.command()(info.info)
 app.command()(cameras.cameras)
 app.command()(record.record)

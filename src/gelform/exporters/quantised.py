@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_mask, check_values
+from gelform.checks import check_values
 from gelform.errors import DataError
 
 ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0
@@ -29,17 +29,17 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
         No finite (H, W) of numbers, or another shape of `known`.
     """
     depth = check_values(depth_mm, "depth_mm", (), np.float64)
-    mask = None if known is None else check_mask(known, shape=depth.shape, name="known")
+    mask = np.ones(depth.shape, dtype=bool) if known is None else np.asarray(known)
+    if mask.dtype != np.bool_ or mask.shape != depth.shape:
+        raise ValueError(f"Expected known as bool of shape {depth.shape}, got {mask.dtype} of {mask.shape}.")
     levels = np.rint(depth / MM_PER_LEVEL) + ZERO_LEVEL
-    if mask is not None:
-        levels[~mask] = ZERO_LEVEL
+    levels[~mask] = ZERO_LEVEL
     if levels.min() < UNKNOWN + 1 or levels.max() > np.iinfo(np.uint16).max:
         raise DataError(
             f"Expected depth from -3.2767 to 3.2767 mm, which 16 bits hold at 0.1 um, got {depth.min():.3f} to "
             f"{depth.max():.3f} mm. Write npz or tiff."
         )
-    if mask is not None:
-        levels[~mask] = UNKNOWN
+    levels[~mask] = UNKNOWN
     return levels.astype(np.uint16)
 
 

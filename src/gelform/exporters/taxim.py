@@ -28,6 +28,12 @@ RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, g
 }
 BINS = 125
 PLACES = 9, 12  # pixels, rows and columns, that a bin's polynomial is fitted to
+JPEG = [  # as good as it gets: colour at every pixel
+    cv2.IMWRITE_JPEG_QUALITY,
+    100,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+]
 BACKGROUND_BLUR_PX = 4.0  # a quadratic in the place knows no dust
 
 
@@ -65,10 +71,11 @@ def save_taxim(
     table = taxim_table(calibration)
     with written_whole(folder) as partial:
         channels = zip(("grad_r", "grad_g", "grad_b"), RENDERERS[renderer])
-        np.savez(partial / "polycalib.npz", bins=BINS, **{name: table[:, :, c] for name, c in channels})
+        arrays: dict[str, Any] = {name: table[:, :, c] for name, c in channels}
+        np.savez(partial / "polycalib.npz", bins=BINS, **arrays)
         background = calibration.background
         levels = np.rint(background[..., ::-1]).astype(np.uint8)
-        done, jpeg = cv2.imencode(".jpg", levels, [cv2.IMWRITE_JPEG_QUALITY, 100])
+        done, jpeg = cv2.imencode(".jpg", levels, JPEG)
         if not done:
             raise CalibrationError("Cannot encode the background as JPEG.")
         (partial / "bg.jpg").write_bytes(jpeg.tobytes())

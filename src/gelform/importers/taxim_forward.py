@@ -7,11 +7,12 @@ hold, for bins of the slope's angle and direction, a quadratic polynomial in the
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from os import PathLike
 from tokenize import TokenError
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,9 +137,11 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     path = check_path(path)
     if not path.is_file():
         raise DataError(f"No file {path}: expected Taxim's tables (polycalib.npz).")
-    if path.stat().st_size > MAX_BYTES:
-        raise DataError(f"Expected Taxim's tables of at most {MAX_BYTES >> 20} MB, got {path}.")
     try:
+        with ZipFile(path) as archive:
+            declared = sum(member.file_size for member in archive.infolist())
+        if declared > MAX_BYTES:
+            raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             missing = [name for name in MEMBERS if name not in file.files]
             if missing:
@@ -152,7 +155,9 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
         AttributeError,
         TypeError,
         SyntaxError,
+        RuntimeError,
         TokenError,
+        zlib.error,
     ) as problem:
         raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {problem}.") from problem
     count = int(bins) if bins.ndim == 0 and np.isfinite(bins) else 0

@@ -11,7 +11,7 @@ from gelform.cli.console import say
 from gelform.cli.options import Overwrite, Quiet, one_of
 from gelform.errors import DataError
 
-RENDERERS = ("taxim", "isaaclab")
+RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which help does not import
 FILES = ("ply", "stl", "tiff", "png")
 
 
@@ -46,7 +46,7 @@ def export(
     from gelform.reconstruction import KIND as RESULT
 
     to = one_of(to, RENDERERS + FILES, "--to")
-    kind, wanted = kind_of_npz(source), CALIBRATION if to in RENDERERS else RESULT
+    kind, wanted = kind_of_npz(source) or "", CALIBRATION if to in RENDERERS else RESULT
     if kind != wanted:
         what = {CALIBRATION: "a calibration", RESULT: "a result"}
         raise DataError(
