@@ -116,27 +116,20 @@ class Calibration:
         CalibrationError
             Imported from a package that does not say it.
         """
-        height, width = self.image_shape
-        if np.shape(gradients) != (height, width, 2):
-            raise ValueError(
-                f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
-            )
-        y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-        change = self.color_change_at(np.reshape(gradients, (-1, 2)), x, y)
-        return change.reshape(height, width, 3).astype(np.float32)
-
-    def color_change_at(
-        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
-    ) -> NDArray[np.float64]:
-        """`color_from_gradients` of scattered pixels: expected color change (N, 3) of gradients (N, 2)."""
         source: Any = self.forward if self.forward is not None else self.color_model
         if not hasattr(source, "color_from_gradients"):
             raise CalibrationError(
                 f"This calibration ({self.sensor_name}, color model {self.color_model.name}) was imported without a "
                 "forward response: what colour a slope gives is not known. Calibrate on presses of a ball."
             )
-        change: NDArray[np.float64] = source.color_from_gradients(gradients, x_px, y_px)
-        return change
+        height, width = self.image_shape
+        if np.shape(gradients) != (height, width, 2):
+            raise ValueError(
+                f"Expected gradients of shape ({height}, {width}, 2), got {np.shape(gradients)}."
+            )
+        y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+        change = source.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
+        return change.reshape(height, width, 3).astype(np.float32)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write one .npz without pickles, under a temporary name first.

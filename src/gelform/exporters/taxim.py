@@ -95,6 +95,8 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     CalibrationError
         Imported without a forward response.
     """
+    calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # or says that it cannot
+    response: Any = calibration.forward or calibration.color_model
     y_px, x_px = _places(calibration.image_shape)
     blurred = cv2.GaussianBlur(calibration.background, (0, 0), BACKGROUND_BLUR_PX)
     untouched = blurred[y_px.astype(int), x_px.astype(int)]
@@ -107,7 +109,7 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     table = np.empty((BINS, BINS, 3, 6))
     for steepness, slope in enumerate(slopes):
         gradients = slope * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
-        change = calibration.color_change_at(
+        change = response.color_from_gradients(
             np.repeat(gradients, x_px.size, axis=0), np.tile(x_px, BINS), np.tile(y_px, BINS)
         )
         background = np.tile(untouched, (BINS, 1, 1))
