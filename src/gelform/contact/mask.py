@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map, check_mm_per_px, check_number
+from gelform.medians import medians_where
 
 SMOOTHING_PX = 0.7  # standard deviation of a Gaussian, before the surface's bending is taken
 NOISE_SAMPLES = 10_000
@@ -96,7 +97,8 @@ def _pressure(
     falling = (bent < np.float32(-4 * _noise(bent))) & (bed > 0)
     stiffness = 0.0
     if np.count_nonzero(falling) >= LEAST_FALLING:
-        stiffness = min(float(np.median(-bent[falling] / bed[falling])), STIFFEST)
+        ratios = -bent[falling] / bed[falling]
+        stiffness = min(float(medians_where(ratios.reshape(-1, 1, 1))[0][0]), STIFFEST)
     bed *= np.float32(stiffness)
     bent += bed
     return bent, bed
@@ -141,9 +143,9 @@ def _regions(
     flat = above & (pressure > np.float32(OF_FLAT) * bed) & (bed > np.float32(FLAT) * around)
     above &= pressure > np.float32(HALF) * around
     above |= cv2.erode(flat.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(above.view(np.uint8), connectivity=8)
-    seeds = np.bincount(labels[pressure > np.float32(SEED * limit)], minlength=count)
-    kept = (boxes[:, cv2.CC_STAT_AREA] >= min_px) & (seeds >= min(LEAST_SEEDS, max(min_px, 1)))
-    kept[0] = False
-    found: NDArray[np.bool_] = kept[labels] & above
-    return found
+    count, labels = cv2.connectedComponents(above.view(np.uint8), connectivity=8)
+    inside = labels[above]  # few pixels of the frame: all that follows looks at these alone
+    areas = np.bincount(inside, minlength=count)
+    seeds = np.bincount(inside[pressure[above] > np.float32(SEED * limit)], minlength=count)
+    above[above] = ((areas >= min_px) & (seeds >= min(LEAST_SEEDS, max(min_px, 1))))[inside]
+    return above
