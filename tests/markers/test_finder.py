@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.markers.finder import MarkerFinder, is_grid, markers_from_image
+from gelform.markers.finder import MarkerFinder, evenness, is_grid, markers_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
 
@@ -171,3 +171,22 @@ def test_real_gel_with_markers(data):
     assert finder.untouched.radius_px == pytest.approx(5.9, abs=0.5)
     for frame in frames[1:]:
         assert 74 <= len(finder(frame.image)) <= 84
+
+
+def test_irregular_layouts_are_markers():
+    sensor = marked(pitch_mm=1.6, radius_mm=0.26)
+    for seed, jitter in enumerate((0.4, 0.5, 0.5)):
+        coating = replace(sensor.coating, marker_jitter=jitter, marker_missing=0.05, seed=seed)
+        own = replace(sensor, coating=coating)
+        found = markers_from_image(simulate_background(own, np.random.default_rng(seed)))
+        true = (
+            coating.markers_mm(own.shape, own.mm_per_px) / own.mm_per_px + (np.array(own.shape[::-1]) - 1) / 2
+        )
+        assert matched(found.centers_px, true, own.shape, 5)[0] > 0.97
+
+
+def test_evenness_of_random_points_and_grids():
+    random = [evenness(np.random.default_rng(seed).uniform(0, 300, (60, 2))) for seed in range(50)]
+    assert max(random) < 1.3
+    y, x = np.mgrid[0:100:10, 0:150:10]
+    assert evenness(np.stack([x.ravel(), y.ravel()], axis=1)) == pytest.approx(2)

@@ -1,9 +1,9 @@
-"""Marker dots on the gel: found, so that their pixels can be left out. They are not tracked.
+"""Marker dots on the gel, found by their darkness in the untouched image and in others.
 
 A dot is dark in all channels against the gel around it; a contact is bright on one side and dark on the other. So
 the mean of the channels is held against its closing (the largest value nearby, then the smallest of those: what
-the gel would be without anything small and dark on it). Dots are markers only where they form a regular grid:
-dust does not.
+the gel would be without anything small and dark on it). Dots are markers only where they form a grid or are
+spread evenly: dust is not.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ MIN_DOTS = 9
 MIN_AREA_PX = 5
 SIZE_RANGE = (0.4, 2.5)
 MIN_ORDER = 0.5
+SPREAD, MIN_IRREGULAR, MIN_EVENNESS = 0.6, 25, 1.4  # of dots in no grid; dust is not so even
 NEIGHBOURS = (0.7, 1.3)
 MIN_WITH_NEIGHBOURS = 0.7
 LEVELS = (0.3, 0.5, 0.7)  # of a dot's peak; the first is its edge, the others part it from a shadow beside it
@@ -59,7 +60,7 @@ class MarkerFinder:
 
     Attributes
     ----------
-    untouched : the dots of the untouched gel; none where they form no regular grid
+    untouched : the dots of the untouched gel; none where they form no grid, nor are evenly spread
     """
 
     def __init__(self, background: ArrayLike) -> None:
@@ -129,7 +130,7 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
     Returns
     -------
     Markers
-        None on a gel without markers. Dots that form no regular grid (dust, random patterns) are no markers.
+        None on a gel without markers. Dots that form no grid and are not spread evenly either, as dust, are no markers.
 
     Raises
     ------
@@ -161,11 +162,31 @@ def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
         return 0.0, 0.0
     typical = float(np.median(areas[strong]))
     alike = strong & (areas > SIZE_RANGE[0] * typical) & (areas < SIZE_RANGE[1] * typical)
-    if np.count_nonzero(alike) < MIN_DOTS or not is_grid(_centers(darkness, labels, len(areas))[alike]):
+    if np.count_nonzero(alike) < MIN_DOTS or not _is_layout(
+        _centers(darkness, labels, len(areas))[alike], darkness.shape
+    ):
         return 0.0, 0.0
     peak = float(np.median(peaks[alike]))
     areas, _, whole = _dots(darkness, LEVELS[0] * peak, None)
     return peak, float(np.median(areas[whole & (areas > SIZE_RANGE[0] * typical)]))
+
+
+def _is_layout(centers_px: NDArray[Any], shape: tuple[int, ...]) -> bool:
+    """Whether points (N, 2) of an image of that shape are a gel's layout: a grid, or evenly spread all over it."""
+    if is_grid(centers_px):
+        return True
+    all_over = bool(np.all(np.ptp(centers_px, axis=0) > SPREAD * np.array(shape[::-1])))
+    return all_over and len(centers_px) >= MIN_IRREGULAR and evenness(centers_px) > MIN_EVENNESS
+
+
+def evenness(centers_px: NDArray[Any]) -> float:
+    """Mean distance of points (N, 2) to the nearest over that of random points: about 1 for dust, 2 for a square grid.
+
+    Clark and Evans, Ecology 35, 1954; the points' bounding box, half a distance wider, is their area.
+    """
+    nearest = np.asarray(scipy.spatial.cKDTree(centers_px).query(centers_px, k=2)[0])[:, 1]
+    area = float(np.prod(np.ptp(centers_px, axis=0) + nearest.mean()))
+    return float(nearest.mean() / (0.5 * np.sqrt(area / len(centers_px))))
 
 
 def is_grid(centers_px: NDArray[Any]) -> bool:

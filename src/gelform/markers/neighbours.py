@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 NEIGHBOURS = 8
 REACH = 1.7  # of the spacing: as far as neighbours count
@@ -28,7 +28,7 @@ class Neighbours:
     def __init__(self, rest_px: NDArray[Any]) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)
         count = len(self._rest)
-        found = cKDTree(self._rest).query(self._rest, k=min(NEIGHBOURS + 1, count))
+        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(NEIGHBOURS + 1, count))
         distance, self._index = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
         self.spacing_px = float(np.median(distance[:, 0]))
         self._near = distance < REACH * np.maximum(self.spacing_px, distance[:, :1])
