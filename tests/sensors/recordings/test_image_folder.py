@@ -5,7 +5,12 @@ import pytest
 
 from gelform.errors import DataError
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import TIMES, FolderRecording, recorded_folder_playback
+from gelform.sensors.recordings.image_folder import (
+    TIMES,
+    FolderRecording,
+    folder_summary,
+    recorded_folder_playback,
+)
 from gelform.sensors.source import open_source
 from made.recorded import frames
 
@@ -31,6 +36,14 @@ def test_the_same_frames_at_the_same_times(tmp_path):
         assert after.time_s == pytest.approx(before.time_s - given[0].time_s, abs=1e-6)
 
 
+def test_a_summary_counts_without_reading_pictures(tmp_path):
+    folder = recorded(tmp_path / "r", frames(6))
+    (folder / "00000001.png").unlink()
+    summary = folder_summary(folder)
+    assert (summary.frames, summary.finished, summary.facts) == (6, True, FACTS)
+    assert summary.duration_s == pytest.approx(6 / 50)
+
+
 def test_jpegs_stay_as_the_camera_made_them(tmp_path):
     given = frames(2, encoded=True)
     taken = list(recorded_folder_playback(recorded(tmp_path / "r", given)))
@@ -42,6 +55,8 @@ def test_a_line_that_is_not_finished_is_where_the_recorder_was_killed(tmp_path):
     text = (folder / TIMES).read_text()
     (folder / TIMES).write_text(text[:-5])
     assert len(list(recorded_folder_playback(folder))) == 5
+    summary = folder_summary(folder)
+    assert (summary.frames, summary.finished) == (5, False)
 
 
 def test_a_folder_with_something_in_it_is_kept(tmp_path):

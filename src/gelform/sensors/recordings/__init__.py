@@ -5,8 +5,8 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "facts": ["RecordingFacts"],
-        "image_folder": ["FolderRecording", "recorded_folder_playback"],
+        "facts": ["RecordingFacts", "RecordingSummary"],
+        "image_folder": ["FolderRecording", "folder_summary", "recorded_folder_playback"],
         "mcap_reader": ["mcap_playback", "mcap_summary"],
         "mcap_writer": ["McapRecording"],
         "record": ["Recording", "RecordStats", "new_recording", "record_frames"],

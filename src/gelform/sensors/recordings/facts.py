@@ -58,6 +58,16 @@ class RecordingFacts:
             raise DataError(f"{where} is damaged: what it says of its camera cannot be read.") from problem
 
 
+@dataclass(frozen=True)
+class RecordingSummary:
+    """A recording: facts of its camera, frames, seconds from the first to the last, whether it was finished."""
+
+    facts: RecordingFacts
+    frames: int
+    duration_s: float
+    finished: bool
+
+
 def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
     """("jpeg", the bytes as the camera sent them), or ("png", the pixels without loss)."""
     if frame.encoded is not None:

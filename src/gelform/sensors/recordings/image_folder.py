@@ -10,6 +10,7 @@ from gelform.frames import Frame
 from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.facts import (
     RecordingFacts,
+    RecordingSummary,
     encoded_from_frame,
     image_from_encoded,
     reduction_in,
@@ -97,21 +98,41 @@ def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
     )
 
 
-def _frames(path: Path, reduction: int) -> Iterator[Frame]:
+def folder_summary(path: Path) -> RecordingSummary:
+    """Count a recorded folder's frames, without reading them; a table is finished where its last line is."""
+    facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
+    lines = _lines(path)
+    whole = [_row(path, line) for line in lines if line.endswith("\n")]
+    duration_s = whole[-1][0] - whole[0][0] if whole else 0.0
+    return RecordingSummary(facts, len(whole), duration_s, len(whole) == len(lines))
+
+
+def _lines(path: Path) -> list[str]:
+    """The lines of the table below its header; the last one lacks its end where the recorder was killed."""
     lines = (path / TIMES).read_text(encoding="ascii", errors="replace").splitlines(keepends=True)
     if not lines or lines[0].strip() != COLUMNS:
         raise DataError(f"Expected the columns {COLUMNS} in {path / TIMES}, got {lines[:1]}.")
-    for line in lines[1:]:
+    return lines[1:]
+
+
+def _row(path: Path, line: str) -> tuple[float, int, int, str]:
+    """(time_s, wall_time_ns, index, name of the image) of a line."""
+    try:
+        index, time_s, wall_time_ns, name = line.strip().split(",")
+        return float(time_s), int(wall_time_ns), int(index), Path(name).name
+    except ValueError as problem:
+        raise DataError(f"{path / TIMES} is damaged: {line.strip()!r} is no line of it.") from problem
+
+
+def _frames(path: Path, reduction: int) -> Iterator[Frame]:
+    for line in _lines(path):
         if not line.endswith("\n"):
             return  # the recorder was killed while it wrote
+        time_s, wall_time_ns, index, name = _row(path, line)
+        file = path / name
         try:
-            index, time_s, wall_time_ns, name = line.strip().split(",")
-            file = path / Path(name).name
             content = file.read_bytes()
-            frame = (float(time_s), int(wall_time_ns), int(index))
-        except ValueError as problem:
-            raise DataError(f"{path / TIMES} is damaged: {line.strip()!r} is no line of it.") from problem
         except OSError as problem:
             raise DataError(f"Cannot read {problem.filename}: {problem.strerror}.") from problem
         image = image_from_encoded(content, reduction, str(file))
-        yield Frame(image, *frame, content if file.suffix == ".jpg" else None)
+        yield Frame(image, time_s, wall_time_ns, index, content if file.suffix == ".jpg" else None)

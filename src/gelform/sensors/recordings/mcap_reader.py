@@ -11,22 +11,17 @@ from typing import Any, BinaryIO
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.playback import Playback
-from gelform.sensors.recordings.facts import RecordingFacts, image_from_encoded, reduction_in
+from gelform.sensors.recordings.facts import (
+    RecordingFacts,
+    RecordingSummary,
+    image_from_encoded,
+    reduction_in,
+)
 from gelform.sensors.recordings.mcap_writer import METADATA, TOPIC
 from gelform.sensors.recordings.messages import MESSAGE_ENCODING, SCHEMA_NAME, picture_from_message
 
 MAX_RECORD_BYTES = 256 * 2**20
 LOOKED_AT = 200  # records, for what kind of pictures a file holds
-
-
-@dataclass(frozen=True)
-class McapSummary:
-    """A recording: facts of its camera, frames, seconds from the first to the last, whether it was finished."""
-
-    facts: RecordingFacts
-    frames: int
-    duration_s: float
-    finished: bool
 
 
 def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
@@ -51,7 +46,7 @@ def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
     )
 
 
-def mcap_summary(path: Path) -> McapSummary:
+def mcap_summary(path: Path) -> RecordingSummary:
     """Read a whole recording, but decode none of its pictures."""
     facts, topic = _look(path)
     stamps, finished = [], False
@@ -59,7 +54,9 @@ def mcap_summary(path: Path) -> McapSummary:
         finished = type(record).__name__ == "Footer"
         if _is_message_of(record, topic):
             stamps.append(record.message.log_time)
-    return McapSummary(facts, len(stamps), (max(stamps) - min(stamps)) / 1e9 if stamps else 0.0, finished)
+    return RecordingSummary(
+        facts, len(stamps), (max(stamps) - min(stamps)) / 1e9 if stamps else 0.0, finished
+    )
 
 
 @dataclass(frozen=True)

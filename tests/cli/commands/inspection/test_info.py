@@ -9,6 +9,10 @@ from gelform.calibration_file import load_calibration
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import save_result
 from gelform.sensors.files import read_image
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.mcap_writer import McapRecording
+from made.recorded import frames
 
 
 def test_a_calibration(run, run_json, calibration_file):
@@ -86,3 +90,30 @@ def test_mistakes_are_one_line(fails, calibration_file, tmp_path):
     (tmp_path / "cut.npz").write_bytes(content[: len(content) // 2])
     assert "damaged" in fails("info", tmp_path / "cut.npz")
     assert "No file or folder" in fails("info", tmp_path / "missing")
+
+
+def test_a_recording_says_its_camera_and_whether_it_was_finished(run, run_json, tmp_path):
+    recording = FolderRecording(tmp_path / "r", RecordingFacts("DIGIT", "D1", {"gain": 3.0}))
+    for frame in frames(4):
+        recording.write(frame)
+    recording.close()
+    facts = run_json("info", tmp_path / "r")
+    assert (facts["kind"], facts["camera"], facts["frames"], facts["finished"]) == (
+        "recording",
+        "DIGIT",
+        4,
+        "yes",
+    )
+    table = tmp_path / "r" / "frames.csv"
+    table.write_text(table.read_text()[:-3])
+    assert "no: the recorder was stopped" in run("info", tmp_path / "r")[1]
+
+
+def test_an_mcap_file_is_a_recording(run_json, tmp_path):
+    pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    recording = McapRecording(tmp_path / "r.mcap", RecordingFacts("DIGIT", "D1"))
+    for frame in frames(4):
+        recording.write(frame)
+    recording.close()
+    facts = run_json("info", tmp_path / "r.mcap")
+    assert (facts["kind"], facts["serial"], facts["frames"]) == ("recording", "D1", 4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,9 @@ from gelform.cli.facts_in_words import lines_of
 from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
+if TYPE_CHECKING:
+    from gelform.sensors.recordings.facts import RecordingSummary
+
 
 def info(
     path: Annotated[
@@ -21,7 +24,7 @@ def info(
     ],
     as_json: Json = False,
 ) -> None:
-    """Say what a calibration, a result, an image, a video or a folder of presses is, and what is missing.
+    """Say what a calibration, a result, an image, a video, a recording or a folder of presses is, and what is missing.
 
     \b
     Examples:
@@ -29,6 +32,7 @@ def info(
       gelform info out/frame.npz --json
       gelform info presses/
       gelform info presses.avi
+      gelform info session.mcap
     """
     if not path.exists():
         raise DataError(f"No file or folder {path}. Check the path.")
@@ -59,6 +63,10 @@ def _file(path: Path) -> dict[str, Any]:
         return _video(path)
     if layout == TAXIM:
         return _presses(path, layout)
+    if path.suffix.lower() == ".mcap":
+        from gelform.sensors.recordings.mcap_reader import mcap_summary
+
+        return _recording(mcap_summary(path))
     if path.suffix == ".npz":
         raise DataError(f"{path} is neither a calibration nor a result of gelform's, or it is damaged.")
     from gelform.sensors.files import read_image
@@ -66,6 +74,22 @@ def _file(path: Path) -> dict[str, Any]:
     image = read_image(path)
     levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
+
+
+def _recording(summary: RecordingSummary) -> dict[str, Any]:
+    """Its frames are counted, none is decoded."""
+    facts = summary.facts
+    return {
+        "kind": "recording",
+        "camera": facts.name,
+        "serial": facts.serial,
+        "frames": summary.frames,
+        "duration_s": summary.duration_s,
+        "finished": "yes" if summary.finished else "no: the recorder was stopped; what is there can be read",
+        "settings": dict(facts.settings),
+        "calibration": facts.calibration_digest,
+        "gelform": facts.library_version,
+    }
 
 
 def _calibration(path: Path) -> dict[str, Any]:
@@ -124,7 +148,10 @@ def _video(path: Path) -> dict[str, Any]:
 def _folder(path: Path) -> dict[str, Any]:
     """A folder of presses; of a folder that is none yet, what would make it one."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
+    from gelform.sensors.recordings.image_folder import folder_summary, is_recorded_folder
 
+    if is_recorded_folder(path):
+        return _recording(folder_summary(path))
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)
