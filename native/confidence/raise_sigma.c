@@ -6,12 +6,13 @@ enum { PIECE = 4 * COLUMNS };                   // pixels of a row that are unpa
 
 struct causes {
   const float *cells, *bias;
-  float unexplained, per_change, unseen, clean, added;
+  float unexplained, sure, per_change, unseen, clean, added;
   uint8_t dark_to, saturated_from;
 };
 
 struct lines {
   float r[PIECE], g[PIECE], b[PIECE], p[PIECE], q[PIECE], variance[PIECE];
+  int32_t sure[PIECE];
 };
 
 static inline void unpack(struct lines *restrict l, const float *restrict change, const float *restrict gradients,
@@ -27,6 +28,20 @@ static inline void find_unexplained(const float *restrict cell, struct lines *re
   lanes r = load_lanes(l->r + x), g = load_lanes(l->g + x), b = load_lanes(l->b + x);
   for (int t = 0; t < TERMS; t++) r -= of[t] * cell[3 * t], g -= of[t] * cell[3 * t + 1], b -= of[t] * cell[3 * t + 2];
   store_lanes(l->variance + x, (r * r + g * g + b * b) * (1.0f / 3));
+}
+
+// Which pixels' colour no slope gives for sure; the others' variance grows with what is unexplained.
+static inline void find_sure(const struct causes *c, struct lines *restrict l) {
+  const float square = c->sure * c->sure;
+  for (int k = 0; k < PIECE; k++) l->sure[k] = l->variance[k] > square;
+}
+
+static inline int mark_sure(const struct lines *restrict l, bool *restrict marked, int n) {
+  int count = 0;
+  for (int k = 0; k < n; k++) count += l->sure[k];
+  if (count > 0)
+    for (int k = 0; k < n; k++) marked[k] |= l->sure[k] != 0;
+  return count;
 }
 
 static inline void variance_of_unexplained(const struct causes *c, float *restrict variance, int n) {
@@ -61,12 +76,13 @@ static inline void finish(const struct causes *c, const float *restrict variance
   }
 }
 
-// Pixels at the camera's ends are marked in `clipped`, not counted in sigma: how far they reach is known afterwards.
+// Pixels at the camera's ends, and those whose colour no slope gives for sure, are marked in `marked`; how far they reach is
+// known afterwards. Returns how many.
 EXPORT int raise_sigma(const uint8_t *image, const float *change, const float *gradients, const bool *unseen_at,
                        const float *cells, const float *bias, const float *gain, float *sigma, float *confidence,
-                       bool *clipped, float unexplained, float per_change, float unseen, float clean, float added,
+                       bool *marked, float unexplained, float sure, float per_change, float unseen, float clean, float added,
                        int32_t dark_to, int32_t saturated_from, ptrdiff_t h, ptrdiff_t w, ptrdiff_t ch, ptrdiff_t cw) {
-  const struct causes c = {cells, bias, unexplained, per_change, unseen, clean, added, (uint8_t)dark_to, (uint8_t)saturated_from};
+  const struct causes c = {cells, bias, unexplained, sure, per_change, unseen, clean, added, (uint8_t)dark_to, (uint8_t)saturated_from};
   const float square = unseen * unseen;
   int count = 0;
   if (cells != NULL && (ch != (h + ROWS - 1) / ROWS || cw != (w + COLUMNS - 1) / COLUMNS)) return WRONG_SIZE;
@@ -79,11 +95,13 @@ EXPORT int raise_sigma(const uint8_t *image, const float *change, const float *g
         const float *cell = cells + (y / ROWS * cw + x / COLUMNS) * TERMS * 3;
         unpack(&l, change + 3 * at, gradients + 2 * at, bias, n);
         for (int k = 0; k < n; k += COLUMNS, cell += TERMS * 3) find_unexplained(cell, &l, k);
+        find_sure(&c, &l);
         variance_of_unexplained(&c, l.variance, PIECE);
       } else memset(l.variance, 0, sizeof l.variance);
       if (unseen_at != NULL)
         for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
-      count += find_clipped(&c, image + 3 * at, clipped + at, n);
+      count += find_clipped(&c, image + 3 * at, marked + at, n);
+      if (cells != NULL) count += mark_sure(&l, marked + at, n);
       finish(&c, l.variance, gain + at, sigma + at, confidence + at, n);
     }
   return count;

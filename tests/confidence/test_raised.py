@@ -40,7 +40,8 @@ def test_one_pass_and_one_by_one(with_forward, outside):
     seen = causes.seen(image, change, raw, markers=markers, lost=None, lost_image=image)
     maps = {name: cause(seen) for name, cause in CAUSES.items()}
     wanted = np.sqrt(law**2 + sum(one.astype(float) ** 2 for one in maps.values()))
-    np.testing.assert_allclose(sigma, wanted, rtol=2e-3)
+    most = causes.limits.unseen  # where several causes leave nothing, they need not be counted twice
+    np.testing.assert_allclose(np.minimum(sigma, most), np.minimum(wanted, most), rtol=2e-3)
     np.testing.assert_allclose(confidence, np.minimum(1, (CLEAN / sigma) ** 2), rtol=1e-5)
     there = {name for name, one in maps.items() if one.any()}
     assert there == {"saturated", "dark", "marker", "compression"} | (
@@ -49,18 +50,19 @@ def test_one_pass_and_one_by_one(with_forward, outside):
 
 
 def numpy_raise_sigma(
-    image, change, gradients, unseen, cells, bias, gain, sigma, confidence, clipped, unexplained, per_change, unseen_sigma,
-    clean, added, dark_to, saturated_from,
+    image, change, gradients, unseen, cells, bias, gain, sigma, confidence, marked, unexplained, sure, per_change,
+    unseen_sigma, clean, added, dark_to, saturated_from,
 ):  # fmt: skip
     """What the kernel should give."""
+    ends = (image <= dark_to).any(axis=-1) | (image >= saturated_from).any(axis=-1)
     total = sigma.astype(float) ** 2 + (added * gain) ** 2
     if cells is not None:
         apart = change - explained_change(cells, gradients + bias)
         size = np.sqrt((apart**2).mean(axis=-1))
         total += (per_change * np.maximum(size - unexplained, 0)) ** 2
+        ends |= size > sure
     if unseen is not None:
         total += unseen * unseen_sigma**2
-    ends = (image <= dark_to).any(axis=-1) | (image >= saturated_from).any(axis=-1)
     return np.sqrt(total), np.minimum(clean**2 / total, 1), ends
 
 
@@ -74,5 +76,5 @@ def test_the_kernel_agrees_with_numpy(optional, shape):
         rng.normal(0, 0.2, (*shape, 3)).astype(np.float32), rng.normal(0, 0.3, (*shape, 2)).astype(np.float32),
         rng.uniform(size=shape) > 0.8 if optional else None, cells if optional else None, BIAS,
         rng.uniform(0.005, 0.02, shape).astype(np.float32), rng.uniform(0.01, 0.1, shape).astype(np.float32),
-        np.empty(shape, np.float32), np.empty(shape, bool), 0.1, 4.5, 40.0, 0.04, 3.0, 2, 254,
+        np.empty(shape, np.float32), np.empty(shape, bool), 0.1, 0.4, 4.5, 40.0, 0.04, 3.0, 2, 254,
     )  # fmt: skip

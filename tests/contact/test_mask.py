@@ -94,7 +94,7 @@ def test_pixels_need_not_be_square():
 
 def test_the_bending_is_minus_the_laplacian_on_either_axis():
     y, x = np.mgrid[:30, :40].astype(np.float32)
-    bent = mask._bent(-0.01 * x**2 - 0.03 * y**2, (0.1, 0.2))
+    bent = mask._bent(-0.01 * x**2 - 0.03 * y**2, (0.1, 0.2), 2)
     np.testing.assert_allclose(bent, 2 * 0.01 / 0.1**2 + 2 * 0.03 / 0.2**2, rtol=1e-3)
 
 

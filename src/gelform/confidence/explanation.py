@@ -19,7 +19,7 @@ LAW = "law"
 NAMED_FROM = (
     0.35  # mm/mm, that a cause adds alone: about the slope of a ball's rim, so that nothing is left of it
 )
-NAMED_IF_ANY = ("compression",)  # what is 0 unless it is there
+NAMED_EARLIER = {"off_gamut": 0.1, "compression": 0.0}  # what is 0 unless it is there
 LEAST_PX = 12  # connected, where a cause adds so much: less is not named
 SAID = {
     "saturated": "at the camera's upper end in a channel. Lower exposure, gain or the lights.",
@@ -68,7 +68,7 @@ class Explanation:
         return tuple(
             Finding(name, f"{100 * share:.1f} % of the frame is {SAID[name]}", share)
             for name, one in self.maps.items()
-            if (share := _named_share(one > (0 if name in NAMED_IF_ANY else NAMED_FROM))) > 0
+            if (share := _named_share(one > NAMED_EARLIER.get(name, NAMED_FROM))) > 0
         )
 
     @cached_property

@@ -17,7 +17,7 @@ from gelform.confidence.causes.seen import Limits, Seen, with_margin
 _raise_sigma = Kernel(
     "raise_sigma",
     "u8[h,w,3] image, f32[h,w,3] change, f32[h,w,2] gradients, bool[h,w]? unseen_at, f32[ch,cw,9,3]? cells, f32[2] bias, "
-    "f32[h,w] gain, out f32[h,w] sigma, out f32[h,w] confidence, out bool[h,w] clipped, f32 unexplained, "
+    "f32[h,w] gain, out f32[h,w] sigma, out f32[h,w] confidence, out bool[h,w] marked, f32 unexplained, f32 sure, "
     "f32 per_change, f32 unseen, f32 clean, f32 added, i32 dark_to, i32 saturated_from",
 )
 
@@ -60,14 +60,14 @@ class PreparedCauses:
         sigma : (H, W), of the law and the colours' distance to those of the training presses
         """
         limits, pixels = self.limits, as_levels(image)
-        confidence, clipped = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
+        confidence, marked = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
         count = _raise_sigma(
             pixels, color_change, gradients, self._unseen(hidden), self._cells, reference.bias, limits.gain, sigma,
-            confidence, clipped, limits.unexplained, limits.per_change, limits.unseen, limits.clean,
+            confidence, marked, limits.unexplained, limits.sure, limits.per_change, limits.unseen, limits.clean,
             limits.worth * self.added_levels(pixels), dark.DARK_TO, saturated.SATURATED_FROM,
         )  # fmt: skip
         if count:
-            self._raise_clipped(clipped, sigma, confidence)
+            self._raise_around(marked, sigma, confidence)
         return confidence
 
     def seen(
@@ -94,13 +94,13 @@ class PreparedCauses:
         outside = self.limits.outside
         return hidden if outside is None else outside if hidden is None else hidden | outside
 
-    def _raise_clipped(
-        self, clipped: NDArray[np.bool_], sigma: NDArray[np.float32], confidence: NDArray[np.float32]
+    def _raise_around(
+        self, marked: NDArray[np.bool_], sigma: NDArray[np.float32], confidence: NDArray[np.float32]
     ) -> None:
         limits = self.limits
         if limits.outside is not None:
-            clipped &= ~limits.outside
-        reached = with_margin(clipped, limits.margin_px)
+            marked &= ~limits.outside
+        reached = with_margin(marked, limits.margin_px)
         raised = np.hypot(sigma[reached], np.float32(limits.unseen))
         sigma[reached] = raised
         confidence[reached] = np.minimum(np.square(np.float32(limits.clean) / raised), 1)

@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_map, check_mm_per_px, check_number
 from gelform.medians import medians_where
 
-SMOOTHING_PX = 0.7  # standard deviation of a Gaussian, before the surface's bending is taken
+SMOOTHINGS_PX = (
+    0.7,
+    1.5,
+    2.5,
+)  # standard deviation of a Gaussian, before the surface's bending is taken: the first ...
+QUIET = 0.06  # ... that leaves no more noise than this, 1/mm
 NOISE_SAMPLES = 10_000
 SHARE_AT_REST = 0.3  # of the frame that is taken to be untouched at least
 SIGMA_OF_SHARE = (
@@ -91,10 +96,15 @@ def _pressure(
     depth: NDArray[Any], sigma: Any, pitch: tuple[float, float]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Pressure (H, W) over the surface's tension, 1/mm, and the bed's share z/L^2 of what depth is known to be there."""
-    smooth = cv2.GaussianBlur(depth, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REPLICATE)
-    bent = _bent(smooth.reshape(depth.shape), pitch)
+    for smoothing in SMOOTHINGS_PX:
+        smooth = cv2.GaussianBlur(depth, (0, 0), smoothing, borderType=cv2.BORDER_REPLICATE).reshape(
+            depth.shape
+        )
+        bent = _bent(smooth, pitch, int(np.ceil(2 * smoothing)))
+        if (noise := _noise(bent)) <= QUIET:
+            break
     bed = np.maximum(smooth - np.float32(SIGMAS_OF_DEPTH) * sigma, 0, out=smooth)
-    falling = (bent < np.float32(-4 * _noise(bent))) & (bed > 0)
+    falling = (bent < np.float32(-4 * noise)) & (bed > 0)
     stiffness = 0.0
     if np.count_nonzero(falling) >= LEAST_FALLING:
         ratios = -bent[falling] / bed[falling]
@@ -104,12 +114,11 @@ def _pressure(
     return bent, bed
 
 
-def _bent(depth: NDArray[Any], pitch: tuple[float, float]) -> NDArray[np.float32]:
-    """Minus the Laplacian (H, W) of a depth, 1/mm; at the borders that of the next pixels inside."""
+def _bent(depth: NDArray[Any], pitch: tuple[float, float], margin: int) -> NDArray[np.float32]:
+    """Minus the Laplacian (H, W) of a depth, 1/mm; within a margin of the borders that of the next pixels inside."""
     x, y = 1 / pitch[0] ** 2, 1 / pitch[1] ** 2
     kernel = np.array([[0, -y, 0], [-x, 2 * (x + y), -x], [0, -y, 0]], dtype=np.float32)
     bent: NDArray[np.float32] = cv2.filter2D(depth, cv2.CV_32F, kernel).reshape(depth.shape)
-    margin = int(np.ceil(2 * SMOOTHING_PX))
     if min(bent.shape) > 2 * margin:
         for side in (bent, bent.T):
             side[:margin], side[-margin:] = side[margin], side[-margin - 1]

@@ -9,10 +9,10 @@ from made.seen_frames import NOISE, SHAPE, patch, seen
 
 def test_what_the_channels_do_not_have_in_common():
     residual = np.zeros((40, 72, 3), np.float32)
-    residual[patch()] = 0.4, -0.2, -0.2
+    residual[patch()] = 0.2, -0.1, -0.1
     frame = seen(residual=residual)
     found = inconsistent.sigma(frame)
-    size = np.sqrt((0.4**2 + 2 * 0.2**2) / 3)
+    size = np.sqrt((0.2**2 + 2 * 0.1**2) / 3)
     assert found[patch()] == pytest.approx(3 * 1.5 * (size - 3.7 * NOISE), rel=1e-5)
     assert not found[~patch()].any()
     assert not specular.sigma(frame).any()

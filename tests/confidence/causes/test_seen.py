@@ -14,7 +14,7 @@ def test_where_nothing_is_seen_the_weight_is_below_every_solver_s_floor():
 
 def test_the_limit_grows_with_the_response_s_noise():
     assert limits(noise=0.05).unexplained == pytest.approx(0.185)
-    assert limits(noise=0.001).unexplained == limits(noise=None).unexplained == pytest.approx(0.08)
+    assert limits(noise=0.001).unexplained == limits(noise=None).unexplained == pytest.approx(0.02)
 
 
 def test_the_common_part_is_the_mean_over_the_channels():

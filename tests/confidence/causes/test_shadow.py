@@ -15,7 +15,7 @@ def with_residual(*channels):
     return seen(residual=residual)
 
 
-@pytest.mark.parametrize("depth", [0.15, 0.3, 0.6])
+@pytest.mark.parametrize("depth", [0.13, 0.15, 0.18])
 def test_what_all_channels_lose_in_common(depth):
     frame = with_residual(-depth, -depth, -depth)
     found = shadow.sigma(frame)
@@ -35,3 +35,11 @@ def test_a_colour_is_no_shadow():
 
 def test_without_a_forward_response_nothing_is_called_a_shadow():
     assert not shadow.sigma(seen(residual=None)).any()
+
+
+def test_nothing_is_known_in_a_deep_shadow_and_where_its_blur_reaches():
+    frame = with_residual(-0.3, -0.3, -0.3)
+    found = shadow.sigma(frame)
+    assert found[10:20, 30:44].min() >= np.float32(frame.limits.unseen)
+    assert found[10:20, 27:47].min() >= np.float32(frame.limits.unseen)
+    assert not found[10:20, :27].any()

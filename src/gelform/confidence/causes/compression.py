@@ -12,7 +12,7 @@ from gelform.medians import medians_where
 BLOCK_PX = 8  # of JPEG
 EVERY = 4  # rows are looked at
 USUALLY = 1.5  # times the calibrated images' noise is usual: presses are no flat fields
-LEAST_LEVELS = 0.5  # less is as good as none
+LEAST_LEVELS = 1.0  # less is as good as none
 FROM_JUMP = 0.8862  # sigma of a normal distribution over the mean of |a - b| of two of its values
 EXCESS = 1.15  # times the usual jump, that jumps between blocks have to be
 _column_jumps = Kernel("column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] jumps, i32 step")

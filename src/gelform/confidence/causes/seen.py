@@ -13,7 +13,8 @@ from gelform.color_models._shared.gamut import Gamut
 # Of the forward response's noise: what is less is no sign of anything. Depth alone changes the colour of a gel by up to
 # 3.6 of them on a real sensor, where no gradient explains it.
 NOISE_LIMIT = 3.7
-LEAST_LIMIT = 0.08  # of color change, where the response was fitted to images without noise
+SURE_LIMIT = 6.5  # of it: nothing is left of such a slope, nor of those that its blur reaches
+LEAST_LIMIT, LEAST_SURE = 0.02, 0.06  # of color change, where the response was fitted to images without noise
 # A colour that no gradient explains moves the slope by more than the same difference along the colours that do.
 AMPLIFIED = 3.0
 COMMON = 0.6  # times the RMS of the channels, that their mean has to be for light or shadow
@@ -55,6 +56,11 @@ class Limits:
     def unexplained(self) -> float:
         """Color change up to which what no gradient explains is no sign of anything."""
         return max(NOISE_LIMIT * (self.noise or 0.0), LEAST_LIMIT)
+
+    @property
+    def sure(self) -> float:
+        """Color change that no gradient explains, from which nothing is left of a slope."""
+        return max(SURE_LIMIT * (self.noise or 0.0), LEAST_SURE)
 
     @property
     def per_change(self) -> float:
@@ -113,9 +119,13 @@ class Seen:
         return np.where(mask, np.float32(self.limits.unseen), np.float32(0))
 
     def beyond(self, mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Standard deviation (H, W) for what is unexplained, where the mask says so; 0 elsewhere."""
+        """Standard deviation (H, W) for what is unexplained where the mask says so; nothing is known around sure pixels."""
         excess = np.maximum(self.unexplained() - np.float32(self.limits.unexplained), 0)
-        return np.where(mask, np.float32(self.limits.per_change) * excess, np.float32(0))
+        doubt = np.where(mask, np.float32(self.limits.per_change) * excess, np.float32(0))
+        sure = with_margin(mask & (self.unexplained() > self.limits.sure), self.limits.margin_px)
+        if self.limits.outside is not None:
+            sure &= ~self.limits.outside
+        return np.hypot(doubt, self.where(sure))
 
 
 def with_margin(clipped: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:

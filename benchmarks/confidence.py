@@ -1,0 +1,343 @@
+"""Whether sigma, causes and contacts keep what they say: on simulated frames with faults, and on real ones without.
+
+    python benchmarks/confidence.py                        # about 20 minutes; writes results/confidence.json
+    python benchmarks/confidence.py coverage masks --quick # a tenth of the frames, nothing written
+    python benchmarks/confidence.py --calibrations DIR     # keeps the calibrations there, and takes them from there
+
+Thresholds were chosen on the layout three-edges and on the presses of mini-ball that calibrate; figures are of the layouts
+ring-120 and homemade, and of the other presses. `digit`, `alarms` read real data (GELFORM_DATA, default ../shared/data).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import faults
+import gelform
+from gelform.ball import fit_sphere
+from gelform.calibration.circles.find import find_contact, why_no_contact
+from gelform.calibration.circles.prepare import ColorChanges
+from gelform.simulate import (
+    LAYOUTS,
+    Ball,
+    BoxEdge,
+    Cylinder,
+    HeightMap,
+    Pyramid,
+    SimulatedPress,
+    Torus,
+    simulate_background,
+    simulate_ball_presses,
+    simulate_press,
+    text_relief,
+)
+from report import RESULTS, table, write
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+REPORTED = ("ring-120", "homemade")
+DEPTHS_UM = (3.0, 5.0, 10.0)
+SEED = 20261122
+
+
+@dataclass(frozen=True)
+class Run:
+    """How many frames, and where calibrations are kept."""
+
+    quick: bool
+    calibrations: Path
+
+    def frames(self, whole: int) -> int:
+        """So many, or a tenth of them."""
+        return max(3, whole // 10) if self.quick else whole
+
+    def calibration(self, name: str) -> gelform.Calibration:
+        """Of a layout, from 24 simulated presses; or of every second press of real ones."""
+        path = self.calibrations / f"{name}.npz"
+        if not path.is_file():
+            presses = _simulated_presses(name) if name in LAYOUTS else _real_presses(name)[0]
+            model = "hierarchical" if name in LAYOUTS else "auto"
+            gelform.calibrate(presses, color_model=model).save(path)
+        return gelform.load_calibration(path)
+
+
+def _simulated_presses(name: str) -> Any:
+    rng = np.random.default_rng(11)
+    made = simulate_ball_presses(LAYOUTS[name], ball_diameters_mm=[5.0, 8.0], count=24, rng=rng, oversample=1)
+    with tempfile.TemporaryDirectory() as folder:
+        gelform.save_simulated_presses(Path(folder) / "presses", made)
+        return gelform.read_presses(Path(folder) / "presses")
+
+
+@cache
+def _real_presses(name: str) -> tuple[Any, Any]:
+    """The presses that calibrate and the others."""
+    presses = gelform.read_presses(DATA / name)
+    order = sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
+    return presses.subset(order[0::2]), presses.subset(order[1::2])
+
+
+def press(name: str, rng: np.random.Generator, depths_mm: tuple[float, float] = (0.2, 0.8)) -> SimulatedPress:
+    """A ball of 3 to 8 mm somewhere on the gel."""
+    sensor, radius = LAYOUTS[name], rng.uniform(1.5, 4)
+    depth = min(float(np.exp(rng.uniform(*np.log(depths_mm)))), 0.45 * radius)
+    return simulate_press(
+        sensor, Ball(radius), depth_mm=depth, center_mm=_place(name, rng), rng=rng, oversample=1
+    )
+
+
+def _place(name: str, rng: np.random.Generator) -> tuple[float, float]:
+    sensor = LAYOUTS[name]
+    x, y = rng.uniform(-0.3, 0.3, 2) * sensor.shape[::-1] * sensor.mm_per_px
+    return float(x), float(y)
+
+
+def coverage(run: Run) -> dict[str, Any]:
+    """Share of all pixels whose depth is within 1 and 2 sigma, with 5 to 15 % of the frame corrupted."""
+    found: dict[str, Any] = {}
+    for name in REPORTED:
+        reconstruct, rng = gelform.Reconstructor(run.calibration(name)), np.random.default_rng(SEED)
+        within = []
+        for _ in range(run.frames(30)):
+            truth = press(name, rng)
+            result = reconstruct.from_image(faults.corrupted(truth.image, rng, rng.uniform(0.05, 0.15))[0])
+            off = np.abs(result.depth_mm - truth.depth_mm) / result.depth_sigma_mm
+            within.append(((off < 1).mean(), (off < 2).mean()))
+        found[name] = dict(zip(("within_1_sigma", "within_2_sigma"), np.mean(within, axis=0).tolist()))
+    return found
+
+
+def weights(run: Run) -> dict[str, Any]:
+    """RMS depth error with a saturated and two shadowed spots, over that of the same solver without weights."""
+    found: dict[str, Any] = {}
+    for name in REPORTED:
+        calibration, rng = run.calibration(name), np.random.default_rng(SEED + 1)
+        with_weights = gelform.Reconstructor(calibration, depth_sigma=False)
+        without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
+        errors = []
+        for _ in range(run.frames(30)):
+            truth = press(name, rng)
+            image = faults.saturated(faults.shadow(faults.shadow(truth.image, rng), rng), rng)
+            depths = [one.from_image(image).depth_mm for one in (with_weights, without)]
+            errors.append([1e3 * np.sqrt(np.mean((z - truth.depth_mm) ** 2)) for z in depths])
+        rms = np.sqrt(np.mean(np.square(errors), axis=0))
+        found[name] = {
+            "um": float(rms[0]),
+            "unweighted_um": float(rms[1]),
+            "ratio": float(rms[0] / rms[1]),
+            "median_ratio": float(np.median(np.divide(*np.transpose(errors)))),
+        }
+    return found
+
+
+def digit(run: Run) -> dict[str, Any]:
+    """Distance to the sphere fitted in the contact, and depth off it, over those of the solver without weights."""
+    calibration, (_, test) = run.calibration("digit-ball"), _real_presses("digit-ball")
+    runs = [gelform.Reconstructor(calibration, solver=s, depth_sigma=False) for s in ("auto", "dct")]
+    changes = ColorChanges(runs[0].background, calibration.change)
+    rows = []
+    for one in test.presses[:: 10 if run.quick else 1]:
+        contact = find_contact(changes(one.image)[0])
+        if why_no_contact(contact) is None:
+            depths = [reconstruct.from_image(one.image).depth_mm for reconstruct in runs]
+            rows.append([_sphere_um(z, contact.circle_px, one, calibration.mm_per_px) for z in depths])
+    mean = np.mean(rows, axis=0)
+    return {
+        "presses": len(rows),
+        "sphere_um": mean[:, 0].tolist(),
+        "sphere_ratio": float(mean[0, 0] / mean[1, 0]),
+        "off_contact_um": mean[:, 1].tolist(),
+        "off_contact_ratio": float(mean[0, 1] / mean[1, 1]),
+    }
+
+
+def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tuple[float, float]:
+    y, x = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    away = np.hypot(x - circle[0], y - circle[1])
+    inside = away < circle[2] - 4
+    sphere = fit_sphere(depth, inside, mm_per_px=mm_per_px, radius_mm=one.ball_diameter_mm / 2)
+    places = np.stack([x[inside] * mm_per_px, y[inside] * mm_per_px, depth[inside]], axis=-1)
+    apart = np.linalg.norm(places - sphere.center_mm, axis=-1) - sphere.radius_mm
+    return 1e3 * float(np.sqrt(np.mean(apart**2))), 1e3 * float(
+        np.sqrt(np.mean(depth[away > 2.5 * circle[2]] ** 2))
+    )
+
+
+def limit(run: Run) -> dict[str, Any]:
+    """Presses of balls that are found, by depth, and frames of untouched gel in which something is."""
+    found: dict[str, Any] = {}
+    for name in REPORTED:
+        calibration, rng = run.calibration(name), np.random.default_rng(SEED + 2)
+        reconstruct, count = gelform.Reconstructor(calibration), run.frames(100)
+        row: dict[str, Any] = {
+            "frames": count,
+            "false_at_rest": sum(
+                bool(reconstruct.from_image(simulate_background(LAYOUTS[name], rng)).contacts)
+                for _ in range(count)
+            ),
+        }
+        for depth_um in DEPTHS_UM:
+            hits = 0
+            for _ in range(count):
+                truth = press(name, rng, (depth_um / 1e3, depth_um / 1e3))
+                hits += bool((reconstruct.from_image(truth.image).contact & truth.contact).any())
+            row[f"found_at_{depth_um:g}_um"] = hits / count
+        found[name] = row
+    return found
+
+
+def object_press(name: str, rng: np.random.Generator) -> tuple[str, SimulatedPress]:
+    """A ball, an edge or a texture of random size and turn, 0.05 to 1.5 mm deep; at least 40 pixels of it touch."""
+    while True:
+        kind = str(rng.choice(["ball", "edge", "texture"]))
+        depth = float(np.exp(rng.uniform(np.log(0.05), np.log(1.5))))
+        spin = float(rng.uniform(0, 180))
+        try:
+            made = simulate_press(
+                LAYOUTS[name], _object(kind, depth, rng), depth_mm=depth, center_mm=_place(name, rng), rng=rng,
+                spin_deg=spin, oversample=1,
+            )  # fmt: skip
+        except ValueError:  # beside the image
+            continue
+        if made.contact.sum() >= 40:
+            return kind, made
+
+
+def _object(kind: str, depth: float, rng: np.random.Generator) -> Any:
+    if kind == "ball":
+        return Ball(rng.uniform(max(1.5, 1.2 * depth), 5))
+    if kind == "edge":
+        edges = (
+            BoxEdge(rng.uniform(4, 12), rng.uniform(90, 150)),
+            Cylinder(rng.uniform(max(0.8, 1.2 * depth), 3), rng.uniform(4, 12)),
+            Torus(rng.uniform(2, 4), rng.uniform(max(0.5, depth), 1.5)),
+            Pyramid(rng.uniform(3, 7), rng.uniform(110, 150)),
+        )
+        return edges[rng.integers(len(edges))]
+    if rng.random() < 0.3:
+        return text_relief("AB", height_mm=rng.uniform(3, 6))
+    y, x = np.mgrid[:160, :160] * 0.05
+    wave, amplitude = 2 * np.pi / rng.uniform(0.6, 1.5), rng.uniform(0.03, 0.12)
+    relief = amplitude * np.sin(wave * x) * (np.sin(wave * y) if rng.random() < 0.5 else 1)
+    dome = ((x - 4) ** 2 + (y - 4) ** 2) / (2 * rng.uniform(6, 15))
+    return HeightMap(relief - dome - (relief - dome).max(), 0.05)
+
+
+def masks(run: Run) -> dict[str, Any]:
+    """Intersection over union of the contact mask and the truth."""
+    found: dict[str, Any] = {}
+    for name in REPORTED:
+        reconstruct, rng = gelform.Reconstructor(run.calibration(name)), np.random.default_rng(SEED + 3)
+        scores: list[tuple[str, float]] = []
+        for _ in range(run.frames(60)):
+            kind, truth = object_press(name, rng)
+            mask = reconstruct.from_image(truth.image).contact
+            scores.append((kind, float((mask & truth.contact).sum() / (mask | truth.contact).sum())))
+        found[name] = {"median": float(np.median([score for _, score in scores]))}
+        for kind in ("ball", "edge", "texture"):
+            found[name][kind] = float(np.median([score for one, score in scores if one == kind] or [np.nan]))
+    return found
+
+
+def causes(run: Run) -> dict[str, Any]:
+    """Share of frames with a fault in which it is named."""
+    found: dict[str, Any] = {}
+    for name in REPORTED:
+        calibration, rng = run.calibration(name), np.random.default_rng(SEED + 4)
+        reconstruct, row = gelform.Reconstructor(calibration, depth_sigma=False), {}
+        for cause in (*faults.FAULTS, "marker", "outside"):
+            named = []
+            for _ in range(run.frames(40)):
+                image, used = press(name, rng).image, reconstruct
+                if cause in faults.FAULTS:
+                    image = faults.FAULTS[cause](image, rng)
+                else:
+                    own, image = faults.printed(calibration, image, cause, rng)
+                    used = gelform.Reconstructor(own, depth_sigma=False)
+                named.append(cause in {finding.name for finding in used.explain(image).findings})
+            row[cause] = float(np.mean(named))
+        found[name] = row
+    return found
+
+
+def alarms(run: Run) -> dict[str, Any]:
+    """Causes that are named on real frames: held-out presses of mini-ball, mini-objects, the marker video."""
+    _, test = _real_presses("mini-ball")
+    step = 10 if run.quick else 1
+    ball = [one.image for one in test.presses[::step]]
+    objects = [gelform.read_image(DATA / "mini-objects" / f"{n}.png") for n in ("bead", "key", "seed")]
+    rest = gelform.read_background(DATA / "mini-objects" / "background.png")
+    own = gelform.import_calibration(
+        DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth",
+        source="gs_sdk",
+        background=rest,
+        mm_per_px=0.0634,
+    )
+    frames = [frame.image for frame in gelform.Video(DATA / "mini-markers-video" / "mini_example.avi")]
+    dotted = gelform.import_calibration(
+        DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth", source="gs_sdk",
+        background=np.median(frames[:20], axis=0), mm_per_px=0.0634,
+    )  # fmt: skip
+    sets = {
+        "mini-ball": (run.calibration("mini-ball"), ball),
+        "mini-objects": (own, objects),
+        "marker video": (dotted, frames[:: 10 * step]),
+    }
+    return {name: _named(calibration, images) for name, (calibration, images) in sets.items()}
+
+
+def _named(calibration: gelform.Calibration, images: list[np.ndarray]) -> dict[str, Any]:
+    reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
+    counts: dict[str, Any] = {"frames": len(images)}
+    for image in images:
+        for finding in reconstruct.explain(image).findings:
+            counts[finding.name] = counts.get(finding.name, 0) + 1
+    return counts
+
+
+PARTS = {
+    "coverage": coverage,
+    "weights": weights,
+    "digit": digit,
+    "limit": limit,
+    "masks": masks,
+    "causes": causes,
+    "alarms": alarms,
+}
+REAL = ("digit", "alarms")
+
+
+def main() -> None:
+    """Run the parts that are named, or all; keep the others' last figures."""
+    arguments = sys.argv[1:]
+    quick = "--quick" in arguments
+    kept = arguments[arguments.index("--calibrations") + 1] if "--calibrations" in arguments else None
+    path = RESULTS / "confidence.json"
+    figures = json.loads(path.read_text()) if path.is_file() else {}
+    figures.pop("machine", None)
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(quick, Path(kept or folder))
+        for name in [one for one in arguments if one in PARTS] or list(PARTS):
+            if name in REAL and not DATA.is_dir():
+                print(f"\n{name}: left out, no data in {DATA} (set GELFORM_DATA).")
+                continue
+            started = time.monotonic()
+            figures[name] = PARTS[name](run)
+            print(f"\n{name} ({time.monotonic() - started:.0f} s): {PARTS[name].__doc__}")
+            rows = figures[name].items()
+            print(table([name, "figures"], [[key, json.dumps(value)] for key, value in rows]), flush=True)
+            if not quick:
+                write("confidence", figures)
+
+
+if __name__ == "__main__":
+    main()
