@@ -185,7 +185,8 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=0, help="mutants of each module; 0: all")
     parser.add_argument("--seed", type=int, default=1, help="of the sample")
     parser.add_argument("--budget", type=float, default=10, help="seconds of tests of a mutant")
-    parser.add_argument("--missed", action="store_true", help="only what the last run missed, by more tests")
+    parser.add_argument("--missed", action="store_true", help="only what the last run missed")
+    parser.add_argument("--wide", action="store_true", help="by the tests of the whole room too")
     parser.add_argument("--keep", type=Path, help="folder for what later runs can use again")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -200,7 +201,7 @@ def main() -> None:
         }
         for module in asked.modules:
             shutil.rmtree((folder / "src" / "gelform" / module).parent / "__pycache__", ignore_errors=True)
-            trial = Trial(module, folder, kept, asked.budget, asked.missed)
+            trial = Trial(module, folder, kept, asked.budget, asked.wide)
             if asked.missed:
                 figures = again(trial)
             else:

@@ -47,6 +47,17 @@ def test_exposure_and_white_balance_are_no_slope(reconstruct, gain):
     assert np.median(result.albedo) == pytest.approx(1.0, abs=0.005)
 
 
+def test_albedo_is_that_of_the_gel(reconstruct):
+    """A stain that takes the same share of all three lights is no slope."""
+    stained = image_of(None).astype(np.float32)
+    stained[20:30, 30:50] *= 0.85
+    result = reconstruct(stained)
+    assert result.albedo.shape == SHAPE
+    assert result.albedo[22:28, 32:48].mean() == pytest.approx(0.85, abs=0.01)
+    assert result.albedo[40:].mean() == pytest.approx(1.0, abs=0.01)
+    assert np.abs(result.depth_mm).max() < 0.02
+
+
 def test_untouched_gel_is_held_at_0(reconstruct):
     result = reconstruct(image_of(TOUCH))
     far = np.hypot(*(np.indices(SHAPE) - np.array([32, 40])[:, None, None])) > 28

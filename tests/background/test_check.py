@@ -55,6 +55,15 @@ def test_reversed_channels_are_named():
         check_background(touched(scene(1))[..., ::-1], scene())
 
 
+def test_another_scene_that_fits_a_little_better_reversed_is_not_bgr():
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    ours = np.stack([np.sin(0.4 * x), np.sin(0.3 * y), np.sin(0.5 * (x + y))], axis=-1)
+    other = np.stack([np.sin(0.35 * (x - y)), np.cos(0.45 * x), np.sin(0.55 * y)], axis=-1)
+    theirs = 0.6 * ours[..., ::-1] + 0.8 * other
+    with pytest.raises(CalibrationError, match=r"correlate by -?0\.\d"):
+        check_background(100 + 20 * theirs, 100 + 20 * ours)
+
+
 def test_a_third_of_the_frame_touched_is_no_other_background():
     image = scene(1)
     image[:, :27] += np.array([45, -35, 25], dtype=np.float32)

@@ -1,6 +1,7 @@
 """Samples carry what color models learn from."""
 
 import numpy as np
+import pytest
 
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
@@ -22,3 +23,59 @@ def test_samples_carry_the_balls_slopes_and_the_untouched_image():
     assert rested.background is background
     assert len(rested.x_px) > len(samples.x_px)
     assert not rested.gradients[len(samples.x_px) :].any()
+
+
+SHAPE = (60, 80)
+
+
+def press_of(usable=None, ball_radius_px=40.0):
+    change = np.zeros((*SHAPE, 3), np.float32)
+    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable)
+
+
+def within(contact, radius_px):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return np.hypot(x - contact.x_px, y - contact.y_px) < radius_px
+
+
+@pytest.mark.parametrize(
+    "center", [(40.0, 30.0), (40.3, 29.6), (2.0, 30.0), (78.0, 58.5), (0.0, 0.0), (40.0, 59.0)]
+)
+@pytest.mark.parametrize("marked", [False, True])
+def test_every_usable_pixel_of_the_zone_is_taken_up_to_the_border(center, marked):
+    usable = np.random.default_rng(0).uniform(size=SHAPE) > 0.3 if marked else None
+    contact = ContactCircle(*center, 15.0, 1.0, 9.0)
+    taken = np.zeros(SHAPE, dtype=bool)
+    taken[press_of(usable).pixels(contact, 0.8)] = True
+    np.testing.assert_array_equal(taken, within(contact, 12.0) & (True if usable is None else usable))
+
+
+def test_the_steepest_rim_of_a_ball_is_left_out():
+    contact = ContactCircle(40.0, 30.0, 15.0, 1.0, 9.0)
+    rows, cols = press_of(ball_radius_px=12.0).pixels(contact, 1.0)
+    assert np.hypot(cols - 40, rows - 30).max() < 12.0
+
+
+def test_a_count_thins_the_pixels_evenly():
+    contact = ContactCircle(40.0, 30.0, 25.0, 1.0, 9.0)
+    rows, cols = press_of().pixels(contact, 1.0, 300)
+    assert 250 < len(rows) < 400
+    left, above = np.mean(cols < 40), np.mean(rows < 30)
+    assert abs(left - 0.5) < 0.05
+    assert abs(above - 0.5) < 0.05
+
+
+def test_presses_share_the_samples_and_rest_gives_half_as_many():
+    contacts = [ContactCircle(20.0, 30.0, 15.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 20.0, 1.0, 9.0)]
+    presses = [press_of(np.arange(80)[None, :].repeat(60, axis=0) != 70), press_of()]
+    samples = contact_samples(presses, contacts, 1.0, total=800)
+    first = within(contacts[0], 15.0)[samples.y_px, samples.x_px]
+    assert 0.35 < first.mean() < 0.65
+    rested = with_rest_samples(samples, presses, contacts)
+    count = len(samples.x_px)
+    assert 0.1 * count < len(rested.x_px) - count <= 0.5 * count
+    assert (rested.weight[:count] == 1).all()
+    assert (rested.weight[count:] < 1).all()
+    x, y = rested.x_px[count:], rested.y_px[count:]
+    distance = [np.hypot(x - c.x_px, y - c.y_px) / c.radius_px for c in contacts]
+    assert np.maximum(*distance).min() > 2
