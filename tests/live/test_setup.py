@@ -1,5 +1,7 @@
 """How a station reconstructs: calibration, background, solver, zero, comparison."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,7 +31,7 @@ def test_the_result_is_the_reconstructors_with_the_frames_times(frame, calibrati
 
 def test_a_zero_that_is_set_is_taken_off(frame, calibration, result):
     setup = Setup().with_calibration(calibration, "mine")
-    zeroed = Setup(setup.reconstruct, zero_mm=result.depth)
+    zeroed = replace(setup, zero_mm=result.depth)
     found = zeroed.result_of(frame, zeroed.image_of(frame))
     np.testing.assert_allclose(found.depth, 0, atol=1e-6)
     assert not found.contact.any()

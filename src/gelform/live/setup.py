@@ -15,6 +15,7 @@ from gelform.errors import GelformError
 from gelform.frames import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
+from gelform.streams.memory import Memory
 from gelform.view import View, image_from_frame
 
 
@@ -24,7 +25,7 @@ class Setup:
 
     Attributes
     ----------
-    reconstruct : None without a calibration: the image alone is shown
+    memory : the Reconstructor with what the sequence has taught it; None without a calibration: the image alone is shown
     name : of the calibration, as the page lists it
     solver : as it was asked for, "auto" by default
     background : (H, W, 3) float32 that was taken live, or None: the calibration's own
@@ -32,13 +33,18 @@ class Setup:
     other, other_name : the calibration that it is compared with
     """
 
-    reconstruct: Reconstructor | None = None
+    memory: Memory | None = None
     name: str = ""
     solver: str = "auto"
     background: NDArray[np.float32] | None = None
     zero_mm: NDArray[np.float32] | None = None
     other: Reconstructor | None = None
     other_name: str = ""
+
+    @property
+    def reconstruct(self) -> Reconstructor | None:
+        """For the frames to come; None without a calibration."""
+        return None if self.memory is None else self.memory.reconstruct
 
     @property
     def calibration(self) -> Calibration | None:
@@ -57,9 +63,10 @@ class Setup:
 
     def result_of(self, frame: Frame, image: NDArray[np.uint8]) -> Reconstruction | None:
         """What the calibration says of the image, against the zero that was set."""
-        if self.reconstruct is None:
+        if self.memory is None:
             return None
-        return self._against_zero(_stamped(self.reconstruct.from_image(image), frame))
+        result = _stamped(self.memory.result_from_image(image), frame)
+        return self._against_zero(self.memory(image, result))
 
     def other_of(self, frame: Frame) -> Reconstruction | None:
         """What the other calibration says of the same frame; None where it cannot, or there is none."""
@@ -81,7 +88,7 @@ class Setup:
 
     def with_calibration(self, calibration: Calibration, name: str) -> Setup:
         """The same with another calibration, its own background, nothing compared."""
-        return Setup(Reconstructor(calibration, solver=self.solver), name, self.solver)
+        return Setup(Memory(Reconstructor(calibration, solver=self.solver)), name, self.solver)
 
     def with_background(self, background: NDArray[np.float32] | None) -> Setup:
         """The same with today's background; None: the calibration's own.
@@ -94,14 +101,14 @@ class Setup:
         if self.calibration is None:
             return replace(self, background=background)
         run = Reconstructor(self.calibration, background=background, solver=self.solver)
-        return replace(self, reconstruct=run, background=background, zero_mm=None)
+        return replace(self, memory=Memory(run), background=background, zero_mm=None)
 
     def with_solver(self, solver: str) -> Setup:
         """The same with another solver."""
         if self.calibration is None:
             return replace(self, solver=solver)
         run = Reconstructor(self.calibration, background=self.background, solver=solver)
-        return replace(self, reconstruct=run, solver=solver, zero_mm=None)
+        return replace(self, memory=Memory(run), solver=solver, zero_mm=None)
 
     def with_other(self, calibration: Calibration | None, name: str) -> Setup:
         """The same, compared with another calibration, or with none."""

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.confidence.causes import CAUSES
+from gelform.confidence.explanation import Explanation
+from gelform.contact import Contact
 from gelform.frames import Frame
 from gelform.live.measures import Measures, outlines_of
 from gelform.live.wire.planes import Plane, bits_plane, depth_plane, image_plane, level_plane
+from gelform.markers import MarkerFlow
 from gelform.reconstruction import Reconstruction
 
 PLANES = ("image", "depth", "confidence", "sigma", "flags", "causes", "other")
 SIGMA_STEP_MM = 0.002
 CONTACT, KNOWN = 1, 2
+MOST_CONTACTS = 8
 
 
 @dataclass(eq=False)
@@ -32,6 +37,7 @@ class Shown:
     result : Reconstruction or None: no calibration, or this frame could not be reconstructed
     other : the same frame by the calibration that it is compared with, or None
     measures : numbers of the result, or None
+    explain : gives the explanation of the image when it is asked for: it takes longer than a frame
     background : (H, W, 3) that was taken live, or None: the calibration's own
     problem : why there is no result, in words; "" where there is one
     """
@@ -42,6 +48,7 @@ class Shown:
     result: Reconstruction | None = None
     other: Reconstruction | None = None
     measures: Measures | None = None
+    explain: Callable[[], Explanation] | None = None
     background: NDArray[np.float32] | None = None
     problem: str = ""
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
@@ -77,6 +84,8 @@ class Shown:
             return level_plane("confidence", result.confidence, encoding)
         if name == "sigma" and result.depth_sigma_mm is not None:
             return level_plane("sigma", result.depth_sigma_mm, encoding, step=SIGMA_STEP_MM)
+        if name == "causes" and self.explain is not None:
+            return bits_plane("causes", _cause_bits(self.explain()), encoding)
         if name == "flags":
             bits = result.contact.view(np.uint8) * CONTACT + result.known.view(np.uint8) * KNOWN
             return bits_plane("flags", bits, encoding)
@@ -103,7 +112,36 @@ class Shown:
             "area": self.measures.area,
             "volume": self.measures.volume,
             "outlines": outlines_of(self.result),
+            "contacts": [_contact_facts(contact) for contact in self.result.contacts[:MOST_CONTACTS]],
+            "markers": _marker_rows(self.result.markers),
+            "causes": list(CAUSES),
             "solver": self.result.solver,
             "curl_rms": self.result.curl_rms,
             "health": [[f.name, f.message, float(f.figure)] for f in self.result.health],
         }
+
+
+def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
+    """One bit for each cause, where it alone makes a slope less certain than a clean one."""
+    bits = np.zeros(explanation.confidence.shape, dtype=np.uint16)
+    for number, one in enumerate(explanation.maps.values()):
+        bits |= np.where(one > explanation.clean, np.uint16(1 << number), np.uint16(0))
+    return bits
+
+
+def _contact_facts(contact: Contact) -> dict[str, Any]:
+    return {
+        "deepest_px": [int(at) for at in contact.deepest_px],
+        "deepest_mm": contact.deepest_mm,
+        "area_mm2": contact.area_mm2,
+        "volume_mm3": contact.volume_mm3,
+        "cut": contact.cut_by_border,
+    }
+
+
+def _marker_rows(flow: MarkerFlow | None) -> list[list[float]]:
+    """x and y at rest, x and y now, of each dot that is seen, px."""
+    if flow is None:
+        return []
+    rows = np.concatenate([flow.rest_px, flow.now_px], axis=1)[flow.seen]
+    return [[round(float(value), 2) for value in row] for row in rows]

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from gelform.errors import GelformError, SensorError
@@ -164,5 +165,14 @@ def _shown(serial: int, frame: Frame, setup: Setup) -> Shown:
         return Shown(serial, frame, image, problem=str(problem))
     if result is None:
         return Shown(serial, frame, image, problem="")
-    other = setup.other_of(frame)
-    return Shown(serial, frame, image, result, other, measures_of(result), setup.background)
+    run = setup.reconstruct
+    return Shown(
+        serial,
+        frame,
+        image,
+        result,
+        setup.other_of(frame),
+        measures_of(result),
+        explain=None if run is None else partial(run.explain, image),
+        background=setup.background,
+    )

@@ -9,9 +9,11 @@ import { Frame } from "./frame.js";
 import { showKeys, startKeys } from "./keys.js";
 import { drawNumbers, NUMBERS, startNumbers } from "./numbers.js";
 import { Pane } from "./pane.js";
+import { markerArrows } from "./markers.js";
 import { drawProfile, Pointer } from "./profile.js";
 import { Relief } from "./relief.js";
 import { Series, SPAN_S } from "./series.js";
+import { drawContacts } from "./contacts.js";
 import { drawEmpty, drawFacts, drawFindings, drawStatus } from "./status.js";
 import { Surface } from "./surface.js";
 import { startTheme } from "./theme.js";
@@ -19,7 +21,7 @@ import { toast } from "./toasts.js";
 import { VIEWS } from "./views.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
-const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: () => [] };
+const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: markerArrows };
 const look = { ageMs: 0, drawnHz: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
@@ -57,6 +59,7 @@ function draw() {
     drawTime();
     drawNumbers(frame, series);
     drawFindings(frame);
+    drawContacts(frame);
   }
   drawEmpty(frame, station(), facts?.work[number]);
   if (owed) noteDrawn();
