@@ -7,14 +7,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from gelform import __version__
 from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
+from gelform.live.guide.session import GuideSession
 from gelform.live.station import Station
 from gelform.live.take.snapshot import Snapshots
 from gelform.progress import Progress
+from gelform.sensors.profiles import PROFILES
 from gelform.solvers import SOLVERS
 
 NOTICES = 20
@@ -29,6 +32,8 @@ class Hub:
     stations : in the order of the command line
     calibrations : to choose from
     snapshots : frames that somebody wanted to keep
+    guides : guided calibrations by the station's number
+    folder : where they are written
     work : (what, done, total) of long work by the station's number; shown as progress
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
     """
@@ -37,6 +42,8 @@ class Hub:
     calibrations: Calibrations = field(default_factory=Calibrations)
     work: dict[int, tuple[str, int, int]] = field(default_factory=dict)
     snapshots: Snapshots = field(default_factory=Snapshots)
+    guides: dict[int, GuideSession] = field(default_factory=dict)
+    folder: Path = Path(".")
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -93,6 +100,8 @@ class Hub:
             "stations": [station.facts() for station in self.stations],
             "calibrations": self.calibrations.names,
             "solvers": ["auto", *SOLVERS],
+            "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},
+            "profiles": [[name, profile.name, profile.mm_per_px] for name, profile in PROFILES.items()],
             "work": {number: list(work) for number, work in tuple(self.work.items())},
             "notices": [list(notice) for notice in tuple(self.notices) if notice[0] > notices_after],
         }

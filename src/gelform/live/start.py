@@ -14,11 +14,13 @@ from gelform.live.simulated.ready import ready_calibration
 from gelform.live.simulated.show import RATE_HZ, Show
 from gelform.live.station import Station
 from gelform.progress import Progress
+from gelform.sensors.grabber import STALL_S
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR, SIMULATED, Source, open_source
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
+SIMULATED_STALL_S = 10.0  # a busy machine simulates late; nothing was unplugged
 
 
 @dataclass(frozen=True)
@@ -54,14 +56,17 @@ def start(options: Options) -> Hub:
             f"Expected one calibration for all sources or one for each of the {len(options.sources)}, "
             f"got {len(options.calibrations)}."
         )
-    hub = Hub(calibrations=Calibrations(options.calibrations, options.folder))
+    hub = Hub(
+        calibrations=Calibrations(options.calibrations, options.folder), folder=options.folder or Path(".")
+    )
     names = [hub.calibrations.add_file(path) for path in options.calibrations]
     for name in names:
         hub.calibrations[name]  # one that cannot be read is said before anything opens
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
         opener = _opener(spec, sensor, options.rate_hz)
-        station = Station(number, spec, opener, hub.changed)
+        stall_s = STALL_S if sensor is None else SIMULATED_STALL_S
+        station = Station(number, spec, opener, hub.changed, stall_s=stall_s)
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]

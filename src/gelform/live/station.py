@@ -14,7 +14,7 @@ from gelform.frames import Frame
 from gelform.live.measures import measures_of
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown
-from gelform.sensors.grabber import Grabber
+from gelform.sensors.grabber import STALL_S, Grabber
 from gelform.sensors.source import Source
 
 KEPT = 600  # results whose numbers are kept for the curves: ten seconds at 60 a second
@@ -34,6 +34,7 @@ class Station:
     spec : what the user asked for: "simulated", a serial, a path
     open_it : opens the source; called again when it is lost
     on_shown : called in the station's thread when there is something newer to show
+    stall_s : after so many seconds without a frame the source counts as lost
 
     Attributes
     ----------
@@ -43,14 +44,20 @@ class Station:
     """
 
     def __init__(
-        self, number: int, spec: str, open_it: Callable[[], Source], on_shown: Callable[[], None]
+        self,
+        number: int,
+        spec: str,
+        open_it: Callable[[], Source],
+        on_shown: Callable[[], None],
+        *,
+        stall_s: float = STALL_S,
     ) -> None:
         self.number, self.spec = number, spec
         self.setup = Setup()
         self.newest: Shown | None = None
         self.taps: list[Tap] = []
         self.paused = False
-        self._open, self._on_shown = open_it, on_shown
+        self._open, self._on_shown, self._stall_s = open_it, on_shown, stall_s
         self._grabber: Grabber | None = None
         self._missing = ""
         self._stop = threading.Event()
@@ -119,13 +126,17 @@ class Station:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                with Grabber(self._open) as self._grabber:
+                with Grabber(self._open, stall_s=self._stall_s) as self._grabber:
                     self._show_all(self._grabber)
                 return
             except (SensorError, GelformError, OSError) as problem:
                 self._missing, self._grabber = str(problem), None
                 self._on_shown()
                 self._stop.wait(RETRY_S)
+            except Exception as problem:  # a bug: the page says that this sensor has stopped, and why
+                self._missing, self._grabber = f"bug: {type(problem).__name__}: {problem}", None
+                self._on_shown()
+                raise
 
     def _show_all(self, grabber: Grabber) -> None:
         """Show frames until the source ends; then the last one stays."""

@@ -75,12 +75,14 @@ class Show:
         self._asked: _Asked | None = None
         self._resting = False
         self._closed = threading.Event()
+        self._rehearsal: threading.Thread | None = None
         self._levels = lru_cache(maxsize=KEPT)(self._levels_of)
         self._acts = [Rehearsed(ACTS[0], ACTS[0].poses(sensor))]
         self._rest = self._levels_of(POINTER_BALL, 0.0, 0.0, 0.0)
 
     def __iter__(self) -> Iterator[Frame]:
-        threading.Thread(target=self._rehearse, name="simulated acts", daemon=True).start()
+        self._rehearsal = threading.Thread(target=self._rehearse, name="simulated acts", daemon=True)
+        self._rehearsal.start()
         pace, index = Pace(self._rate_hz), 0
         while not self._closed.is_set():
             levels = self._levels_now(index / self._rate_hz)
@@ -105,13 +107,19 @@ class Show:
         depth_mm = min(depth_mm, 0.9 * self.sensor.gel.thickness_mm, ball.radius_mm)
         self._asked = _Asked(x_px, y_px, depth_mm, ball, time.monotonic(), held_s)
 
+    def lift(self) -> None:
+        """End the press that was asked for."""
+        self._asked = None
+
     def rest(self, resting: bool = True) -> None:
         """Touch nothing but where it is asked to; False: play the acts again."""
         self._resting = resting
 
     def close(self) -> None:
-        """End the loop over it."""
+        """End the loop over it; waits for the image that is being computed."""
         self._closed.set()
+        if self._rehearsal is not None:
+            self._rehearsal.join(2.0)
 
     def __enter__(self) -> Show:
         return self

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gelform.errors import GelformError
-from gelform.live import actions
+from gelform.live import actions, guiding
 from gelform.live.hub import Hub
 
 MAX_BYTES = 16 * 1024
@@ -63,6 +63,12 @@ COMMANDS = {
     "calibration": Command(actions.use_calibration, {"station": station, "name": text}),
     "compare": Command(actions.compare_with, {"station": station, "name": text}),
     "solver": Command(actions.use_solver, {"station": station, "name": text}),
+    "guide_start": Command(
+        guiding.start, {"station": station, "ball_diameter_mm": number, "profile": text, "mm_per_px": number}
+    ),
+    "guide_fit": Command(guiding.fit, {"station": station}),
+    "guide_use": Command(guiding.use, {"station": station}),
+    "guide_stop": Command(guiding.stop, {"station": station}),
     "snapshot": Command(actions.snapshot, {"station": station}),
     "code": Command(actions.code, {"station": station, "view": text}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),

@@ -6,6 +6,7 @@ import { drawControls, startControls } from "./controls.js";
 import { showCode } from "./dialogs.js";
 import { byId, element, setOptions, setText } from "./dom.js";
 import { Frame } from "./frame.js";
+import { drawGuide, guideOverlay } from "./guide.js";
 import { showKeys, startKeys } from "./keys.js";
 import { drawNumbers, NUMBERS, startNumbers } from "./numbers.js";
 import { Pane } from "./pane.js";
@@ -16,6 +17,7 @@ import { Series, SPAN_S } from "./series.js";
 import { drawContacts } from "./contacts.js";
 import { drawEmpty, drawFacts, drawFindings, drawStatus } from "./status.js";
 import { Surface } from "./surface.js";
+import { startTabs } from "./tabs.js";
 import { startTheme } from "./theme.js";
 import { toast } from "./toasts.js";
 import { VIEWS } from "./views.js";
@@ -26,14 +28,14 @@ const look = { ageMs: 0, drawnHz: 0, bytesPerS: 0, renderer: "", encoding: LOOPB
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
 const series = new Series();
-let facts = null, frame = null, number = 0, due = 0, owed = 0, drawn = [], panes = [], surface = null;
+let facts = null, frame = null, number = 0, due = 0, owed = 0, drawn = [], panes = [], surface = null, guidePane = null, page = "live", choosePage = null, guided = false;
 
 const station = () => facts?.stations[number] ?? null;
 const send = (what, fields = {}) => connection.send({ do: what, station: number, ...fields });
 
 function watch() {
   const planes = new Set(["depth", "flags"]);
-  for (const pane of panes) VIEWS[pane.view].planes.forEach((name) => planes.add(name));
+  for (const pane of [...panes, guidePane]) VIEWS[pane.view].planes.forEach((name) => planes.add(name));
   if (byId("drape").value !== "depth") planes.add(byId("drape").value);
   connection.watch([number], [...planes], look.encoding);
 }
@@ -50,7 +52,8 @@ function redraw() { if (!due) due = requestAnimationFrame(draw); }
 
 function draw() {
   due = 0;
-  if (frame) {
+  if (frame && page === "calibrate") guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: () => guideOverlay(facts?.guides[number]) });
+  if (frame && page === "live") {
     settings.range = depthRange(frame);
     settings.cursor = pointer.at(frame);
     for (const pane of panes) pane.draw(frame, settings);
@@ -115,6 +118,9 @@ connection.addEventListener("state", ({ detail }) => {
   byId("sensor").parentElement.hidden = facts.stations.length < 2;
   drawControls(station(), facts);
   drawStatus(station(), connection.open, look);
+  if (station()) drawGuide(facts.guides[number], station(), facts, { send });
+  if (guided && !facts.guides[number] && station()?.calibration) choosePage("live"); // it is in use: look at it
+  guided = Boolean(facts.guides[number]);
   drawFacts(station(), look);
   redraw();
 });
@@ -158,6 +164,8 @@ const KEYS = [
   ["z", "set zero, take it back", () => byId("zero").click()],
   ["s", "snapshot", () => byId("snapshot").click()],
   ["f", "profile through the deepest point", follow],
+  ["1", "page Live", () => choosePage("live")],
+  ["2", "page Calibrate", () => choosePage("calibrate")],
   ["c", "Python and command line of the depth", () => send("code", { view: "depth" })],
   ["d", "light or dark", () => byId("theme").click()],
   ["0", "surface as at the start", () => byId("reset-view").click()],
@@ -171,8 +179,13 @@ function startPage() {
   startKeys(KEYS);
   startNumbers();
   makeSurface();
-  const actions = { changed: () => panes.length && watch(), code: (view) => send("code", { view }), pointed };
+  const actions = { changed: () => guidePane && watch(), code: (view) => send("code", { view }), pointed };
   panes = ["depth", "image", "normals"].map((view) => new Pane(view, actions));
+  guidePane = new Pane("image", actions);
+  guidePane.select.parentElement.replaceWith(element("h2", { text: "Camera" }));
+  guidePane.code.remove();
+  byId("guide-pane").append(guidePane.node);
+  choosePage = startTabs((name) => { page = name; redraw(); });
   byId("panes").append(...panes.map((pane) => pane.node));
   startControls({ send, chosen: station, settings, redraw });
   byId("sensor").addEventListener("change", (event) => { number = Number(event.target.value); frame = null; series.clear(); watch(); });

@@ -1,6 +1,6 @@
 // The camera of the surface: turned by mouse, finger and keys.
 
-const FIRST = { turn: -0.5, tilt: 0.88, distance: 3.0, x: 0, y: 0 };
+const FIRST = { turn: -0.5, tilt: 0.88, distance: 2.65, x: 0, y: 0 };
 
 export class Orbit {
   constructor(canvas, changed) {

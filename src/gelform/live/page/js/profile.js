@@ -21,10 +21,11 @@ export class Pointer {
     this.changed();
   }
 
-  /** The point (x, y) in px of the image; null where nothing is deep. */
+  /** The point (x, y) in px of the image; the middle where nothing touches. */
   at(frame) {
-    const point = this.hover ?? this.pinned ?? frame.header.peak_px;
-    if (!point || !frame.has("depth")) return null;
+    if (!frame.has("depth")) return null;
+    const touched = frame.header.outlines?.length, middle = [frame.width / 2, frame.height / 2];
+    const point = this.hover ?? this.pinned ?? (touched ? frame.header.peak_px : middle);
     return [Math.round(Math.max(0, Math.min(frame.width - 1, point[0]))), Math.round(Math.max(0, Math.min(frame.height - 1, point[1])))];
   }
 }

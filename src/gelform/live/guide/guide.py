@@ -1,0 +1,232 @@
+"""The guide: which step it is at, what is asked for, what was accepted; fed with the frames of a station."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.average import background_from_frames
+from gelform.calibration.coverage import Place, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.presses.press_set import Press, Presses
+from gelform.errors import GelformError
+from gelform.frames import Frame, pixels_digest
+from gelform.live.guide.forecast import Forecast
+from gelform.live.guide.judge import Circle, Judge, Look
+from gelform.view import View, image_from_frame
+
+WANTED = 12
+LEAST = 5
+BACKGROUND_FRAMES = 15
+LOOK_EVERY_S = 0.08
+STILL_LOOKS = 3
+TILES_LONGER = 6
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the user says before the first press.
+
+    Attributes
+    ----------
+    ball_diameter_mm : of the ball
+    mm_per_px, mm_per_px_sigma : scale of the images
+    view : how frames become images
+    sensor_name, serial : of the sensor
+    """
+
+    ball_diameter_mm: float
+    mm_per_px: float
+    mm_per_px_sigma: float | None = None
+    view: View = field(default_factory=View)
+    sensor_name: str = "sensor"
+    serial: str | None = None
+
+
+class Guide:
+    """One guided calibration, up to the presses.
+
+    Parameters
+    ----------
+    asked : Asked
+    on_changed : called when the page has something new to show
+
+    Attributes
+    ----------
+    step : "background", "press", "fit", "report" or "failed"
+    hint : what to do now, in words
+    target : Place to press at, or None
+    """
+
+    def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
+        self.asked = asked
+        self.step, self.hint = "background", "Touch nothing: the untouched gel is recorded."
+        self.target: Place | None = None
+        self.forecast: Forecast | None = None
+        self.report: dict[str, Any] | None = None
+        self._changed = on_changed
+        self._lock = threading.Lock()
+        self._untouched: list[NDArray[np.uint8]] = []
+        self._background: NDArray[np.float32] | None = None
+        self._noise: NDArray[np.float64] | None = None
+        self._judge: Judge | None = None
+        self._images: list[NDArray[np.uint8]] = []
+        self._circles: list[Circle] = []
+        self._verdicts: list[tuple[Circle, str]] = []
+        self._live: Look | None = None
+        self._still = 0
+        self._lifted = True
+        self._looked_at = 0.0
+
+    @property
+    def count(self) -> int:
+        """How many presses were accepted."""
+        return len(self._circles)
+
+    def see(self, frame: Frame) -> None:
+        """Take a frame; those that come too soon after the last one are passed over."""
+        now = time.monotonic()
+        if self.step not in ("background", "press") or now - self._looked_at < LOOK_EVERY_S:
+            return
+        self._looked_at = now
+        image = np.ascontiguousarray(image_from_frame(frame.image, self.asked.view), dtype=np.uint8)
+        with self._lock:
+            if self.step == "background":
+                self._see_untouched(image)
+            else:
+                self._see_press(image)
+        self._changed()
+
+    def presses(self) -> Presses:
+        """What was accepted, as calibration takes it.
+
+        Raises
+        ------
+        GelformError
+            There are too few.
+        """
+        with self._lock:
+            if self._background is None or len(self._images) < LEAST:
+                raise GelformError(f"Expected at least {LEAST} presses, got {len(self._images)}. Press on.")
+            diameter = self.asked.ball_diameter_mm
+            return Presses(
+                folder="guided presses",
+                presses=tuple(
+                    Press(f"images/{k:04d}.png", image, diameter, None, pixels_digest(image))
+                    for k, image in enumerate(self._images)
+                ),
+                background=self._background,
+                mm_per_px=self.asked.mm_per_px,
+                mm_per_px_sigma=self.asked.mm_per_px_sigma,
+                sensor_name=self.asked.sensor_name,
+                serial=self.asked.serial,
+                gel_id=None,
+                view=self.asked.view,
+                background_noise=self._noise,
+            )
+
+    def facts(self) -> dict[str, Any]:
+        """What the page shows of it."""
+        with self._lock:
+            live, target = self._live, self.target
+            return {
+                "step": self.step,
+                "hint": self.hint,
+                "count": len(self._circles),
+                "wanted": WANTED,
+                "enough": len(self._circles) >= WANTED,
+                "can_fit": len(self._circles) >= LEAST,
+                "untouched": [len(self._untouched), BACKGROUND_FRAMES],
+                "target": None if target is None else [target.x_px, target.y_px, self._radius(), target.name],
+                "live": None if live is None or live.circle is None else list(live.circle),
+                "still": self._still / STILL_LOOKS,
+                "accepted": [list(circle) for circle in self._circles],
+                "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
+                "coverage": self._coverage(),
+                "forecast": None if self.forecast is None else vars(self.forecast),
+                "report": self.report,
+            }
+
+    # -- one image ----------------------------------------------------------------------------------------------------
+
+    def _see_untouched(self, image: NDArray[np.uint8]) -> None:
+        self._untouched.append(image)
+        if len(self._untouched) < BACKGROUND_FRAMES:
+            return
+        try:
+            taken = background_from_frames(self._untouched)
+        except GelformError as problem:
+            self._untouched, self.hint = [], f"{problem} Touch nothing, it is tried again."
+            return
+        self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
+        radius_px = self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
+        self._judge = Judge(self._background, image, float(taken.noise.max()), radius_px)
+        self.step = "press"
+        self._ask_next()
+
+    def _see_press(self, image: NDArray[np.uint8]) -> None:
+        assert self._judge is not None
+        look = self._live = self._judge.look(image, self._circles)
+        if not look.touched:
+            self._lifted, self._still = True, 0
+            self.hint = self._asking()
+        elif not self._lifted:
+            self._still = 0
+        elif look.moving:
+            self._still = 0
+            self.hint = "Hold still."
+        else:
+            self._still += 1
+            if self._still >= STILL_LOOKS:
+                self._decide(image, look)
+
+    def _decide(self, image: NDArray[np.uint8], look: Look) -> None:
+        """Accept or reject what was held still."""
+        self._still = 0
+        if look.reason or look.circle is None:
+            self.hint = look.reason
+            if look.circle is not None and (
+                not self._verdicts or self._verdicts[-1] != (look.circle, look.reason)
+            ):
+                self._verdicts.append((look.circle, look.reason))
+            return
+        self._images.append(image)
+        self._circles.append(look.circle)
+        self._lifted = False
+        self._ask_next()
+        self.hint = "Accepted. Lift the ball."
+
+    def _ask_next(self) -> None:
+        coverage = coverage_from_circles(self._circles, self._shape())
+        places = press_next(coverage, 1)
+        self.target = places[0] if places else None
+        self.hint = self._asking()
+
+    def _asking(self) -> str:
+        if len(self._circles) >= WANTED:
+            return "Enough. Fit now, or press on where the circle is."
+        return f"Press the ball here: {self.target.name}." if self.target else "Press anywhere else."
+
+    def _shape(self) -> tuple[int, int]:
+        assert self._background is not None
+        return self._background.shape[0], self._background.shape[1]
+
+    def _radius(self) -> float:
+        if self._circles:
+            return float(np.median([radius for _, _, radius in self._circles]))
+        return 0.55 * self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
+
+    def _coverage(self) -> dict[str, Any] | None:
+        """Which of eight slope directions each tile has shown, and the share of all."""
+        if self._background is None:
+            return None
+        shape = self._shape()
+        tiles = square_tiles(shape, TILES_LONGER)
+        found = coverage_from_circles(self._circles, shape, tiles=tiles)
+        seen = (found.counts > 0).sum(axis=-1)
+        return {"tiles": list(tiles), "directions": seen.ravel().tolist(), "share": found.share}

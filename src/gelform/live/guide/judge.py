@@ -1,0 +1,118 @@
+"""What one image of a guided calibration shows: nothing, a ball that still moves, a press that counts or why not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.change import ChangeSettings
+from gelform.calibration.circles.find import ContactCircle, find_contact, scale_of, why_no_contact
+from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
+from gelform.errors import CalibrationError
+
+LEAST_RADIUS_PX = 9.0  # at 240 rows
+DEEPEST = 0.87  # contact radius over ball radius: half the radius deep
+APART = 0.4  # of the contact radius: nearer to an earlier press is the same place
+TOUCHED, NOISE_FACTOR = 0.05, 1.6  # the color change of a touch; times what noise alone makes
+TOUCHED_PART = 500  # a touch covers a five-hundredth of the image
+STILL_LEVELS, STILL_NOISE = (
+    1.0,
+    0.9,
+)  # largest change of a block between looks: grey levels, shares of the noise
+SMALL = 8
+
+Circle = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What an image shows.
+
+    Attributes
+    ----------
+    circle : the contact (x, y, radius) in px, or None
+    touched : whether anything touches
+    moving : whether it differs from the image before
+    reason : why this is no press to keep; "" where it is one
+    """
+
+    circle: Circle | None
+    touched: bool
+    moving: bool
+    reason: str
+
+
+class Judge:
+    """Looks at the images of one sensor, one after the other.
+
+    Parameters
+    ----------
+    background : (H, W, 3) float32, the untouched image
+    untouched : (H, W, 3) uint8, one frame of it: how much noise alone changes the colours
+    noise : standard deviation of a pixel in one frame, grey levels
+    ball_radius_px : of the ball that presses
+    """
+
+    def __init__(
+        self,
+        background: NDArray[np.float32],
+        untouched: NDArray[np.uint8],
+        noise: float,
+        ball_radius_px: float,
+    ) -> None:
+        self._shape = background.shape[:2]
+        self._scale = scale_of((self._shape[0], self._shape[1]))
+        settings = ChangeSettings("divide", USUAL_OFFSET, BLUR_PX * self._scale)
+        self._changes = ColorChanges(background, settings)
+        self._still = STILL_LEVELS + STILL_NOISE * noise
+        self._ball_px = ball_radius_px
+        self._before: NDArray[np.float32] | None = None
+        self._touched = max(TOUCHED, NOISE_FACTOR * _largest(self._changes(untouched)[0]))
+
+    def look(self, image: NDArray[Any], accepted: Sequence[Circle] = ()) -> Look:
+        """Judge an image (H, W, 3) against the presses that were accepted before."""
+        moving = self._moves(image)
+        try:
+            change, _ = self._changes(image)
+        except CalibrationError as refusal:
+            return Look(None, True, moving, str(refusal))
+        if _largest(change) < self._touched:
+            return Look(None, False, moving, "")
+        contact = find_contact(change)
+        if why_no_contact(contact) is not None:
+            return Look(
+                None, True, moving, "No ball is seen clearly. Press it a little harder, straight down."
+            )
+        return Look(contact.circle_px, True, moving, self._reason(contact, accepted))
+
+    def _moves(self, image: NDArray[Any]) -> bool:
+        height, width = self._shape
+        small = cv2.resize(image, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
+        small = small.astype(np.float32)
+        before, self._before = self._before, small
+        return before is None or float(np.abs(small - before).max()) > self._still
+
+    def _reason(self, contact: ContactCircle, accepted: Sequence[Circle]) -> str:
+        x, y, radius = contact.circle_px
+        height, width = self._shape
+        if not (-0.2 * radius < x < width + 0.2 * radius and -0.2 * radius < y < height + 0.2 * radius):
+            return "Too far outside. Press where the circle is."
+        if radius < LEAST_RADIUS_PX * self._scale:
+            return "Too light. Press a little harder."
+        if radius > DEEPEST * self._ball_px:
+            return "Too deep, or another ball. Press at most half the ball's radius deep."
+        if any(np.hypot(x - ax, y - ay) < APART * max(radius, ar) for ax, ay, ar in accepted):
+            return "Pressed here before. Press where the circle is."
+        return ""
+
+
+def _largest(change: NDArray[np.float32]) -> float:
+    """The size that a five-hundredth of a color change's pixels exceed."""
+    size = np.abs(change).max(axis=-1)
+    rank = size.size - size.size // TOUCHED_PART - 1
+    return float(np.partition(size, rank, axis=None)[rank])

@@ -1,0 +1,165 @@
+"""A guided calibration on a station: frames in, the simulated sensor pressed, the fit in a thread, the files it leaves."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelform.calibration.fit import calibrate
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.report.content import report_content
+from gelform.calibration.report.page.page import report_page
+from gelform.calibration_file import Calibration
+from gelform.errors import GelformError
+from gelform.exporters.press_folder import save_press_folder
+from gelform.frames import Frame
+from gelform.live.guide.forecast import forecast_of
+from gelform.live.guide.guide import Asked, Guide
+from gelform.live.shown import Shown
+from gelform.live.station import Station
+from gelform.npz_files import written_file
+from gelform.progress import Progress
+
+PRESS_MM, RIM_SHARES = (
+    0.9,
+    (0.45, 0.6, 0.52),
+)  # of the simulated presses: contact radius over ball radius in turn
+GAP_S = 0.5
+REPORT_SEED = 0
+
+
+class GuideSession:
+    """One guided calibration on one station.
+
+    Parameters
+    ----------
+    station : whose frames it sees
+    asked : Asked
+    folder : where presses, calibration and report are written, into a folder of their own
+    on_changed : called when the page has something new to show
+    """
+
+    def __init__(self, station: Station, asked: Asked, folder: Path, on_changed: Any) -> None:
+        self.guide = Guide(asked, on_changed)
+        self.name = ""
+        self.calibration: Calibration | None = None
+        self._station, self._folder, self._on_changed = station, folder, on_changed
+        self._pressed_s, self._pressed = 0.0, -1
+        self._forecasting = False
+        source: Any = station.source
+        self._simulated = source if hasattr(source, "press_at") else None
+        if self._simulated is not None:
+            self._simulated.rest()
+        station.taps.append(self._tap)
+
+    def close(self) -> None:
+        """See no more frames; the simulated sensor plays again."""
+        if self._tap in self._station.taps:
+            self._station.taps.remove(self._tap)
+        if self._simulated is not None:
+            self._simulated.rest(False)
+
+    def fit(self, progress: Progress) -> None:
+        """Calibrate on what was accepted, write it down, say how good it is.
+
+        Raises
+        ------
+        GelformError
+            Too few presses, or they do not fit: the guide goes on asking for presses.
+        """
+        guide, before = self.guide, self.guide.step
+        guide.step, guide.hint = "fit", "Calibrating. This takes a moment."
+        try:
+            presses = guide.presses()
+            calibration = calibrate(presses, progress=progress)
+            content = report_content(presses, calibration, rng=np.random.default_rng(REPORT_SEED))
+            self.name = self._written(presses, calibration, content)
+        except GelformError as problem:
+            guide.step, guide.hint = before, f"The fit did not succeed. {problem}"
+            raise
+        self.calibration = calibration
+        guide.report = report_facts(calibration, content, self.name)
+        guide.step, guide.hint = "report", "Done. Look at the report, then use it."
+        self._on_changed()
+
+    def _tap(self, frame: Frame, _: Shown) -> None:
+        self.guide.see(frame)
+        if self.guide.step == "press":
+            self._press_simulated()
+            self._forecast()
+
+    def _press_simulated(self) -> None:
+        """Press the simulated sensor where the guide asks, once for each target."""
+        guide, target, now = self.guide, self.guide.target, time.monotonic()
+        waiting = now - self._pressed_s < 3.0 and self._pressed == guide.count
+        if self._simulated is None or target is None or waiting or guide.facts()["enough"]:
+            return
+        if self._pressed != guide.count:
+            self._pressed, self._pressed_s = guide.count, now - 3.0 + GAP_S
+            self._simulated.lift()
+            return
+        self._pressed_s = now
+        radius = guide.asked.ball_diameter_mm / 2
+        share = RIM_SHARES[guide.count % len(RIM_SHARES)]
+        depth = PRESS_MM * radius * share**2 + 0.05
+        self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=2.2)
+
+    def _forecast(self) -> None:
+        """Look ahead after each new press, in a thread of its own."""
+        guide = self.guide
+        known = 0 if guide.forecast is None else guide.forecast.presses
+        if self._forecasting or guide.count < 6 or guide.count == known:
+            return
+        self._forecasting = True
+
+        def work() -> None:
+            try:
+                guide.forecast = forecast_of(guide.presses())
+            except (GelformError, ValueError):
+                guide.forecast = None  # these presses cannot say: the fit will say why
+            finally:
+                self._forecasting = False
+
+        threading.Thread(target=work, name="forecast", daemon=True).start()
+
+    def _written(self, presses: Presses, calibration: Calibration, content: dict[str, Any]) -> str:
+        """Write the press folder, the calibration in it and the report; the folder's name."""
+        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        folder = self._folder / f"calibration-{stamp}"
+        save_press_folder(
+            folder,
+            background=presses.background,
+            images=[press.image for press in presses.presses],
+            ball_diameters_mm=[press.ball_diameter_mm for press in presses.presses],
+            mm_per_px=presses.mm_per_px,
+            name=presses.sensor_name,
+        )
+        calibration.save(folder / "calibration.npz")
+        with written_file(folder / "report.html") as handle:
+            handle.write(report_page(content, presses, calibration).encode())
+        return folder.name
+
+    @property
+    def path(self) -> Path:
+        """Of the calibration that was written."""
+        return self._folder / self.name / "calibration.npz"
+
+
+def report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:
+    """What the page shows of a report; the whole one is a file of its own."""
+    verdict = content["verdict"]
+    shown = ("label", "unit", "value", "level")
+    return {
+        "folder": name,
+        "level": verdict["level"],
+        "headline": verdict["headline"],
+        "next": verdict["next"],
+        "checks": [{key: check[key] for key in shown} for check in content["checks"]],
+        "model": calibration.color_model.name,
+        "accepted": sum(row.accepted for row in calibration.report.presses),
+        "rejected": [[row.name, row.reason] for row in calibration.report.presses if not row.accepted],
+    }

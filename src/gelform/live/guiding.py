@@ -1,0 +1,76 @@
+"""What the buttons of the guided calibration do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gelform.calibration.presses.tables import check_ball_diameter
+from gelform.checks import check_sensor_pitch
+from gelform.errors import GelformError
+from gelform.live import actions
+from gelform.live.guide.guide import Asked
+from gelform.live.guide.session import GuideSession
+from gelform.live.hub import Hub
+from gelform.live.station import Station
+from gelform.sensors.profiles import profile_named
+from gelform.view import View
+
+
+def start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_px: float) -> None:
+    """Begin, or begin again; the scale is the profile's, or the one given, or the simulated sensor's own."""
+    chosen = hub.station(station)
+    if chosen.newest is None:
+        raise GelformError("There is no picture yet. Connect the sensor first.")
+    asked = _asked(chosen, ball_diameter_mm, profile, mm_per_px)
+    stop(hub, station)
+    hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
+    hub.changed()
+
+
+def fit(hub: Hub, station: int) -> None:
+    """Calibrate on the presses that were accepted."""
+    session = _session(hub, station)
+    session.guide.presses()  # too few are said at once
+    hub.start(session.fit, station, "calibrating")
+
+
+def use(hub: Hub, station: int) -> None:
+    """Reconstruct with the calibration that was made; the guide ends."""
+    session = _session(hub, station)
+    if session.calibration is None:
+        raise GelformError("There is nothing to use yet. Fit first.")
+    name = hub.calibrations.add_file(session.path)
+    actions.use_calibration(hub, station, name)
+    stop(hub, station)
+    hub.notice(f"In use, and saved: {session.name}/calibration.npz")
+
+
+def stop(hub: Hub, station: int) -> None:
+    """End the guide; what was not fitted is gone."""
+    session = hub.guides.pop(station, None)
+    if session is not None:
+        session.close()
+    hub.changed()
+
+
+def _session(hub: Hub, station: int) -> GuideSession:
+    if station not in hub.guides:
+        raise GelformError("No calibration is under way. Start one.")
+    return hub.guides[station]
+
+
+def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: float) -> Asked:
+    assert station.newest is not None
+    shape = station.newest.frame.image.shape[:2]
+    source: Any = station.source
+    try:
+        diameter = check_ball_diameter(ball_diameter_mm)
+        if hasattr(source, "press_at"):
+            return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name)
+        if profile:
+            known = profile_named(profile)
+            view = known.view((shape[0], shape[1]))
+            return Asked(diameter, known.mm_per_px, known.mm_per_px_sigma, view, known.name, source.serial)
+        return Asked(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
+    except (ValueError, TypeError) as problem:
+        raise GelformError(str(problem)) from problem

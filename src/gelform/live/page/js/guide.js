@@ -1,0 +1,78 @@
+// The guided calibration: what to do now, where to press, what is covered, the fit, the report.
+
+import { byId, element, setText, svgElement } from "./dom.js";
+
+const STEPS = [["start", "Ball"], ["background", "Background"], ["press", "Press"], ["fit", "Fit"], ["report", "Report"]];
+const HELP = {
+  start: "Press a ball of known size about twelve times; the page says where. It takes a few minutes.",
+  fit: "Circles are found, color models are compared on presses that they have not seen.",
+};
+let shownKey = "";
+
+/** Circles over the camera image: where to press, what is pressed, what was kept. */
+export function guideOverlay(guide) {
+  if (!guide || guide.step !== "press") return [];
+  const ring = (name, [x, y, r]) => svgElement("circle", { class: name, cx: x, cy: y, r });
+  const drawn = guide.accepted.map((circle) => ring("kept", circle));
+  if (guide.target) drawn.push(ring("target", guide.target));
+  if (guide.live) drawn.push(ring("seen", guide.live));
+  return drawn;
+}
+
+/** `does`: {send(do, fields)}; `work` is [what, done, total] while it fits. */
+export function drawGuide(guide, station, facts, does) {
+  const step = guide?.step ?? "start", work = facts.work[station.number];
+  const at = STEPS.findIndex(([name]) => name === step);
+  byId("steps").replaceChildren(...STEPS.map(([, title], k) => element("li", { class: k < at ? "done" : k === at ? "now" : "", "aria-current": k === at ? "step" : false, text: title })));
+  setText(byId("guide-hint"), guide?.hint ?? "Calibrate with a ball");
+  const key = step === "start" ? `start${station.number}${station.simulated}` : JSON.stringify([step, guide.count, guide.untouched, guide.forecast, guide.enough, work, Math.round(guide.still * 10)]);
+  if (key === shownKey) return;
+  shownKey = key;
+  byId("guide-body").replaceChildren(...{ start: startForm, background, press, fit, report }[step](guide, station, facts, does, work));
+}
+
+function startForm(_, station, facts, does) {
+  const ball = element("input", { type: "number", min: 0.5, max: 100, step: "any", value: 5, required: true, id: "ball" });
+  const profile = element("select", { id: "profile" }, ...facts.profiles.map(([value, name, pitch]) => element("option", { value, text: `${name} (${pitch} mm per pixel)` })), element("option", { value: "", text: "another sensor" }));
+  const pitch = element("input", { type: "number", min: 0.001, max: 1, step: "any", value: 0.06, id: "pitch" });
+  const scale = element("label", {}, "Width of a pixel on the gel, mm", pitch);
+  const show = () => (scale.hidden = profile.value !== "");
+  profile.addEventListener("change", show);
+  show();
+  const begin = (event) => { event.preventDefault(); does.send("guide_start", { ball_diameter_mm: Number(ball.value), profile: station.simulated ? "" : profile.value, mm_per_px: Number(pitch.value) }); };
+  const sensor = station.simulated ? [element("p", { text: "The simulated sensor knows its scale, and is pressed by itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
+  return [element("form", { onsubmit: begin }, element("p", { text: HELP.start }), element("label", {}, "Diameter of the ball, mm", ball), ...sensor, element("button", { class: "main", id: "guide-start", text: "Start" }))];
+}
+
+function background(guide, _, __, does) {
+  return [element("div", { class: "part" }, element("progress", { max: guide.untouched[1], value: guide.untouched[0], "aria-label": "frames of the untouched gel" }), stopButton(does))];
+}
+
+function press(guide, _, __, does) {
+  const { tiles: [rows, columns], directions, share } = guide.coverage ?? { tiles: [1, 1], directions: [0], share: 0 };
+  const map = element("div", { class: "tiles", role: "img", "aria-label": `${Math.round(100 * share)} % of places and slope directions seen` }, ...directions.map((seen) => element("i", { "data-seen": seen })));
+  map.style.gridTemplateColumns = `repeat(${columns}, 1fr)`;
+  const ahead = guide.forecast ? `Expected now: normals within ${guide.forecast.now_deg.toFixed(1)}°; with five more presses ${guide.forecast.more_deg.toFixed(1)}°.` : "After six presses the page says how good the calibration will be.";
+  const fitButton = element("button", { class: guide.enough ? "main" : "", id: "guide-fit", text: "Fit now", onclick: () => does.send("guide_fit") });
+  fitButton.disabled = !guide.can_fit;
+  return [
+    element("div", { class: "part" }, element("div", {}, element("span", { class: "count", text: guide.count }), ` of ${guide.wanted} presses`), element("progress", { max: guide.wanted, value: Math.min(guide.count, guide.wanted), "aria-label": "presses" }), element("label", {}, element("span", { class: "visually-hidden", text: "held still" }), element("progress", { max: 1, value: guide.still, "aria-label": "held still" }))),
+    element("div", { class: "part" }, element("p", { text: `Places and slope directions seen: ${Math.round(100 * share)} %` }), map, element("p", { id: "forecast", text: ahead }), element("div", { class: "row" }, fitButton, " ", stopButton(does))),
+  ];
+}
+
+function fit(_, __, ___, ____, work) {
+  const [what, done, total] = work ?? ["starting", 0, 1];
+  return [element("div", { class: "part" }, element("p", { text: HELP.fit }), element("progress", { max: Math.max(1, total), value: done, "aria-label": what }), element("p", { text: what }))];
+}
+
+function report(guide, _, __, does) {
+  const { headline, level, next, checks, model, accepted, rejected, folder } = guide.report;
+  const rows = checks.map((check) => element("tr", {}, element("td", { text: check.label }), element("td", { text: check.value === null ? "not known" : `${Number(check.value.toPrecision(3))} ${check.unit}` }), element("td", { class: `level-${check.level}`, text: check.level })));
+  return [
+    element("div", { class: "part" }, element("h3", { class: `level-${level}`, id: "verdict", text: headline }), element("p", { text: next }), element("table", { class: "checks" }, ...rows)),
+    element("div", { class: "part" }, element("p", { text: `${accepted} presses used, ${rejected.length} rejected; color model ${model}. Presses, calibration and the whole report are in ${folder}/.` }), element("div", {}, element("button", { class: "main", id: "guide-use", text: "Use it", onclick: () => does.send("guide_use") }), " ", stopButton(does))),
+  ];
+}
+
+const stopButton = (does) => element("button", { class: "quiet", id: "guide-stop", text: "Stop", onclick: () => does.send("guide_stop") });

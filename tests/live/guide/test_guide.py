@@ -1,0 +1,92 @@
+"""The guide's steps, fed with simulated images at a camera's pace, faster than real time."""
+
+import numpy as np
+import pytest
+
+from gelform.errors import GelformError
+from gelform.frames import Frame
+from gelform.live.guide import guide as module
+from gelform.live.guide.guide import BACKGROUND_FRAMES, LEAST, STILL_LOOKS, Asked, Guide
+from gelform.simulate import simulate_background
+
+
+@pytest.fixture
+def guide(sensor, monkeypatch):
+    monkeypatch.setattr(module, "LOOK_EVERY_S", 0.0)
+    return Guide(Asked(5.0, sensor.mm_per_px, sensor_name="small"))
+
+
+@pytest.fixture
+def see(guide, sensor):
+    """Shows the guide an image so many times, each with noise of its own where it is None: untouched."""
+    rng = np.random.default_rng(5)
+
+    def shown(image=None, times=1):
+        for k in range(times):
+            pixels = np.asarray(simulate_background(sensor, rng), np.uint8) if image is None else image
+            guide.see(Frame(pixels, 0.0, 0, k))
+
+    return shown
+
+
+def test_the_background_comes_first_then_a_place_to_press(guide, see):
+    see(times=BACKGROUND_FRAMES - 1)
+    assert guide.step == "background"
+    see()
+    assert guide.step == "press"
+    assert guide.target is not None
+    assert guide.target.name in guide.hint
+
+
+def test_a_press_held_still_is_accepted_once(guide, see, press):
+    see(times=BACKGROUND_FRAMES)
+    made = press(3, 2)
+    see(made.image, STILL_LOOKS)
+    assert guide.count == 0
+    see(made.image, 10)
+    assert guide.count == 1
+    assert guide.facts()["accepted"][0][:2] == pytest.approx(made.center_px, abs=1.5)
+    assert "Lift" in guide.hint
+    see()
+    assert guide.target.name in guide.hint
+
+
+def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):
+    see(times=BACKGROUND_FRAMES)
+    for seed in (1, 2):
+        see(press(3, 2, seed=seed).image, 8)
+        see()
+    facts = guide.facts()
+    assert facts["count"] == 1
+    assert "before" in facts["rejected"][0][-1]
+
+
+def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
+    see(times=BACKGROUND_FRAMES)
+    shares, targets = [], set()
+    for x_mm, y_mm in ((0, 0), (6, 4), (-6, -4), (6, -4), (-6, 4)):
+        see(press(x_mm, y_mm).image, 8)
+        see()
+        shares.append(guide.facts()["coverage"]["share"])
+        targets.add((guide.target.x_px, guide.target.y_px))
+    assert shares == sorted(shares)
+    assert shares[-1] > shares[0] > 0
+    assert len(targets) > 3
+    made = guide.presses()
+    assert len(made.presses) == LEAST
+    assert made.mm_per_px == guide.asked.mm_per_px
+
+
+def test_too_few_presses_cannot_be_fitted(guide, see):
+    see(times=BACKGROUND_FRAMES)
+    with pytest.raises(GelformError, match="Press on"):
+        guide.presses()
+
+
+def test_a_background_that_is_touched_half_the_time_is_taken_again(guide, see, press):
+    for k in range(BACKGROUND_FRAMES):
+        see(press(3, 2).image if k % 2 else None)
+    if guide.step == "background":
+        assert "again" in guide.hint
+    see(times=2 * BACKGROUND_FRAMES)
+    assert guide.step == "press"
