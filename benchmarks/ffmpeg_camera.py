@@ -12,6 +12,7 @@ from pathlib import Path
 
 FFMPEG = shutil.which("ffmpeg")
 STARTED_S = 30.0
+LISTENING, ESTABLISHED = "0A", "01"  # in /proc/net/tcp, by the address of this end
 
 
 class FfmpegCamera:
@@ -29,14 +30,16 @@ class FfmpegCamera:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> float:
-        """Switch it on; the monotonic time at which it listened."""
+        """Switch it on; the last monotonic time at which it did not yet listen."""
         self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL)
         until = time.monotonic() + STARTED_S
+        before = looked = time.monotonic()
         while not self._listens():
-            if time.monotonic() > until or self._process.poll() is not None:
+            if looked > until or self._process.poll() is not None:
                 raise RuntimeError(f"ffmpeg does not listen: {' '.join(self._command)}")
             time.sleep(0.002)
-        return time.monotonic()
+            before, looked = looked, time.monotonic()
+        return before
 
     def kill(self) -> None:
         """Switch it off, as a plug that is pulled."""
@@ -53,9 +56,11 @@ class FfmpegCamera:
         self.kill()
 
     def _listens(self) -> bool:
-        """As the kernel's table says: connecting to see would take the only client's place."""
+        """As the kernel's table says, or it has its client already: connecting to see would take the only client's place."""
         rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-        return any(row[1].endswith(f":{self.port:04X}") and row[3] == "0A" for row in rows)
+        return any(
+            row[1].endswith(f":{self.port:04X}") and row[3] in (LISTENING, ESTABLISHED) for row in rows
+        )
 
 
 def _free_port() -> int:
