@@ -1,6 +1,6 @@
 """How fast it is: every stage of a frame, and the whole frame, one thread, at three sizes.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py        # about a minute
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py        # about a minute; --quick: 240x320 alone, not written
 
 Machines are shared and noisy: trust the ratios to D, a bare float32 scipy dctn + idctn pair of the same size that is
 timed in turn with the stages in the same run. Writes results/speed.json.
@@ -13,6 +13,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import argparse
 import json
 import subprocess
 import sys
@@ -151,8 +152,11 @@ def first_frame_s(calibration: gelform.Calibration, image: np.ndarray) -> float:
 
 def main() -> None:
     """Time every size and print the table."""
+    parser = argparse.ArgumentParser(description="How fast every stage of a frame is.")
+    parser.add_argument("--quick", action="store_true", help="240x320 alone; writes no results")
+    quick = parser.parse_args().quick
     figures: dict[str, Any] = {}
-    for shape in SIZES:
+    for shape in SIZES[:1] if quick else SIZES:
         calibration, image = calibration_at(shape)
         calls = stages(calibration, image)
         pair, *times = median_ms([dct_pair(shape), *calls.values()], rounds=101, seconds=15)
@@ -174,7 +178,8 @@ def main() -> None:
         + ", ".join(f"{k}: {v:.1f} times faster" for k, v in over.items())
     )
     print(f"first frame of a new process: {first:.2f} s")
-    write("speed", {"sizes": figures, "times_faster_than_gs_sdk": over, "first_frame_s": first})
+    if not quick:
+        write("speed", {"sizes": figures, "times_faster_than_gs_sdk": over, "first_frame_s": first})
 
 
 if __name__ == "__main__":
