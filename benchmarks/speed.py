@@ -1,6 +1,6 @@
 """How fast it is: every stage of a frame, and the whole frame, one thread, at three sizes.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py        # about a minute; --quick: 240x320 alone, not written
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py    # a minute; --quick: 240x320 alone
 
 Machines are shared and noisy: trust the ratios to D, a bare float32 scipy dctn + idctn pair of the same size that is
 timed in turn with the stages in the same run. Writes results/speed.json.
