@@ -133,3 +133,16 @@ def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
     assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20)] == [(1,), (2, 1)]
     assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40)] == [(2, 1)]
     assert {c.zone for c in candidates_of(calibration, 6)} == {calibration.settings["zone"]}
+
+
+def test_presses_that_show_the_same_are_on_one_side():
+    """Held out or training, never parted, in whatever order they are drawn."""
+    groups = [[0, 1, 2], [3], [4, 5], [6], [7, 8, 9, 10], [11]]
+    for seed in range(50):
+        order = np.random.default_rng(seed).permutation(12)
+        training, tested = learning_module.parted(order, 9, groups)
+        assert tested == order[-3:].tolist()
+        assert all(set(group).isdisjoint(training) or set(group).isdisjoint(tested) for group in groups)
+        assert set(training) <= set(order[:9].tolist())
+        alone = [[i] for i in range(12)]
+        assert learning_module.parted(order, 9, alone)[0] == order[:9].tolist()

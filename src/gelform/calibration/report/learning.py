@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from gelform.calibration.circles.alike import groups_alike
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import refine
@@ -66,14 +67,29 @@ def learning_curve(
     to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
     found = find_contacts(to_refine)
     sizes = sizes_for(len(own.presses))
+    groups = groups_alike(to_refine, found, range(len(own.presses)))
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
     points = []
     for done, size in enumerate(sizes):
         candidates = candidates_of(calibration, size)
-        draws = [_one_draw(candidates, size, order, to_refine, to_fit, found) for order in orders]
+        draws = [
+            _one_draw(candidates, *parted(order, size, groups), to_refine, to_fit, found) for order in orders
+        ]
         points += _best_point(candidates, size, [draw for draw in draws if draw is not None])
         progress(done + 1, len(sizes), "measuring the learning curve")
     return _with_expectation(points, len(own.presses))
+
+
+def parted(
+    order: NDArray[np.intp], size: int, groups: Sequence[Sequence[int]]
+) -> tuple[list[int], list[int]]:
+    """The first `size` presses of an order, which train, and the last ones, which are held out.
+
+    What shows the same as a held-out press does not train.
+    """
+    tested = [int(i) for i in order[-held_out_count(len(order)) :]]
+    same = {i for group in groups if not set(group).isdisjoint(tested) for i in group}
+    return [int(i) for i in order[:size] if i not in same], tested
 
 
 def held_out_count(accepted: int) -> int:
@@ -104,21 +120,19 @@ def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
 
 def _one_draw(
     candidates: Sequence[Candidate],
-    size: int,
-    order: NDArray[np.intp],
+    training: Sequence[int],
+    tested: Sequence[int],
     to_refine: Sequence[PreparedPress],
     to_fit: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
 ) -> list[float] | None:
-    """Each candidate's mean normal error on the last presses of an order, fitted on the first ones."""
-    training = [int(i) for i in order[:size]]
+    """Each candidate's mean normal error on held-out presses, fitted on others."""
     start = None if candidates[0].start is None else candidates[0].start.model
     refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
     if len(kept) < 2:
         return None
     used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
-    tested = order[-held_out_count(len(order)) :]
     degrees = []
     for candidate in candidates:
         model = candidate.fit(used, contacts)

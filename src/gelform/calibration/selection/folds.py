@@ -66,7 +66,7 @@ def make_folds(
     start : another unit's model, where the refinement begins
     progress : called with (done, total, what)
     """
-    groups = groups_alike(presses, sorted(usable, key=lambda i: presses[i].ball_radius_px))
+    groups = groups_alike(presses, found, sorted(usable, key=lambda i: presses[i].ball_radius_px))
     ordered = [i for group in groups for i in group]
     count = min(FOLDS, len(groups))
     folds = []
