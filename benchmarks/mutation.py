@@ -179,6 +179,19 @@ def record(module: str, figures: dict[str, Any]) -> None:
     os.waitpid(child, 0)
 
 
+def counts_table() -> str:
+    """The counts of results/mutation.json by module, as Markdown."""
+    from report import table
+
+    figures = json.loads((RESULTS / "mutation.json").read_text())["modules"]
+    rows = [
+        [name, one["of"], one["mutants"], one["noticed"], one["equivalent"], len(one["missed"])]
+        for name, one in sorted(figures.items())
+    ]
+    total = ["all", *(sum(row[column] for row in rows) for column in range(1, 6))]
+    return table(["module", "mutants", "tried", "noticed", "equivalent", "missed"], [*rows, total])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="*", default=modules(), metavar="MODULE")
@@ -188,7 +201,11 @@ def main() -> None:
     parser.add_argument("--missed", action="store_true", help="only what the last run missed")
     parser.add_argument("--wide", action="store_true", help="by the tests of the whole room too")
     parser.add_argument("--keep", type=Path, help="folder for what later runs can use again")
+    parser.add_argument("--table", action="store_true", help="print the counts so far, and try nothing")
     asked = parser.parse_args()
+    if asked.table:
+        print(counts_table())
+        return
     with tempfile.TemporaryDirectory() as temporary:
         folder = copied(Path(temporary))
         kept = asked.keep or Path(temporary) / "kept"
