@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
 
 from gelform import view
+from gelform.background.check import Finding
 from gelform.frames import Frame
 from gelform.markers import MarkerTracker
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
+from gelform.streams.evidence import Evidence
+from gelform.streams.health import Examination, Frozen, light_findings
 from gelform.streams.rest import BackgroundDrift
 from gelform.streams.smoothing import Smoothing
-from gelform.streams.unusable import result_from_image
+from gelform.streams.unusable import result_from_image, unknown_by_now
 
 
 class Memory:
@@ -31,9 +36,18 @@ class Memory:
 
     def __init__(self, reconstruct: Reconstructor, *, smoothing: float | None = None) -> None:
         self.reconstruct = reconstruct
+        self._examine: Callable[[Callable[[], None]], None] = lambda work: work()
+        self._frozen, self._examination = Frozen(), Examination()
+        self._examined: Evidence | None = None
+        self._light: tuple[Finding, ...] = ()
+        self._examined_findings: tuple[Finding, ...] = ()
         self._markers = MarkerTracker(reconstruct.markers)
         self._drift = BackgroundDrift(reconstruct.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
+
+    def examine_by(self, examine: Callable[[Callable[[], None]], None]) -> None:
+        """Have what takes too long for a frame run elsewhere: `examine` is given it to call, ten seconds apart."""
+        self._examine = examine
 
     def take_background(self) -> None:
         """Nothing touches now: what the next second shows is the untouched gel. From any thread."""
@@ -49,7 +63,23 @@ class Memory:
 
     def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with what the sequence adds to it; learns from both."""
+        frozen = self._frozen(image, result.time_s or 0.0)
+        result = replace(result, health=(*result.health, *frozen, *self._findings))
+        if frozen:
+            return unknown_by_now(self.reconstruct, result)
         background = self._drift(image, result)
         if background is not None:
             self.reconstruct = self.reconstruct.with_background(background)
+            self._light = light_findings(self._drift.light.gains)
+        if self._drift.evidence is not self._examined:
+            self._examined = self._drift.evidence
+            self._examine(self._examine_evidence)
         return result if self._smoothing is None else self._smoothing(result)
+
+    @property
+    def _findings(self) -> tuple[Finding, ...]:
+        return (*self._light, *self._examined_findings)
+
+    def _examine_evidence(self) -> None:
+        if (evidence := self._examined) is not None:
+            self._examined_findings = self._examination(evidence)

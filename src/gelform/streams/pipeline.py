@@ -65,8 +65,12 @@ class Pipeline:
             for name, work, out in (
                 ("reconstruct", self._reconstruct, self._reconstructed),
                 ("remember", self._remember, self.results),
+                ("examine", self._examine, self.results),
             )
         ]
+        self._checks: HandOver[Callable[[], None]] = HandOver()
+        self._checks_asked = 0
+        memory.examine_by(self._ask)
 
     def start(self) -> None:
         """Start the threads; OpenCV's own are turned off, for the whole process: there is one thread per stage."""
@@ -103,6 +107,7 @@ class Pipeline:
         self._stop.set()
         self._reconstructed.end()
         self.results.end()
+        self._checks.end()
         self.feed.close()
         for thread in self._threads:
             if thread.ident is not None:
@@ -116,6 +121,8 @@ class Pipeline:
             out.end(problem)
         else:
             out.end()
+        if out is self.results:
+            self._checks.end()
 
     def _reconstruct(self, out: HandOver[StreamFrame]) -> None:
         index = -1
@@ -136,6 +143,17 @@ class Pipeline:
             result = self.memory.result_from_image(image)
         stamped = replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
         return StreamFrame(image, stamped, frame.index, frame.time_s)
+
+    def _ask(self, check: Callable[[], None]) -> None:
+        """Have a check made by its own thread: the newest one, where they come too fast."""
+        self._checks.put(self._checks_asked, check)
+        self._checks_asked += 1
+
+    def _examine(self, out: HandOver[StreamFrame]) -> None:
+        number = -1
+        while (check := self._checks.newest(number)) is not None:
+            number += 1
+            check()
 
     def _remember(self, out: HandOver[StreamFrame]) -> None:
         index = -1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,4 +55,16 @@ def unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
         mm_per_px_sigma=calibration.mm_per_px_sigma,
         health=(*reconstruct.findings, finding),
         calibration_digest=calibration.digest,
+    )
+
+
+def unknown_by_now(reconstruct: Reconstructor, result: Reconstruction) -> Reconstruction:
+    """The result of an image that is not of now, such as one that a hanging camera repeats: as before, but not known."""
+    nothing = unusable(reconstruct, result.health[-1])
+    return replace(
+        result,
+        depth_sigma_mm=nothing.depth_sigma_mm if result.depth_sigma_mm is not None else None,
+        gradients_sigma=nothing.gradients_sigma,
+        confidence=nothing.confidence,
+        known=nothing.known,
     )

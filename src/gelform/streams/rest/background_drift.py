@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.reconstruction import Reconstruction
+from gelform.streams.evidence import Evidence
 from gelform.streams.rest.smooth_light import SmoothLight, block_means
 from gelform.streams.rest.touched import Touched
 
@@ -29,10 +30,12 @@ STEP_S, MEAN_S = 1.0, 3.0  # how often the light is fitted, and over how long bl
 CANDIDATE_S, BEFORE_S, AFTER_S, FOLLOW_S = 10.0, 30.0, 60.0, 60.0
 LONGEST_GAP_S = 5.0  # without a frame: nobody knows what happened
 LEAST_FREE = 0.3  # part of the blocks that has to be untouched for the light to be fitted
-NO_MEASURE = {
-    "beyond_gel", "background_differs", "dark", "exposure_unknown", "few_untouched", "frozen", "not_this_gel", "saturated",
-    "torn",
-}  # fmt: skip
+NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
+DIFFERENT = {
+    "background_differs",
+    "few_untouched",
+    "not_this_gel",
+}  # a contact that fills the image, or another gel
 LEVELS = 256  # of a candidate, per grey level
 
 
@@ -57,6 +60,10 @@ class BackgroundDrift:
     Parameters
     ----------
     background : (H, W, 3) float32, 0-255, the untouched image from which the sequence starts
+
+    Attributes
+    ----------
+    evidence : the mean of the last ten seconds that were whole, or None
     """
 
     def __init__(self, background: NDArray[np.float32]) -> None:
@@ -70,6 +77,8 @@ class BackgroundDrift:
         self._waiting: deque[Candidate] = deque()
         self._last_s: float | None = None
         self._asked = self._taking = False
+        self._contact_long = np.zeros(background.shape[:2], dtype=bool)
+        self.evidence: Evidence | None = None
         self._start_anew(0.0)
 
     def take(self) -> None:
@@ -85,10 +94,14 @@ class BackgroundDrift:
         if self._asked:
             self._asked, self._taking = False, True
             self._start_anew(time_s)
-        if any(finding.name in NO_MEASURE for finding in result.health):
+        names = {finding.name for finding in result.health}
+        if names & NO_MEASURE:
             self._contact |= True
             return None
         self._add(image, result.contact)
+        if names & DIFFERENT:
+            self._contact |= True
+            self._different += 1
         if time_s - self._step_s < STEP_S:
             return None
         return self._taken(time_s) if self._taking else self._step(time_s)
@@ -96,7 +109,7 @@ class BackgroundDrift:
     def _taken(self, time_s: float) -> NDArray[np.float32]:
         """Start again from the mean since it was asked for."""
         self._taking = False
-        self._local = self._sum / np.float32(self._sum_count)
+        self.start = self._local = self._sum / np.float32(self._sum_count)
         self._local_blocks = block_means(self._local, BLOCK_PX)
         self.light.coefficients[:] = 0
         self.touched.nowhere()
@@ -117,7 +130,7 @@ class BackgroundDrift:
         self._blocks = np.zeros_like(self._local_blocks)
         self._contact = np.zeros(self._local.shape[:2], dtype=bool)
         self._sum = np.zeros_like(self._local)
-        self._count = self._sum_count = 0
+        self._count = self._sum_count = self._different = 0
 
     def _add(self, image: NDArray[Any], contact: NDArray[np.bool_]) -> None:
         self._blocks += block_means(image, BLOCK_PX)
@@ -125,6 +138,7 @@ class BackgroundDrift:
         cv2.accumulate(image, self._sum)
         self._sum_count += 1
         self._contact |= contact
+        self._contact_long |= contact
 
     def _step(self, time_s: float) -> NDArray[np.float32] | None:
         """Fit the light, see what is touched, take in what has waited long enough."""
@@ -160,11 +174,27 @@ class BackgroundDrift:
 
     def _keep_candidate(self, time_s: float) -> None:
         light = self.light.at(self._local.shape[:2])
-        image = self._sum / (light * np.float32(self._sum_count / LEVELS))
+        mean = self._sum * np.float32(1 / self._sum_count)
+        self.evidence = self._evidence(time_s, mean, light)
+        image = mean * np.float32(LEVELS) / light
         levels = np.clip(np.rint(image), 0, 255 * LEVELS).astype(np.uint16)
         self._waiting.append(Candidate(self._candidate_s, time_s, levels))
         self._candidate_s = time_s
-        self._sum[:], self._sum_count = 0, 0
+        self._sum[:], self._sum_count, self._different = 0, 0, 0
+        self._contact_long[:] = False
+
+    def _evidence(self, time_s: float, mean: NDArray[np.float32], light: NDArray[np.float32]) -> Evidence:
+        touched = ~self.touched.not_since(self._candidate_s)
+        return Evidence(
+            time_s=time_s,
+            image=mean,
+            frames=self._sum_count,
+            start=self.start,
+            light=light,
+            touched=_as_pixels(touched, self._local.shape[:2]),
+            contact=self._contact_long.copy(),
+            different=self._different / self._sum_count,
+        )
 
     def _take_in(self, time_s: float) -> None:
         """Let candidates that have waited become part of the untouched image, where nothing touched around their time."""
@@ -177,3 +207,8 @@ class BackgroundDrift:
             image = candidate.image.astype(np.float32) * np.float32(1 / LEVELS)
             self._local += share[..., None] * (image - self._local)
             self._local_blocks = block_means(self._local, BLOCK_PX)
+
+
+def _as_pixels(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    pixels = cv2.resize(blocks.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(pixels, dtype=bool)

@@ -10,7 +10,8 @@ DEGREE = 3
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x and y
 ROUNDS = 3
 OUTLIER = 4.0  # deviations of noise from which on a block no longer counts (Tukey's biweight)
-STEP = 3e-3  # by how much a coefficient may change from fit to fit; matters where no block is untouched
+# By how much the mean light, and its other coefficients, may change from fit to fit; matters where no block is untouched.
+MEAN_STEP, STEP = 0.1, 3e-3
 LEAST_NOISE = 0.02  # grey levels of a block's mean
 
 
@@ -28,8 +29,14 @@ class SmoothLight:
     def __init__(self, blocks: tuple[int, int]) -> None:
         in_y, in_x = (_legendre(n) for n in blocks)
         self._basis = np.stack([in_y[:, None, j] * in_x[None, :, i] for i, j in POWERS], axis=-1)
+        self._steps = np.array([MEAN_STEP if power == (0, 0) else STEP for power in POWERS])
         self.coefficients = np.zeros((3, len(POWERS)))
         self.noise = np.full(3, LEAST_NOISE)
+
+    @property
+    def gains(self) -> NDArray[np.float64]:
+        """The mean light of each channel (3,), relative."""
+        return np.asarray(1 + self.coefficients[:, 0], dtype=np.float64)
 
     def at(self, shape: tuple[int, int]) -> NDArray[np.float32]:
         """The light (H, W, 3), relative, at the centres of as many rows and columns over the image."""
@@ -64,7 +71,7 @@ class SmoothLight:
                 noise = max(1.4826 * float(np.median(np.abs(off))), LEAST_NOISE)
                 weights = np.square(np.clip(1 - np.square(off / (OUTLIER * noise)), 0, None))
                 normal = (columns * weights[:, None]).T @ columns
-                normal[np.diag_indices_from(normal)] += (noise / STEP) ** 2
+                normal[np.diag_indices_from(normal)] += (noise / self._steps) ** 2
                 right = columns.T @ (weights * (wanted - columns @ before))
                 coefficients = before + np.linalg.solve(normal, right)
             self.coefficients[channel], self.noise[channel] = coefficients, noise

@@ -1,0 +1,114 @@
+"""Scratch, dust, tear: small parts of the image that differ from the start's and stay so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.check import Finding
+from gelform.streams.evidence import Evidence
+
+SMOOTH_PX, WIDE_PX = 1.0, 8.0
+OUTLIER, LEAST_CHANGE = 6.0, 0.04  # deviations of noise; of the brightness
+STAYS = 3  # evidences in a row, some ten seconds each
+LEAST_AREA_PX = 4
+LONG, THIN_SHARE = 10.0, 0.4  # a scratch: so many px long, and so much less wide
+TORN, TORN_AREA = 0.2, 0.0045  # a tear: brightness of all channels together, part of the image
+CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
+AROUND_PX = 8
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One connected part of the image that differs.
+
+    Attributes
+    ----------
+    name : "scratch", "dust", "tear"
+    area_px, length_px : int, float
+    change : float, relative, of all channels together
+    """
+
+    name: str
+    area_px: int
+    length_px: float
+    change: float
+
+
+class Marks:
+    """Remembers for how long each pixel has differed from the start without contact around it."""
+
+    def __init__(self) -> None:
+        self._stays: NDArray[np.uint8] | None = None
+
+    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+        """`scratch`, `dust` and `tear`; figures are the largest one's length or diameter, px, and share of the image."""
+        change = evidence.image / np.maximum(evidence.start * evidence.light, 1) - 1
+        odd = _stands_out(change)
+        if self._stays is None:
+            self._stays = np.zeros(odd.shape, np.uint8)
+        nearby = cv2.dilate(odd.view(np.uint8), np.ones((3, 3), np.uint8)).view(np.bool_)
+        self._stays[:] = np.where(nearby, np.minimum(self._stays + 1, 250), 0)
+        marks = _marks(odd & (self._stays >= STAYS), change.mean(axis=-1), evidence.contact)
+        return tuple(_finding(name, marks, odd.size) for name in _WORDS if any(m.name == name for m in marks))
+
+
+_WORDS = {
+    "scratch": "A new line of {length:.0f} px has stayed on the gel: a scratch, or a fibre. Depth along it is not right.",
+    "dust": "A new spot of {length:.0f} px has stayed on the gel: dust. Clean it.",
+    "tear": "{share:.1f} % of the image has become {change:+.0f} % brighter, and stayed so: the coating is torn or worn. "
+    "Replace the gel.",
+}
+
+
+def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
+    largest = max((mark for mark in marks if mark.name == name), key=lambda mark: mark.area_px)
+    share = largest.area_px / pixels
+    message = _WORDS[name].format(length=largest.length_px, share=100 * share, change=100 * largest.change)
+    return Finding(name, message, share if name == "tear" else largest.length_px)
+
+
+def _stands_out(change: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels (H, W) that differ from their wide surroundings by much more than others do, in any channel."""
+    smooth = cv2.GaussianBlur(change, (0, 0), SMOOTH_PX)
+    height, width = change.shape[:2]
+    step = max(1, round(WIDE_PX / 2))
+    small = cv2.resize(smooth, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
+    wide = cv2.resize(cv2.medianBlur(small, 5), (width, height), interpolation=cv2.INTER_LINEAR)
+    off = np.abs(smooth - wide)
+    torn = np.abs(smooth).min(axis=-1) > TORN  # wider than the surroundings that the median looks at
+    noise = 1.4826 * np.median(off[::2, ::2], axis=(0, 1))
+    return np.asarray((off > np.maximum(OUTLIER * noise, LEAST_CHANGE)).any(axis=-1) | torn)
+
+
+def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArray[np.bool_]) -> list[Mark]:
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(where.view(np.uint8), connectivity=8)
+    marks = []
+    for label in range(1, count):
+        area = int(boxes[label][cv2.CC_STAT_AREA])
+        if area < LEAST_AREA_PX:
+            continue
+        mine = labels == label
+        name, length = _kind(mine, float(change[mine].mean()), area)
+        if name == "tear" or not _rests(mine, contact):
+            marks.append(Mark(name, area, length, float(change[mine].mean())))
+    return marks
+
+
+def _kind(mine: NDArray[np.bool_], change: float, area: int) -> tuple[str, float]:
+    y, x = np.nonzero(mine)
+    covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
+    small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
+    if area > TORN_AREA * mine.size and abs(change) > TORN:
+        return "tear", float(large)
+    return ("scratch" if large > LONG and small < THIN_SHARE * large else "dust"), float(large)
+
+
+def _rests(mine: NDArray[np.bool_], contact: NDArray[np.bool_]) -> bool:
+    """Whether a wide contact is around the mark: something that rests on the gel, not the gel itself."""
+    kernel = np.ones((2 * AROUND_PX + 1,) * 2, np.uint8)
+    around = cv2.dilate(mine.view(np.uint8), kernel).view(np.bool_) & ~mine
+    return float(contact[around].mean()) > CONTACT_AROUND

@@ -1,0 +1,44 @@
+"""Small parts that differ and stay so: scratch, dust, tear; and not what comes and goes or rests there."""
+
+import numpy as np
+import pytest
+
+from gelform.streams.evidence import Evidence
+from gelform.streams.health.marks import Marks
+from sensor_faults import dust, scratch, tear
+
+SHAPE = (160, 200)
+REST = np.full((*SHAPE, 3), 100.0)
+
+
+def seen(images, contact=None):
+    marks, rng, ones = Marks(), np.random.default_rng(0), np.ones((*SHAPE, 3), np.float32)
+    nowhere = np.zeros(SHAPE, bool)
+    found = ()
+    for image in images:
+        noisy = (image + rng.normal(0, 0.2, image.shape)).astype(np.float32)
+        start = REST.astype(np.float32)
+        found = marks(Evidence(0.0, noisy, 60, start, ones, nowhere, nowhere if contact is None else contact))
+    return [finding.name for finding in found]
+
+
+@pytest.mark.parametrize("fault", [scratch, dust, tear])
+def test_each_is_named_when_it_stays(fault):
+    marked = fault(REST, np.random.default_rng(8))
+    assert seen([REST, marked, marked]) == []
+    assert seen([REST, marked, marked, marked]) == [fault.__name__]
+
+
+def test_what_comes_and_goes_is_no_mark():
+    marked = dust(REST, np.random.default_rng(8))
+    assert seen([marked, marked, REST, marked, marked]) == []
+
+
+def test_what_rests_there_is_no_mark():
+    """A scratch within a wide contact is the relief of what touches."""
+    marked = scratch(REST, np.random.default_rng(8))
+    assert seen([marked] * 4, contact=np.ones(SHAPE, bool)) == []
+
+
+def test_a_sound_gel():
+    assert seen([REST] * 5) == []

@@ -1,0 +1,58 @@
+"""A gel that has moved, or is another one, is known by its texture."""
+
+import numpy as np
+import pytest
+
+from gelform.streams.evidence import Evidence
+from gelform.streams.health.place import Place
+from sensor_faults import Gel, moved
+
+
+@pytest.fixture(scope="module")
+def gel(sensor):
+    return Gel.drawn(sensor, np.random.default_rng(1))
+
+
+def looks(start, images, *, touched=0.0, different=0.0):
+    place, shape = Place(start.astype(np.float32)), start.shape[:2]
+    somewhere = np.zeros(shape, bool)
+    somewhere[: int(touched * shape[0])] = True
+    light, nowhere = np.ones((*shape, 3), np.float32), np.zeros(shape, bool)
+    return [
+        place(Evidence(10.0 * k, image.astype(np.float32), 600, start, light, somewhere, nowhere, different))
+        for k, image in enumerate(images)
+    ]
+
+
+def noisy(gel, count=4, seed=5):
+    rng = np.random.default_rng(seed)
+    return [gel.rest + rng.normal(0, 0.2, gel.rest.shape) for _ in range(count)]
+
+
+def test_the_same_gel_in_its_place(gel):
+    assert looks(gel.rest, noisy(gel)) == [()] * 4
+
+
+def test_a_camera_that_moved(gel):
+    image = moved(gel.rest, np.random.default_rng(3))
+    found = looks(gel.rest, [image])[0]
+    assert found[0].name == "camera_moved"
+    assert 1 <= found[0].figure <= 4.5
+
+
+def test_another_gel(gel, sensor):
+    other = Gel.drawn(sensor, np.random.default_rng(2))
+    found = looks(gel.rest, noisy(other))
+    assert found[-1][0].name == "other_gel"
+    assert found[0] == ()
+
+
+def test_what_is_touched_all_over_says_nothing(gel):
+    image = moved(gel.rest, np.random.default_rng(3))
+    assert looks(gel.rest, [image] * 3, touched=0.9) == [()] * 3
+
+
+def test_frames_that_differ_for_long_are_of_another_gel(gel):
+    found = looks(gel.rest, noisy(gel), different=1.0)
+    assert found[1] == ()
+    assert found[3][0].name == "other_gel"
