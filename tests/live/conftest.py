@@ -1,4 +1,6 @@
-"""A hub with one small simulated sensor, calibrated, running at 60 a second; and a frame of it."""
+"""A hub with one small simulated sensor, calibrated, running at 60 a second; a frame of it; servers that answer."""
+
+import threading
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from gelform.live.setup import Setup
 from gelform.live.shown import Shown
 from gelform.live.simulated.show import Show
 from gelform.live.station import Station
+from gelform.live.web.server import listen
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import Ball, simulate_press
 from live_waiting import until
@@ -48,3 +51,34 @@ def hub(sensor, calibration):
     until(lambda: station.newest)
     yield made
     made.close()
+
+
+class Running:
+    """A server that answers; `address` is host and port."""
+
+    def __init__(self, hub, **how):
+        self.server = listen(port=0, **how)
+        self.uvicorn = self.server.uvicorn_of(hub)
+        self.address = self.server.address
+        self.url = f"http://{self.address}"
+        self._thread = threading.Thread(target=self.server.run, args=(self.uvicorn,), daemon=True)
+        self._thread.start()
+        until(lambda: self.uvicorn.started)
+
+    def close(self):
+        self.uvicorn.should_exit = True
+        self._thread.join(5)
+
+
+@pytest.fixture
+def serving(hub):
+    """Starts servers of the hub; all end with the test."""
+    running = []
+
+    def start(**how):
+        running.append(Running(hub, **how))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.close()

@@ -1,0 +1,178 @@
+"""The page in a real browser: pixels, numbers, buttons, lost connections, accessibility."""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from live_waiting import until
+
+PLACES = [os.environ.get("GELFORM_CHROMIUM", ""), "chromium", "chromium-browser", "google-chrome"]
+CHROMIUM = next((found for name in PLACES if name and (found := shutil.which(name))), None)
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--no-first-run",
+]
+AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt install chromium, or set GELFORM_CHROMIUM to one")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install playwright")
+    with playwright.sync_playwright() as running:
+        context = running.chromium.launch_persistent_context(
+            str(tmp_path_factory.mktemp("profile")),
+            executable_path=CHROMIUM,
+            headless=True,
+            args=FLAGS,
+            viewport={"width": 1100, "height": 900},
+        )
+        yield context
+        context.close()
+
+
+@pytest.fixture
+def page(browser, serving, hub):
+    """The page, with the ball pressed and held; what goes wrong in it fails the test."""
+    running = serving()
+    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    opened = browser.new_page()
+    troubles, hosts = [], set()
+    opened.on("pageerror", lambda error: troubles.append(str(error)))
+    opened.on("console", lambda said: troubles.append(said.text) if said.type == "error" else None)
+    opened.on("request", lambda request: hosts.add(re.sub(r"^\w+://([^/]*).*", r"\1", request.url)))
+    opened.goto(running.url)
+    until(lambda: opened.evaluate("window.gelform?.frame?.header.peak > 0.4"), 30)
+    yield opened
+    opened.close()
+    assert troubles == []
+    assert hosts <= {running.address}
+
+
+def held(page, hub):
+    """The picture held still: page and server show the same frame, which is given."""
+    page.click("#pause")
+    until(lambda: hub.stations[0].paused)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial, 20)
+    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return hub.stations[0].newest.result
+
+
+def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
+    colormaps = pytest.importorskip("matplotlib").colormaps
+    depth = held(page, hub).depth_mm
+    top = page.evaluate("gelform.settings.range")
+    row, column = np.unravel_index(depth.argmax(), depth.shape)
+    for y, x in ((row, column), (row, column + 12), (5, 5)):
+        script = "([x, y]) => [...document.querySelector('.pane canvas').getContext('2d').getImageData(x, y, 1, 1).data]"
+        found = page.evaluate(script, [int(x), int(y)])
+        wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
+        np.testing.assert_allclose(found[:3], wanted, atol=12)
+    script = """([x, y]) => import('/js/profile.js').then((module) => {
+        const { alongX, alongY } = module.profilesThrough(gelform.frame, [x, y]);
+        return [[...alongX], [...alongY]];
+    })"""
+    along_x, along_y = page.evaluate(script, [int(column), int(row)])
+    np.testing.assert_allclose(along_x, depth[row], atol=1e-4)
+    np.testing.assert_allclose(along_y, depth[:, column], atol=1e-4)
+    assert float(page.inner_text("#number-peak .value").split()[0].rstrip("m")) == pytest.approx(
+        depth.max(), abs=1e-3
+    )
+
+
+def test_the_surface_is_drawn_and_turns(page, hub):
+    held(page, hub)
+    before = _picture(page, "#surface")
+    colours = np.unique(before.reshape(-1, 3) // 16, axis=0)
+    assert len(colours) > 20
+    page.focus("#surface")
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_timeout(400)
+    assert np.abs(_picture(page, "#surface").astype(int) - before).mean() > 1
+
+
+def test_buttons_do_what_they_say(page, hub):
+    station = hub.stations[0]
+    page.click("#zero")
+    until(lambda: station.setup.zero_mm is not None)
+    until(lambda: page.inner_text("#zero") == "Zero: undo")
+    page.click("#zero")
+    until(lambda: station.setup.zero_mm is None)
+    page.select_option("#solver", "dct")
+    until(lambda: station.newest.result.solver == "dct")
+    page.select_option("#compare", "mine")
+    until(lambda: station.setup.other is not None)
+    page.select_option("#colors", "cividis")
+    assert page.evaluate("gelform.settings.colors") == "cividis"
+    page.click("#snapshot")
+    until(lambda: page.locator(".toast a").count() == 4)
+    with page.expect_download() as download:
+        page.click(".toast a >> nth=1")
+    assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
+    station.source.lift()
+    until(lambda: station.newest.measures.peak < 0.05)
+    page.keyboard.press("b")
+    until(lambda: station.setup.background is not None)
+
+
+def test_every_view_can_be_chosen_and_says_its_code(page):
+    for view in page.evaluate("Object.keys(gelform.views)"):
+        page.select_option(".pane select >> nth=0", view)
+        page.click(".pane button.code >> nth=0")
+        until(lambda: page.evaluate("document.getElementById('dialog').open"))
+        assert "import gelform" in page.inner_text("#dialog pre >> nth=0")
+        assert page.inner_text("#dialog pre >> nth=1").startswith("gelform live")
+        page.keyboard.press("Escape")
+
+
+def test_a_lost_connection_is_said_and_comes_back(page):
+    page.evaluate("gelform.connection.socket.close()")
+    serial = page.evaluate("gelform.frame.header.serial")
+    until(lambda: page.evaluate("gelform.connection.open"), 20)
+    until(lambda: page.evaluate("gelform.frame.header.serial") > serial + 3, 20)
+    assert page.is_hidden("#banner")
+
+
+def test_the_guide_leads_from_the_ball_to_a_press(page, hub, tmp_path):
+    hub.folder = tmp_path
+    page.click("#tab-calibrate")
+    page.fill("#ball", "5")
+    page.click("#guide-start")
+    until(lambda: page.locator("circle.target").count() == 1, 60)
+    until(lambda: page.evaluate("gelform.facts.guides[0].count") >= 1, 60)
+    page.click("#guide-stop")
+    until(lambda: page.locator("#guide-start").count() == 1)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_nothing_serious_for_those_who_see_or_point_badly(page, theme):
+    if not AXE.is_file():
+        pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    if page.evaluate("document.documentElement.dataset.theme") != theme:
+        page.click("#theme")
+    for tab in ("live", "calibrate"):
+        page.click(f"#tab-{tab}")
+        page.wait_for_timeout(300)
+        found = page.evaluate("axe.run({ resultTypes: ['violations'] })")["violations"]
+        serious = [
+            (one["id"], [node["target"] for node in one["nodes"]])
+            for one in found
+            if one["impact"] in ("serious", "critical")
+        ]
+        assert serious == []
+
+
+def _picture(page, place):
+    png = page.locator(place).screenshot()
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
