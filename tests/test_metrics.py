@@ -90,6 +90,7 @@ def test_a_score_finds_its_centre_and_reads_the_errors_put_in():
         ({"depth_mm": [[1, 2], [3]]}, "depth_mm as an array"),
         ({"depth_mm": np.zeros((2, 9, 9))}, r"depth_mm of shape \(H, W\)"),
         ({"gradients": np.zeros((8, 9, 2))}, r"gradients of shape \(9, 9, 2\), got \(8, 9, 2\)"),
+        ({"gradients": np.zeros((1, 9, 9, 2))}, "gradients of one frame"),
         ({"circle_px": (4, 4)}, "circle_px as 3 finite numbers"),
         ({"ball_radius_mm": 1e300}, "ball_radius_mm between"),
         ({"mm_per_px": np.ones(4)}, "mm_per_px as a number"),

@@ -103,6 +103,8 @@ def press_errors(
         raise ValueError(f"Expected depth_mm of shape (H, W), got {depth_mm.shape}.")
     height, width = depth_mm.shape
     gradients = check_gradients(gradients, shape=(height, width))
+    if gradients.ndim != 3:
+        raise ValueError(f"Expected gradients of one frame, ({height}, {width}, 2), got {gradients.shape}.")
     y, x = np.mgrid[:height, :width]
     cx, cy, contact = check_numbers(circle_px, "circle_px", 3)
     mm_per_px = check_positive(mm_per_px, "mm_per_px")

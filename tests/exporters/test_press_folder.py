@@ -33,6 +33,15 @@ def simulated():
     )
 
 
+def test_a_center_is_a_point(tmp_path):
+    image = np.full((8, 9, 3), 90, np.uint8)
+    with pytest.raises(TypeError, match="each of centers_px as a list, got int"):
+        save_press_folder(
+            tmp_path / "presses", background=image, images=[image], ball_diameters_mm=[5.0], mm_per_px=0.1, name="x",
+            centers_px=[3],
+        )  # fmt: skip
+
+
 def test_what_is_written_is_what_was_simulated(tmp_path, simulated):
     folder = save_simulated_presses(tmp_path / "deep" / "presses", simulated)
     assert sorted(p.name for p in folder.iterdir()) == [

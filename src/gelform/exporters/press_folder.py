@@ -8,7 +8,15 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from gelform.checks import check_image, check_is, check_list, check_mm_per_px, check_path, check_positive
+from gelform.checks import (
+    check_image,
+    check_is,
+    check_list,
+    check_mm_per_px,
+    check_numbers,
+    check_path,
+    check_positive,
+)
 from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
 from gelform.exporters.simulated_press import truth_from_press
 from gelform.progress import Progress, no_progress
@@ -121,7 +129,8 @@ def _rows(
         diameter = check_positive(diameters_mm[k], "ball_diameter_mm")
         row = {"image": f"images/{k:04d}.png", "ball_diameter_mm": f"{diameter:.6g}"}
         if centers_px is not None:
-            row |= {"center_x_px": f"{centers_px[k][0]:.4f}", "center_y_px": f"{centers_px[k][1]:.4f}"}
+            x, y = check_numbers(centers_px[k], "each of centers_px", 2)
+            row |= {"center_x_px": f"{x:.4f}", "center_y_px": f"{y:.4f}"}
         if radii_px is not None:
             row |= {"contact_radius_px": f"{radii_px[k]:.4f}"}
         rows.append(row)

@@ -76,6 +76,13 @@ def test_it_says_the_figures_of_the_json(page, content):
     assert again["learning"]["sentence"] in text
 
 
+def test_it_says_which_figure_is_whose(page, calibration):
+    report = calibration.report
+    assert report.held_out_saved
+    for name, saved in report.held_out_saved.items():
+        assert f"<td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td>" in page
+
+
 def test_the_same_report_is_the_same_page(page, presses, calibration, learning):
     content = report_content(presses, calibration, rng=np.random.default_rng(0), learning=learning)
     assert report_page(content, presses, calibration) == page

@@ -53,6 +53,7 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
     samples = calibration.report.samples
     sections = [
         figures_section(content),
+        _saved_section(calibration.report),
         presses_section(content, [press.image for press in presses.presses]),
         coverage_section(content),
         models_section(content),
@@ -63,6 +64,21 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
         history_section(content, calibration.background),
     ]
     return _document(f"Calibration of {name}", [_head(content), _verdict(content), _nav(), *sections])
+
+
+def _saved_section(report: Any) -> str:
+    """The saved model's own held-out figures beside those of the whole procedure: which figure is whose."""
+    rows = "".join(
+        f"<tr><td>{escape(name.replace('_', ' '))}</td><td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td></tr>"
+        for name, saved in report.held_out_saved.items()
+    )
+    return (
+        '<section id="saved"><h2>Which figure is whose</h2><p class="lead">The saved model: its kind, settings and zone, '
+        "fitted without each press and read on it. Choice and fit: the model is chosen anew without each press too, as "
+        "above; a little worse, because a choice among models was made.</p>"
+        '<div class="scroll"><table><thead><tr><th>held-out figure</th><th>saved model</th><th>choice and fit</th></tr>'
+        f"</thead><tbody>{rows}</tbody></table></div></section>"
+    )
 
 
 def _document(title: str, parts: Sequence[str]) -> str:
