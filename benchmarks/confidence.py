@@ -45,7 +45,7 @@ from report import RESULTS, table, write
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 REPORTED = ("ring-120", "homemade")
-DEPTHS_UM = (3.0, 5.0, 10.0)
+DEPTHS_UM = (5.0, 10.0)
 SEED = 20261122
 
 
@@ -87,12 +87,15 @@ def _real_presses(name: str) -> tuple[Any, Any]:
 
 
 def press(name: str, rng: np.random.Generator, depths_mm: tuple[float, float] = (0.2, 0.8)) -> SimulatedPress:
-    """A ball of 3 to 8 mm somewhere on the gel."""
-    sensor, radius = LAYOUTS[name], rng.uniform(1.5, 4)
-    depth = min(float(np.exp(rng.uniform(*np.log(depths_mm)))), 0.45 * radius)
-    return simulate_press(
-        sensor, Ball(radius), depth_mm=depth, center_mm=_place(name, rng), rng=rng, oversample=1
-    )
+    """A ball of 3 to 8 mm somewhere on the gel, so that a pixel's centre at least is touched."""
+    while True:
+        radius = rng.uniform(1.5, 4)
+        depth = min(float(np.exp(rng.uniform(*np.log(depths_mm)))), 0.45 * radius)
+        how: dict[str, Any] = {"depth_mm": depth, "center_mm": _place(name, rng), "rng": rng, "oversample": 1}
+        try:
+            return simulate_press(LAYOUTS[name], Ball(radius), **how)
+        except ValueError:  # it touches between the pixels' centres
+            continue
 
 
 def _place(name: str, rng: np.random.Generator) -> tuple[float, float]:
@@ -107,7 +110,7 @@ def coverage(run: Run) -> dict[str, Any]:
     for name in REPORTED:
         reconstruct, rng = gelform.Reconstructor(run.calibration(name)), np.random.default_rng(SEED)
         within = []
-        for _ in range(run.frames(30)):
+        for _ in range(run.frames(20)):
             truth = press(name, rng)
             result = reconstruct.from_image(faults.corrupted(truth.image, rng, rng.uniform(0.05, 0.15))[0])
             off = np.abs(result.depth_mm - truth.depth_mm) / result.depth_sigma_mm
@@ -124,7 +127,7 @@ def weights(run: Run) -> dict[str, Any]:
         with_weights = gelform.Reconstructor(calibration, depth_sigma=False)
         without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
         errors = []
-        for _ in range(run.frames(30)):
+        for _ in range(run.frames(20)):
             truth = press(name, rng)
             image = faults.saturated(faults.shadow(faults.shadow(truth.image, rng), rng), rng)
             depths = [one.from_image(image).depth_mm for one in (with_weights, without)]
@@ -256,7 +259,7 @@ def causes(run: Run) -> dict[str, Any]:
         reconstruct, row = gelform.Reconstructor(calibration, depth_sigma=False), {}
         for cause in (*faults.FAULTS, "marker", "outside"):
             named = []
-            for _ in range(run.frames(40)):
+            for _ in range(run.frames(20)):
                 image, used = press(name, rng).image, reconstruct
                 if cause in faults.FAULTS:
                     image = faults.FAULTS[cause](image, rng)
@@ -278,13 +281,13 @@ def alarms(run: Run) -> dict[str, Any]:
     rest = gelform.read_background(DATA / "mini-objects" / "background.png")
     own = gelform.import_calibration(
         DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth",
-        source="gs_sdk",
+        package="gs_sdk",
         background=rest,
         mm_per_px=0.0634,
     )
     frames = [frame.image for frame in gelform.Video(DATA / "mini-markers-video" / "mini_example.avi")]
     dotted = gelform.import_calibration(
-        DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth", source="gs_sdk",
+        DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth", package="gs_sdk",
         background=np.median(frames[:20], axis=0), mm_per_px=0.0634,
     )  # fmt: skip
     sets = {

@@ -232,7 +232,7 @@ class Reconstructor:
         self, image: NDArray[Any], change: NDArray[np.float32], flow: MarkerFlow | None = None
     ) -> _Read:
         """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
-        faults = self._health(image)
+        came, faults = image, self._health(image)
         image = faults.image  # what says nothing shows the untouched gel, and has no weight
         exposure, drifted = self._untouched_image.compare(image)
         flow = self.markers(image) if flow is None and len(self.markers) else flow
@@ -242,7 +242,7 @@ class Reconstructor:
         observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
         untouched, sigma = self._sigma(change, observed, reference, hidden)
-        confidence = self._causes(image, change, observed, reference, hidden, sigma)
+        confidence = self._causes(image, change, observed, reference, hidden, sigma, came)
         stated = None if self.calibration.slope_sigma is None else sigma
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
         return _Read(

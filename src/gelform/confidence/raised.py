@@ -45,6 +45,7 @@ class PreparedCauses:
         reference: Reference,
         hidden: NDArray[np.bool_] | None,
         sigma: NDArray[np.float32],
+        came: NDArray[Any] | None = None,
     ) -> NDArray[np.float32]:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
@@ -58,16 +59,19 @@ class PreparedCauses:
         reference : what untouched pixels have in common
         hidden : (H, W) bool, pixels that markers hide or that are lost, or None
         sigma : (H, W), of the law and the colours' distance to those of the training presses
+        came : (H, W, 3), the image as it came, where `image` has parts replaced: its noise counts
         """
         limits, pixels = self.limits, as_levels(image)
+        added = self.added_levels(pixels if came is None else as_levels(came))
+        unseen = self._unseen(hidden)
         confidence, marked = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
         count = _raise_sigma(
-            pixels, color_change, gradients, self._unseen(hidden), self._cells, reference.bias, limits.gain, sigma,
+            pixels, color_change, gradients, unseen, self._cells, reference.bias, limits.gain, sigma,
             confidence, marked, limits.unexplained, limits.sure, limits.per_change, limits.unseen, limits.clean,
-            limits.worth * self.added_levels(pixels), dark.DARK_TO, saturated.SATURATED_FROM,
+            limits.worth * added, dark.DARK_TO, saturated.SATURATED_FROM,
         )  # fmt: skip
         if count:
-            self._raise_around(marked, sigma, confidence)
+            self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)
         return confidence
 
     def seen(
@@ -82,9 +86,9 @@ class PreparedCauses:
     ) -> Seen:
         """A frame as the single causes look at it; the gradients (H, W, 2) as the color model read them."""
         residual = None if self._cells is None else color_change - explained_change(self._cells, gradients)
-        pixels = as_levels(image)
-        added = self.added_levels(pixels)
-        return Seen(pixels, color_change, residual, markers, lost, as_levels(lost_image), added, self.limits)
+        pixels, came = as_levels(image), as_levels(lost_image)
+        added = self.added_levels(came)
+        return Seen(pixels, color_change, residual, markers, lost, came, added, self.limits)
 
     def added_levels(self, pixels: NDArray[np.uint8]) -> float:
         """Noise of an image beyond the calibrated images', grey levels."""
@@ -98,8 +102,6 @@ class PreparedCauses:
         self, marked: NDArray[np.bool_], sigma: NDArray[np.float32], confidence: NDArray[np.float32]
     ) -> None:
         limits = self.limits
-        if limits.outside is not None:
-            marked &= ~limits.outside
         reached = with_margin(marked, limits.margin_px)
         raised = np.hypot(sigma[reached], np.float32(limits.unseen))
         sigma[reached] = raised

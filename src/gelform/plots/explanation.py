@@ -60,7 +60,7 @@ def explanation_picture(explanation: Explanation, image: ArrayLike) -> NDArray[n
 
 
 def _style() -> dict[str, Any]:
-    """Sigma from 0.01 to 1 mm/mm on a logarithmic scale; white where there is none."""
+    """Sigma from 0.01 to 1 mm/mm on a logarithmic scale; the palest where there is none."""
     from matplotlib.colors import LogNorm
 
     return {"cmap": "magma_r", "norm": LogNorm(0.01, 1, clip=True)}

@@ -35,3 +35,9 @@ def test_a_lost_part_is_dark_where_it_was():
     came[:, 30:] = 7
     lost = patch(np.s_[:, 48:])
     assert np.array_equal(dark.sigma(seen(lost=lost, lost_pixels=came)) > 0, lost)
+
+
+def test_a_black_marker_is_a_marker():
+    pixels = np.full((*SHAPE, 3), 100, np.uint8)
+    pixels[patch()] = 1
+    assert not dark.sigma(seen(pixels=pixels, markers=patch())).any()

@@ -6,18 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.confidence.causes import saturated
-from gelform.confidence.causes.seen import Seen, lost_level, with_margin
+from gelform.confidence.causes.seen import Seen, lost_level
 
 DARK_TO = 2  # grey levels
 LOST_DARK_TO = 16  # of a lost part's mean
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
-    """Standard deviation (H, W), mm/mm; not where a channel is saturated, nor where no light reaches at rest either."""
-    dark = (seen.pixels <= DARK_TO).any(axis=-1)
-    if seen.limits.outside is not None:
-        dark &= ~seen.limits.outside
-    dark = with_margin(dark, seen.limits.margin_px)
+    """Standard deviation (H, W), mm/mm; not where a channel is saturated, a marker is, or no light
+    reaches at rest either."""
+    dark = seen.reached_from((seen.pixels <= DARK_TO).any(axis=-1))
     if seen.lost is not None:
         dark |= seen.lost & (lost_level(seen).min(axis=-1) <= LOST_DARK_TO)
     return seen.where(dark & (saturated.sigma(seen) == 0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.confidence.causes.seen import Seen, lost_level, with_margin
+from gelform.confidence.causes.seen import Seen, lost_level
 
 SATURATED_FROM = 254  # grey levels
 LOST_SATURATED_FROM = 240  # of a lost part's mean
@@ -13,7 +13,7 @@ LOST_SATURATED_FROM = 240  # of a lost part's mean
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm."""
-    saturated = with_margin((seen.pixels >= SATURATED_FROM).any(axis=-1), seen.limits.margin_px)
+    saturated = seen.reached_from((seen.pixels >= SATURATED_FROM).any(axis=-1))
     if seen.lost is not None:
         saturated |= seen.lost & (lost_level(seen).max(axis=-1) >= LOST_SATURATED_FROM)
     return seen.where(saturated)

@@ -122,10 +122,15 @@ class Seen:
         """Standard deviation (H, W) for what is unexplained where the mask says so; nothing is known around sure pixels."""
         excess = np.maximum(self.unexplained() - np.float32(self.limits.unexplained), 0)
         doubt = np.where(mask, np.float32(self.limits.per_change) * excess, np.float32(0))
-        sure = with_margin(mask & (self.unexplained() > self.limits.sure), self.limits.margin_px)
-        if self.limits.outside is not None:
-            sure &= ~self.limits.outside
+        sure = self.reached_from(mask & (self.unexplained() > self.limits.sure))
         return np.hypot(doubt, self.where(sure))
+
+    def reached_from(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Marked pixels (H, W) and those that they reach; marks count where there is gel to be seen alone."""
+        for unseen in (self.limits.outside, self.markers, self.lost):
+            if unseen is not None:
+                marked = marked & ~unseen
+        return with_margin(marked, self.limits.margin_px)
 
 
 def with_margin(clipped: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
