@@ -28,17 +28,25 @@ class Memory:
     ----------
     reconstruct : of the sensor, with the untouched image that the sequence starts from
     smoothing : time constant of the smoothing, s, or None
+    findings : of the whole sequence, such as a camera that is set otherwise than calibrated
 
     Attributes
     ----------
     reconstruct : for the frames to come
     """
 
-    def __init__(self, reconstruct: Reconstructor, *, smoothing: float | None = None) -> None:
+    def __init__(
+        self,
+        reconstruct: Reconstructor,
+        *,
+        smoothing: float | None = None,
+        findings: tuple[Finding, ...] = (),
+    ) -> None:
         self.reconstruct = reconstruct
         self._examine: Callable[[Callable[[], None]], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: Evidence | None = None
+        self._standing = findings
         self._light: tuple[Finding, ...] = ()
         self._examined_findings: tuple[Finding, ...] = ()
         self._markers = MarkerTracker(reconstruct.markers)
@@ -78,7 +86,7 @@ class Memory:
 
     @property
     def _findings(self) -> tuple[Finding, ...]:
-        return (*self._light, *self._examined_findings)
+        return (*self._standing, *self._light, *self._examined_findings)
 
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:

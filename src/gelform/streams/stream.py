@@ -14,8 +14,10 @@ from gelform.errors import StaleError
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 from gelform.streams.feed import SourceLike, feed_from_source
+from gelform.streams.health.settings import settings_findings
 from gelform.streams.memory import Memory
 from gelform.streams.pipeline import Pipeline, StreamFrame
+from gelform.streams.smoothing import Smoothing
 from gelform.streams.stats import StreamStats
 
 
@@ -55,8 +57,12 @@ def stream(
     ValueError, TypeError
         A background of another size or a smoothing that is no time.
     """
-    memory = Memory(Reconstructor(calibration, background), smoothing=smoothing)
-    return Stream(Pipeline(feed_from_source(source), memory))
+    reconstruct = Reconstructor(calibration, background)
+    if smoothing is not None:
+        Smoothing(smoothing)  # refused before a device is opened
+    feed = feed_from_source(source)
+    findings = settings_findings(reconstruct.calibration, feed.settings)
+    return Stream(Pipeline(feed, Memory(reconstruct, smoothing=smoothing, findings=findings)))
 
 
 class Stream:

@@ -17,6 +17,7 @@ STAYS = 3  # evidences in a row, some ten seconds each
 LEAST_AREA_PX = 4
 LONG, THIN_SHARE = 10.0, 0.4  # a scratch: so many px long, and so much less wide
 TORN, TORN_AREA = 0.2, 0.0045  # a tear: brightness of all channels together, part of the image
+DARK = 0.06  # dust keeps light away, on average so much; a slight bright spot does no harm
 CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
 AROUND_PX = 8
 
@@ -93,6 +94,8 @@ def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArr
             continue
         mine = labels == label
         name, length = _kind(mine, float(change[mine].mean()), area)
+        if name == "dust" and change[mine].mean() > -DARK:
+            continue
         if name == "tear" or not _rests(mine, contact):
             marks.append(Mark(name, area, length, float(change[mine].mean())))
     return marks
