@@ -1,6 +1,6 @@
 // Small line charts on canvases: a profile, a number against time, a line behind a number.
 
-const LEFT = 46, BOTTOM = 24, TOP = 10, RIGHT = 12;
+const LEFT = 58, BOTTOM = 24, TOP = 10, RIGHT = 12;
 
 const styles = (names) => { const all = getComputedStyle(document.documentElement); return names.map((name) => all.getPropertyValue(`--${name}`).trim()); };
 

@@ -1,6 +1,6 @@
 // The camera of the surface: turned by mouse, finger and keys.
 
-const FIRST = { turn: -0.5, tilt: 0.88, distance: 2.65, x: 0, y: 0 };
+const FIRST = { turn: -0.5, tilt: 0.88, distance: 2.95, x: 0, y: 0 };
 
 export class Orbit {
   constructor(canvas, changed) {
@@ -54,7 +54,7 @@ export class Orbit {
     const eye = this.eye, length = Math.hypot(...eye), back = eye.map((v) => v / length);
     const side = [Math.cos(this.turn), Math.sin(this.turn), 0];
     const up = [back[1] * side[2] - back[2] * side[1], back[2] * side[0] - back[0] * side[2], back[0] * side[1] - back[1] * side[0]];
-    const zoom = 1 / Math.tan(0.35) / Math.max(1, 1.15 / aspect), near = 0.05, far = 30;
+    const zoom = 1 / Math.tan(0.35) / Math.max(1, 1.4 / aspect), near = 0.05, far = 30;
     const rows = [side, up, back].map((axis) => [...axis, -axis.reduce((sum, v, k) => sum + v * eye[k], 0)]);
     rows[0][3] -= this.x;
     rows[1][3] -= this.y;
