@@ -11,6 +11,7 @@ from gelform.background.average import background_from_frames
 from gelform.errors import GelformError
 from gelform.live.hub import Hub, wait_for_frames
 from gelform.live.take.code import Situation, code_of
+from gelform.live.take.recorder import Recorder
 from gelform.solvers import SOLVERS
 
 BACKGROUND_FRAMES, ZERO_FRAMES = 15, 8
@@ -91,6 +92,20 @@ def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     if not hasattr(source, "press_at"):
         raise GelformError("Only a simulated sensor can be pressed from here.")
     source.press_at(x_px, y_px)
+
+
+def record(hub: Hub, station: int, on: bool) -> None:
+    """Begin to record the frames as the camera gives them, or finish."""
+    chosen, running = hub.station(station), hub.recorders.get(station)
+    if on and running is None:
+        calibration = chosen.setup.calibration
+        digest = "" if calibration is None else calibration.digest
+        hub.recorders[station] = Recorder(chosen.grabber, hub.folder, digest)
+    elif not on and running is not None:
+        del hub.recorders[station]
+        running.close()
+        hub.notice(running.problem or f"Recorded {running.stats.frames} frames: {running.path.name}")
+    hub.changed()
 
 
 def snapshot(hub: Hub, station: int) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
 from gelform.live.guide.session import GuideSession
 from gelform.live.station import Station
+from gelform.live.take.recorder import Recorder
 from gelform.live.take.snapshot import Snapshots
 from gelform.progress import Progress
 from gelform.sensors.profiles import PROFILES
@@ -33,7 +34,8 @@ class Hub:
     calibrations : to choose from
     snapshots : frames that somebody wanted to keep
     guides : guided calibrations by the station's number
-    folder : where they are written
+    recorders : recordings under way, by the station's number
+    folder : where both are written
     work : (what, done, total) of long work by the station's number; shown as progress
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
     """
@@ -43,6 +45,7 @@ class Hub:
     work: dict[int, tuple[str, int, int]] = field(default_factory=dict)
     snapshots: Snapshots = field(default_factory=Snapshots)
     guides: dict[int, GuideSession] = field(default_factory=dict)
+    recorders: dict[int, Recorder] = field(default_factory=dict)
     folder: Path = Path(".")
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
@@ -101,6 +104,10 @@ class Hub:
             "calibrations": self.calibrations.names,
             "solvers": ["auto", *SOLVERS],
             "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},
+            "recordings": {
+                number: {"frames": one.stats.frames, "seconds": one.stats.duration_s, "problem": one.problem}
+                for number, one in tuple(self.recorders.items())
+            },
             "profiles": [[name, profile.name, profile.mm_per_px] for name, profile in PROFILES.items()],
             "work": {number: list(work) for number, work in tuple(self.work.items())},
             "notices": [list(notice) for notice in tuple(self.notices) if notice[0] > notices_after],
@@ -108,6 +115,8 @@ class Hub:
 
     def close(self) -> None:
         """Stop everything."""
+        for recorder in tuple(self.recorders.values()):
+            recorder.close()
         for station in self.stations:
             station.close()
 

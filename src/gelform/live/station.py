@@ -15,6 +15,7 @@ from gelform.live.measures import measures_of
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown
 from gelform.sensors.grabber import STALL_S, Grabber
+from gelform.sensors.recordings.record import KEPT_FRAMES
 from gelform.sensors.source import Source
 
 KEPT = 600  # results whose numbers are kept for the curves: ten seconds at 60 a second
@@ -82,6 +83,13 @@ class Station:
         """The source, once it is open."""
         return None if self._grabber is None else self._grabber.source
 
+    @property
+    def grabber(self) -> Grabber:
+        """The running grabber; GelformError where there is no sensor."""
+        if self._grabber is None:
+            raise GelformError("The sensor is not there. Plug it in.")
+        return self._grabber
+
     def numbers_since(self, serial: int) -> list[tuple[int, float, float, float, float]]:
         """(serial, time_s, peak, area, volume) of each result after the one of that serial; all that are kept."""
         return [row for row in tuple(self._numbers) if row[0] > serial]
@@ -126,7 +134,7 @@ class Station:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                with Grabber(self._open, stall_s=self._stall_s) as self._grabber:
+                with Grabber(self._open, stall_s=self._stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
                 return
             except (SensorError, GelformError, OSError) as problem:

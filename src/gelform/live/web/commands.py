@@ -69,6 +69,7 @@ COMMANDS = {
     "guide_fit": Command(guiding.fit, {"station": station}),
     "guide_use": Command(guiding.use, {"station": station}),
     "guide_stop": Command(guiding.stop, {"station": station}),
+    "record": Command(actions.record, {"station": station, "on": yes_no}),
     "snapshot": Command(actions.snapshot, {"station": station}),
     "code": Command(actions.code, {"station": station, "view": text}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),

@@ -3,7 +3,7 @@
 import { MAP_NAMES } from "./colors.js";
 import { byId, element, setOptions } from "./dom.js";
 
-/** `does`: {send(do, fields), chosen() -> station, settings, redraw()}. */
+/** `does`: {send(do, fields), chosen() -> station, recording() -> facts or undefined, settings, redraw()}. */
 export function startControls(does) {
   const box = byId("actions"), button = (id, text, title, act, main) => element("button", { id, text, title, class: main ? "main" : "", onclick: act });
   const send = (what, fields = {}) => does.send(what, fields);
@@ -13,6 +13,7 @@ export function startControls(does) {
       button("background", "Take background", "The untouched gel of today: touch nothing (B)", () => send("background"), true),
       button("zero", "Set zero", "Show depth against what is there now (Z)", () => send("zero")),
       button("snapshot", "Snapshot", "npz, png and ply of this frame (S)", () => send("snapshot")),
+      button("record", "Record", "Frames as the camera gives them, into the folder of gelform live (R)", () => send("record", { on: !does.recording() })),
       button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !does.chosen()?.paused }))),
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
     choice("compare", "Compare with", (name) => send("compare", { name })),
@@ -31,6 +32,9 @@ export function drawControls(station, facts) {
   setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
   byId("pause").textContent = station.paused ? "Go on" : "Pause";
   byId("pause").setAttribute("aria-pressed", String(station.paused));
+  const recording = facts.recordings[station.number];
+  byId("record").textContent = recording ? `Stop, ${recording.frames} frames` : "Record";
+  byId("record").setAttribute("aria-pressed", String(Boolean(recording)));
   byId("zero").textContent = station.zero ? "Zero: undo" : "Set zero";
   byId("zero").setAttribute("aria-pressed", String(station.zero));
   for (const id of ["background", "zero", "snapshot"]) byId(id).disabled = !station.calibration;

@@ -163,6 +163,7 @@ const KEYS = [
   ["b", "take the background", () => byId("background").click()],
   ["z", "set zero, take it back", () => byId("zero").click()],
   ["s", "snapshot", () => byId("snapshot").click()],
+  ["r", "record, finish", () => byId("record").click()],
   ["f", "profile through the deepest point", follow],
   ["1", "page Live", () => choosePage("live")],
   ["2", "page Calibrate", () => choosePage("calibrate")],
@@ -187,7 +188,7 @@ function startPage() {
   byId("guide-pane").append(guidePane.node);
   choosePage = startTabs((name) => { page = name; redraw(); });
   byId("panes").append(...panes.map((pane) => pane.node));
-  startControls({ send, chosen: station, settings, redraw });
+  startControls({ send, chosen: station, recording: () => facts?.recordings[number], settings, redraw });
   byId("sensor").addEventListener("change", (event) => { number = Number(event.target.value); frame = null; series.clear(); watch(); });
   byId("exaggeration").addEventListener("input", (event) => { setText(byId("exaggeration-value"), `× ${event.target.value}`); redraw(); });
   byId("drape").addEventListener("change", () => { watch(); redraw(); });

@@ -1,0 +1,58 @@
+"""Records a station's frames as the camera gave them, from a button to the next."""
+
+from __future__ import annotations
+
+import importlib.util
+import threading
+import time
+from pathlib import Path
+
+from gelform.errors import GelformError
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.record import RecordStats, new_recording, record_frames
+
+
+class Recorder:
+    """One recording, in a thread of its own; a file where the extra `mcap` is installed, else a folder of images.
+
+    Parameters
+    ----------
+    grabber : running; it goes on for its other consumers
+    folder : where the recording is made, under a name of its own
+    calibration_digest : of the calibration in use; "" without one
+
+    Attributes
+    ----------
+    path : of the recording
+    stats : RecordStats so far
+    problem : why it ended early; "" where it did not
+    """
+
+    def __init__(self, grabber: Grabber, folder: Path, calibration_digest: str = "") -> None:
+        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
+        self.path = folder / f"recording-{stamp}{suffix}"
+        self.stats = RecordStats(0, 0, 0, 0.0)
+        self.problem = ""
+        self._grabber = grabber
+        self._stop = threading.Event()
+        self._recording = new_recording(self.path, grabber, calibration_digest=calibration_digest)
+        self._thread = threading.Thread(target=self._run, name="record", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._stop.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        try:
+            self.stats = record_frames(self._grabber, self._recording, going_on=self._going_on)
+        except GelformError as problem:
+            self.problem = str(problem)
+        finally:
+            self._recording.close()
+
+    def _going_on(self, stats: RecordStats) -> bool:
+        self.stats = stats
+        return not self._stop.is_set()
