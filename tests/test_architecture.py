@@ -31,7 +31,7 @@ LEVELS = [
     {"reconstruct", "simulate"},
     {"sensors", "plots", "importers", "exporters", "torch"},
     {"calibration", "design", "streams"},
-    {"live"},
+    {"batch", "live"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line

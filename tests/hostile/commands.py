@@ -13,7 +13,7 @@ from hostile.small_gel import MM_PER_PX, Touch, background, calibration, image_o
 from made.torch_file_writer import network_arrays, torch_file
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
-WRITE_NOTHING = ("evaluate", "info", "cameras")
+WRITE_NOTHING = ("evaluate", "info", "cameras", "verify")
 SERVERS = ("live",)  # writes when the page asks for it: tests/live
 
 
@@ -59,6 +59,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
         "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],
         "import": ["import", work / "net.pth", *imported, "-o", out / "imported.npz"],
+        "batch": ["batch", work / "image*.png", "-c", work / "cal.npz", "-o", out / "batch"],
         "compare": ["compare", images[0], *two, "-o", out / "compared"],
     }
 

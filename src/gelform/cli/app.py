@@ -7,6 +7,7 @@ import os
 import typer
 
 from gelform.cli.commands import (
+    batch,
     calibrate,
     demo,
     design,
@@ -17,6 +18,7 @@ from gelform.cli.commands import (
     reconstruct,
     scale,
     simulate,
+    verify,
 )
 from gelform.cli.commands.inspection import compare, evaluate, explain, info
 from gelform.cli.commands.sources import cameras, record
@@ -50,6 +52,8 @@ app.command()(info.info)
 app.command()(cameras.cameras)
 app.command()(record.record)
 app.command()(live.live)
+app.command()(batch.batch)
+app.command()(verify.verify)
 
 
 def command_names() -> tuple[str, ...]:

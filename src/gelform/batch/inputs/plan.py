@@ -1,0 +1,96 @@
+"""A listing in parts: the pieces of work that are done, recorded and repeated as wholes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Iterator
+from collections.abc import Sequence as Several
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelform.batch.inputs.listing import Listing, Sequence
+from gelform.errors import DataError
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some images of a sequence, or all of a video or a recording; small, so that it can be sent to another process.
+
+    Attributes
+    ----------
+    number : its place in the plan, from 0; it belongs to no shard
+    sequence : the name of the sequence that it is a part of
+    path : the folder of its images, the video, or the recording
+    start : place of its first image in the sequence
+    images : names of its images; empty for a video or a recording
+    names : what each image's output is called, without its ending
+    first : the first images of the sequence, where they make its background
+    """
+
+    number: int
+    sequence: str
+    path: Path
+    start: int = 0
+    images: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
+
+    def input_digest(self) -> str:
+        """SHA-256 of its files' names and sizes: another one means that a file was replaced, and the part is done again."""
+        sha = hashlib.sha256(os.fsencode(self.sequence))
+        for path in self._files():
+            try:
+                size = path.stat().st_size
+            except OSError:
+                size = -1  # reading it says why
+            sha.update(os.fsencode(f"\n{path.name} {size}"))
+        return sha.hexdigest()
+
+    def _files(self) -> list[Path]:
+        if self.images:
+            return [self.path / one for one in (*self.first, *self.images)]
+        return sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
+
+
+def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> list[Part]:
+    """All parts, in the order of the listing.
+
+    Parameters
+    ----------
+    part_frames : the most images in a part
+    background_frames : how many first frames of each sequence make its background
+    """
+    parts: list[Part] = []
+    for sequence in listing.sequences:
+        for start, images, names in _pieces(sequence, part_frames):
+            first = sequence.images[:background_frames]
+            parts.append(Part(len(parts), sequence.name, sequence.path, start, images, names, first))
+    return parts
+
+
+def shard_of(parts: Several[Part], shard: tuple[int, int]) -> list[Part]:
+    """The parts of shard i of N, counted from 1: every N-th, so that long sequences are spread.
+
+    Raises
+    ------
+    DataError
+        No such shard.
+    """
+    number, count = shard
+    if not 1 <= number <= count:
+        raise DataError(f"Expected a shard from 1/{count} to {count}/{count}, got {number}/{count}.")
+    return list(parts[number - 1 :: count])
+
+
+def _pieces(sequence: Sequence, part_frames: int) -> Iterator[tuple[int, tuple[str, ...], tuple[str, ...]]]:
+    """(start, images, names); a name is the stem, where no other image of the sequence has the same."""
+    if not sequence.images:
+        yield 0, (), ()
+    stems = [os.path.splitext(one)[0] for one in sequence.images]
+    counts = Counter(stems)
+    names = [one if counts[stem] > 1 else stem for one, stem in zip(sequence.images, stems)]
+    for start in range(0, len(names), part_frames):
+        stop = start + part_frames
+        yield start, sequence.images[start:stop], tuple(names[start:stop])

@@ -1,0 +1,103 @@
+"""The frames of a part, each with its name or with why it cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gelform.background.average import background_from_frames
+from gelform.batch.inputs.plan import Part
+from gelform.calibration_file import Calibration
+from gelform.checks import check_image
+from gelform.errors import DataError, GelformError
+from gelform.frames import Frame
+from gelform.sensors.files import read_image
+from gelform.sensors.source import open_source
+from gelform.view import image_from_frame
+
+
+@dataclass(frozen=True)
+class NamedFrame:
+    """A frame of a sequence, or why there is none.
+
+    Attributes
+    ----------
+    name : of its output, without ending
+    index : its place in the sequence, from 0
+    frame : None where it cannot be read; images of a folder have no times
+    error : why; empty where there is a frame
+    """
+
+    name: str
+    index: int
+    frame: Frame | None
+    error: str = ""
+
+
+def frames_of_part(part: Part) -> Iterator[NamedFrame]:
+    """The frames of a part in their order; a video ends with the first that cannot be read."""
+    if part.images:
+        yield from _images(part.path, part.images, part.names, part.start)
+    else:
+        yield from _film(part.path)
+
+
+def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
+    """The image (H, W, 3) of a frame, through the calibration's view.
+
+    Raises
+    ------
+    DataError
+        A frame of another size.
+    """
+    try:
+        image = image_from_frame(frame.image, calibration.view)
+        return check_image(image, shape=calibration.image_shape, name="frame")
+    except ValueError as problem:
+        raise DataError(str(problem)) from problem
+
+
+def background_of_sequence(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
+    """The average (H, W, 3) of the first frames of a part's sequence, those left out that cannot be read.
+
+    Raises
+    ------
+    DataError
+        None can be read, one is of another size, or they differ: something touches the gel in them.
+    """
+    frames = _images(part.path, part.first, part.first, 0) if part.images else _film(part.path)
+    first = list(islice(frames, count))
+    images = [image_of_calibration(one.frame, calibration) for one in first if one.frame is not None]
+    if not images:
+        why = first[0].error if first else "there is none."
+        raise DataError(f"No background: none of the first {count} frames can be read: {why}")
+    try:
+        return background_from_frames(images).background
+    except DataError as problem:
+        raise DataError(f"No background from the first {count} frames: {problem}") from problem
+
+
+def _images(folder: Path, images: Sequence[str], names: Sequence[str], start: int) -> Iterator[NamedFrame]:
+    for index, (image, name) in enumerate(zip(images, names), start):
+        try:
+            frame = Frame(read_image(folder / image), 0.0, 0, index)
+        except GelformError as problem:
+            yield NamedFrame(name, index, None, str(problem))
+        else:
+            yield NamedFrame(name, index, frame)
+
+
+def _film(path: Path) -> Iterator[NamedFrame]:
+    count = 0
+    try:
+        with open_source(path) as source:
+            for frame in source:
+                yield NamedFrame(f"{count:06d}", count, frame)
+                count += 1
+    except (GelformError, OSError) as problem:
+        yield NamedFrame(f"{count:06d}", count, None, str(problem))

@@ -1,0 +1,247 @@
+"""A batch from its input to its table: listed, planned, done, and gone on with where it was left."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gelform.background.check import background_digest
+from gelform.batch.inputs.listing import Listing, listing_of
+from gelform.batch.inputs.plan import Part, plan_of, shard_of
+from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
+from gelform.batch.locks import only_run
+from gelform.batch.manifest import Manifest, begin
+from gelform.batch.processes import done_parts
+from gelform.batch.records import (
+    FRAMES,
+    PARTS,
+    TABLE,
+    outputs_there,
+    read_record,
+    record_path,
+    write_table,
+)
+from gelform.batch.settings import BatchSettings
+from gelform.batch.work import Job
+from gelform.calibration_file import Calibration, as_calibration
+from gelform.checks import check_path
+from gelform.errors import DataError, GelformError
+from gelform.exporters.folders import check_room
+from gelform.frames import Frame
+from gelform.sensors.backgrounds import read_background
+
+LOOKED_AT = 5  # sequences, for frames of the calibrated size
+MAX_ERRORS = 1000
+
+
+@dataclass
+class BatchSummary:
+    """How far a run is, and how it ended.
+
+    Attributes
+    ----------
+    parts, parts_done : of this shard; those done before are counted
+    frames : done in this run, those with errors counted
+    frames_before : done in earlier runs
+    errors : frames with errors, in this run and before
+    stopped : whether there were more errors than allowed
+    complete : whether all parts of all shards are done and the table is written
+    """
+
+    parts: int = 0
+    parts_done: int = 0
+    frames: int = 0
+    frames_before: int = 0
+    errors: int = 0
+    stopped: bool = False
+    complete: bool = False
+
+
+def run_batch(
+    source: str | os.PathLike[str],
+    calibration: Calibration | str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    settings: BatchSettings | None = None,
+    *,
+    background: str | os.PathLike[str] | None = None,
+    shard: tuple[int, int] = (1, 1),
+    workers: int = 1,
+    max_errors: int = MAX_ERRORS,
+    overwrite: bool = False,
+    retry_errors: bool = False,
+    progress: Callable[[BatchSummary], Any] = lambda _: None,
+) -> BatchSummary:
+    """Reconstruct every frame of a data set into an output folder; the same call goes on where it was left.
+
+    Parameters
+    ----------
+    source : see `listing_of`
+    calibration : of the sensor, with a scale
+    output : a new folder, or one that the same call began
+    settings : BatchSettings; the defaults without
+    background : an image or a folder of the untouched gel, for all sequences
+    shard : (i, N): only every N-th part, from the i-th; shards may run at once
+    workers : processes
+    max_errors : frames with errors; more end the run
+    overwrite : begin anew where the output was begun with something else
+    retry_errors : do parts again that have frames with errors
+    progress : called with the BatchSummary after each part
+
+    Raises
+    ------
+    DataError
+        No input, an output that cannot be used or is begun with something else, frames of another size than the
+        calibration's.
+    WorkerLostError
+        A worker was killed.
+    """
+    settings, output, calibration = (
+        settings or BatchSettings(),
+        check_path(output),
+        as_calibration(calibration),
+    )
+    if calibration.mm_per_px is None:
+        raise DataError(
+            "This calibration has no scale, so there is no depth in mm. Import it again with --mm-per-px F."
+        )
+    if overwrite and shard[1] > 1:
+        raise DataError(
+            "A shard cannot overwrite what the others write. Delete the output, then start them all."
+        )
+    if background is not None and settings.background_frames:
+        raise DataError("Expected --background or --background-frames, got both. Leave one out.")
+    listing = listing_of(source, leave_out=[Path(background)] if background is not None else [])
+    check_apart(listing, output)
+    plan = plan_of(listing, settings.part_frames, settings.background_frames)
+    parts = shard_of(plan, shard)
+    rest = _background(background, calibration)
+    _check_size(plan, calibration)
+    manifest = Manifest.of(
+        settings, calibration.digest, "" if rest is None else background_digest(rest), listing, len(plan)
+    )
+    _made(output)
+    with only_run(output, shard) as alone:
+        begin(output, manifest, overwrite=overwrite)
+        summary = BatchSummary(parts=len(parts))
+        todo = list(_not_done(output, parts, summary, retry_errors))
+        if alone:
+            _clean(output, todo)
+        job = Job(calibration, rest, output, settings)
+        _do(job, todo, workers, max_errors, summary, progress)
+        if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
+            if todo or not (output / TABLE).exists():
+                write_table(output, len(plan))
+            summary.complete = True
+    return summary
+
+
+def check_apart(listing: Listing, output: Path) -> None:
+    """Refuse an output inside the input, where the next run would find it, and the other way round.
+
+    Raises
+    ------
+    DataError
+        The message names both.
+    """
+    there = Path(os.path.realpath(output))
+    folders = {Path(os.path.realpath(one.path)) for one in listing.sequences}
+    searched = {Path(os.path.realpath(listing.root))} if listing.searched else set()
+    if there in folders or searched & {there, *there.parents}:
+        raise DataError(f"The output {output} is inside the input {listing.root}. Give a folder beside it.")
+    if any(there in folder.parents for folder in folders):
+        raise DataError(f"The input {listing.root} is inside the output {output}. Give a folder beside it.")
+
+
+def _background(path: str | os.PathLike[str] | None, calibration: Calibration) -> NDArray[Any] | None:
+    if path is None:
+        return None
+    try:
+        return image_of_calibration(Frame(read_background(Path(path)), 0.0, 0, 0), calibration)
+    except GelformError as problem:
+        raise DataError(f"The background {path}: {problem}") from problem
+
+
+def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
+    """Refuse an input whose frames are all of another size, before anything is written."""
+    first = {part.sequence: part for part in reversed(plan)}
+    problems = []
+    for part in islice(reversed(first.values()), LOOKED_AT):
+        named = next(frames_of_part(part), None)
+        if named is None or named.frame is None:
+            continue
+        try:
+            image_of_calibration(named.frame, calibration)
+        except DataError as problem:
+            problems.append(f"{part.path}, {named.name}: {problem}")
+        else:
+            return
+    if problems:
+        raise DataError(
+            f"{problems[0]} The calibration is of another size of frames: use the one of this sensor."
+        )
+
+
+def _made(output: Path) -> None:
+    """The output folder, with room to write; a full disk is said before the work."""
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        check_room(output)
+    except FileExistsError as problem:
+        raise DataError(f"Expected a folder to write to, got the file {output}.") from problem
+    except OSError as problem:
+        raise DataError(f"Cannot write into {output}: {problem.strerror}. Give another output.") from problem
+
+
+def _not_done(
+    output: Path, parts: Sequence[Part], summary: BatchSummary, retry_errors: bool
+) -> Iterator[Part]:
+    """Parts without a record, with one of other files, or whose outputs are gone; the others are counted."""
+    for part in parts:
+        record = read_record(output, part.number)
+        valid = record is not None and record.input_digest == part.input_digest()
+        if (
+            record is None
+            or not valid
+            or (retry_errors and record.errors)
+            or not outputs_there(output, record)
+        ):
+            yield part
+            continue
+        summary.parts_done += 1
+        summary.frames_before += len(record.rows)
+        summary.errors += record.errors
+
+
+def _clean(output: Path, todo: Sequence[Part]) -> None:
+    """Delete the temporary files that a killed run left."""
+    folders = {output / FRAMES / part.sequence for part in todo}
+    folders |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
+    for folder in folders:
+        for left in folder.glob(".gelform-*.tmp"):
+            left.unlink(missing_ok=True)
+
+
+def _do(
+    job: Job,
+    todo: Sequence[Part],
+    workers: int,
+    max_errors: int,
+    summary: BatchSummary,
+    progress: Callable[[BatchSummary], Any],
+) -> None:
+    with closing(done_parts(job, todo, min(workers, max(1, len(todo))))) as done:
+        for _, frames, errors in done:
+            summary.parts_done += 1
+            summary.frames += frames
+            summary.errors += errors
+            progress(summary)
+            if summary.errors > max_errors:
+                summary.stopped = True
+                return

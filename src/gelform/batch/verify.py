@@ -1,0 +1,107 @@
+"""An output read again, whole: what is missing, altered, damaged or in excess."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelform.batch.manifest import read_manifest
+from gelform.batch.outputs import size_and_digest
+from gelform.batch.records import FRAMES, TABLE, PartRecord, read_record, table_lines
+from gelform.checks import check_path
+from gelform.errors import DataError
+from gelform.progress import Progress, no_progress
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something that is wrong with an output: which file, and what."""
+
+    path: Path
+    what: str
+
+
+def verify_output(
+    output: str | os.PathLike[str], progress: Progress = no_progress
+) -> tuple[int, int, list[Problem]]:
+    """Read everything that a batch wrote and hold it against its records.
+
+    Returns
+    -------
+    frames : how many outputs are as they were written
+    errors : how many frames have none, because of an error that the table says
+    problems : what is wrong; none where the batch is done and whole
+
+    Raises
+    ------
+    DataError
+        The folder was written by no batch, or its manifest is damaged.
+    """
+    output = check_path(output)
+    manifest = read_manifest(output)
+    if manifest is None:
+        raise DataError(f"{output} has no manifest.json. Expected the output folder of gelform batch.")
+    problems, expected, errors, missing = [], set(), 0, 0
+    for number in range(manifest.parts):
+        progress(number, manifest.parts, "verifying")
+        try:
+            record = read_record(output, number)
+        except DataError as problem:
+            problems.append(Problem(output, str(problem)))
+            continue
+        if record is None:
+            missing += 1
+            continue
+        errors += record.errors
+        expected |= {row["output"] for row in record.rows if row["output"]}
+        problems += _problems_of_part(output, record)
+    good = len(expected) - len(problems)
+    progress(manifest.parts, manifest.parts, "verifying")
+    if missing:
+        what = f"{missing} of {manifest.parts} parts are not done. Run the same command again."
+        problems.append(Problem(output, what))
+    elif not problems:
+        problems += _problems_of_table(output, manifest.parts)
+    problems += [Problem(path, "no part knows of it.") for path in _others(output, expected)]
+    return good, errors, problems
+
+
+def _problems_of_part(output: Path, record: PartRecord) -> Iterator[Problem]:
+    for row in record.rows:
+        if not row["output"]:
+            continue
+        path = output / row["output"]
+        try:
+            size, digest = size_and_digest(path)
+        except FileNotFoundError:
+            yield Problem(path, "is missing. Run the same command again.")
+        except OSError as problem:
+            yield Problem(path, f"cannot be read: {problem.strerror}.")
+        else:
+            if size != row["bytes"]:
+                yield Problem(path, f"has {size} of {row['bytes']} bytes. Run the same command again.")
+            elif digest != row["sha256"]:
+                yield Problem(path, "was altered. Delete it and run the same command again.")
+
+
+def _problems_of_table(output: Path, parts: int) -> Iterator[Problem]:
+    try:
+        with (output / TABLE).open("rb") as file:
+            same = all(file.read(len(piece)) == piece for piece in table_lines(output, range(parts)))
+            same = same and not file.read(1)
+    except OSError:
+        same = False
+    if not same:
+        what = "is missing or not what the parts say. Delete it and run the same command again."
+        yield Problem(output / TABLE, what)
+
+
+def _others(output: Path, expected: set[str]) -> Iterator[Path]:
+    """Files among the frames that no part wrote; hidden ones are what a killed run left."""
+    for folder, _, files in os.walk(output / FRAMES):
+        for name in sorted(files):
+            path = Path(folder) / name
+            if not name.startswith(".") and path.relative_to(output).as_posix() not in expected:
+                yield path

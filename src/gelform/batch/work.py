@@ -1,0 +1,123 @@
+"""One part, done: a pure function of its input, the calibration and the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gelform.batch.inputs.plan import Part
+from gelform.batch.inputs.reading import (
+    NamedFrame,
+    background_of_sequence,
+    frames_of_part,
+    image_of_calibration,
+)
+from gelform.batch.outputs import facts_of, size_and_digest, writer_of
+from gelform.batch.records import COLUMNS, FRAMES, PartRecord, write_record
+from gelform.batch.settings import BatchSettings
+from gelform.calibration_file import Calibration
+from gelform.errors import GelformError
+from gelform.frames import Frame
+from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
+
+
+class Stopped(Exception):
+    """The run is being ended between two frames."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all parts share; plain data, so that it can be sent to another process."""
+
+    calibration: Calibration
+    background: NDArray[Any] | None
+    output: Path
+    settings: BatchSettings
+
+
+class Worker:
+    """Does parts one after the other; the Reconstructor is prepared once, or once per sequence with its own background."""
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self._prepared_for: tuple[str | None, ...] = ()
+        self._reconstruct: Any = None
+
+    def do(self, part: Part, stop: Callable[[], bool] = bool) -> PartRecord:
+        """Write the outputs of a part, then its record; the same bytes whatever was done before.
+
+        Raises
+        ------
+        DataError
+            An output cannot be written.
+        Stopped
+            `stop()` said so; no record is written then.
+        """
+        digest, rows = part.input_digest(), []
+        for named in frames_of_part(part):
+            if stop():
+                raise Stopped
+            rows.append(self._row(part, named))
+        record = PartRecord(digest, tuple(rows))
+        write_record(self.job.output, part.number, record)
+        return record
+
+    def _row(self, part: Part, named: NamedFrame) -> dict[str, Any]:
+        """What the table and the record say of a frame, its output written."""
+        row: dict[str, Any] = dict.fromkeys(COLUMNS, "")
+        row |= {"sequence": part.sequence, "frame": named.name, "index": named.index}
+        error, write, facts = named.error, None, {}
+        if named.frame is not None:
+            if not part.images:
+                row |= {"time_s": named.frame.time_s, "wall_time_ns": named.frame.wall_time_ns}
+            try:
+                result = self._result(part, named.frame)
+                write, facts = writer_of(result, self.job.settings), facts_of(result)
+            except GelformError as problem:
+                error = str(problem)
+            except Exception as problem:  # one frame that meets a bug must not end a run of a million
+                error = f"bug of gelform: {type(problem).__name__}: {problem}"
+        if write is None:
+            return {**row, "error": " ".join(error.split())}
+        name = (Path(FRAMES) / part.sequence / f"{named.name}.{self.job.settings.form}").as_posix()
+        path = self.job.output / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
+        size, digest = size_and_digest(path)
+        return {**row, **facts, "output": name, "bytes": size, "sha256": digest}
+
+    def _result(self, part: Part, frame: Frame) -> Reconstruction:
+        image = image_of_calibration(frame, self.job.calibration)
+        result = self._prepared(part).from_image(image)
+        if part.images:
+            return replace(result, index=frame.index)
+        return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+
+    def _prepared(self, part: Part) -> Reconstructor:
+        """The Reconstructor of a part's sequence; where its background was refused, refused again."""
+        own = part.sequence if self.job.settings.background_frames else None
+        if self._prepared_for != (own,):
+            self._prepared_for = (own,)
+            try:
+                self._reconstruct = self._with_background(part)
+            except GelformError as problem:
+                self._reconstruct = problem
+        if isinstance(self._reconstruct, GelformError):
+            raise self._reconstruct
+        return self._reconstruct
+
+    def _with_background(self, part: Part) -> Reconstructor:
+        settings, background = self.job.settings, self.job.background
+        if settings.background_frames:
+            background = background_of_sequence(part, settings.background_frames, self.job.calibration)
+        return Reconstructor(
+            self.job.calibration,
+            background=background,
+            solver=settings.solver,
+            depth_sigma=settings.depth_sigma,
+        )

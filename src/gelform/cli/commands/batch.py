@@ -1,0 +1,159 @@
+"""gelform batch: every frame of a data set to depth, resumable."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.console import print_json, say
+from gelform.cli.failures import MISTAKE
+from gelform.cli.options import Background, CalibrationFile, Json, Quiet
+
+if TYPE_CHECKING:
+    from gelform.batch import BatchSettings, BatchSummary
+
+LINE_EVERY_S = 30.0  # where standard error is a file
+
+
+def _shard(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise typer.BadParameter(f"expected i/N with i from 1 to N, such as 3/16, got {text!r}.")
+    return int(number), int(count)
+
+
+def batch(
+    source: Annotated[
+        str,
+        typer.Argument(metavar="INPUT", help="Folder, video, recording, or a pattern in quotes."),
+    ],
+    calibration: CalibrationFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
+    background: Background = None,
+    background_frames: Annotated[
+        int,
+        typer.Option(
+            metavar="N", min=0, help="Average the first N frames of each sequence as its background."
+        ),
+    ] = 0,
+    form: Annotated[str, typer.Option("--format", help="npz, or png: depth in 16 bits.")] = "npz",
+    keep: Annotated[
+        str,
+        typer.Option(help="Maps: depth,known,depth_sigma,gradients,confidence,contact; all: whole results."),
+    ] = "depth,known",
+    solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
+    sigma: Annotated[
+        bool, typer.Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
+    ] = True,
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes.")] = 1,
+    shard: Annotated[
+        Any, typer.Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
+    ] = "1/1",
+    max_errors: Annotated[
+        int, typer.Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
+    ] = 1000,
+    retry_errors: Annotated[
+        bool, typer.Option("--retry-errors", help="Do the parts again in which frames had errors.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Delete what a batch wrote there, and begin anew.")
+    ] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Reconstruct every frame of a data set; the same command goes on where it was left.
+
+    INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), or a pattern. DIR gets
+    frames/<sequence>/<frame>.npz, frames.csv with one row per frame, and manifest.json. A frame that cannot be
+    read or is of another size is a row with its error; the others are done, and the exit status is 1.
+
+    \b
+    Examples:
+      gelform batch sessions/ -c cal.npz -o depth --workers 4
+      gelform batch "day*/*.mp4" -c cal.npz -o depth --background-frames 10 --format png
+      gelform batch sessions/ -c cal.npz -o depth --shard 3/16
+    """
+    from gelform.batch import run_batch
+
+    settings = _settings(form, keep, solver, sigma, background_frames)
+    with _progress(quiet or as_json) as progress:
+        summary = run_batch(
+            source,
+            calibration,
+            output,
+            settings,
+            background=background,
+            shard=shard,
+            workers=workers,
+            max_errors=max_errors,
+            overwrite=overwrite,
+            retry_errors=retry_errors,
+            progress=progress,
+        )
+    if as_json:
+        print_json({"output": output, **asdict(summary)})
+    _report(summary, output, max_errors, quiet or as_json)
+    if summary.errors:
+        raise typer.Exit(MISTAKE)
+
+
+def _settings(form: str, keep: str, solver: str, sigma: bool, background_frames: int) -> BatchSettings:
+    from gelform.batch import BatchSettings
+
+    maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))
+    try:
+        return BatchSettings(form, maps, solver, sigma, background_frames)
+    except ValueError as problem:
+        raise typer.BadParameter(str(problem)) from problem
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
+    """A line on standard error: renewed on a terminal, one every half minute in a file."""
+    on_screen = sys.stderr is not None and sys.stderr.isatty()
+    begin, last, before = time.monotonic(), 0.0, -1
+
+    def report(summary: BatchSummary) -> None:
+        nonlocal last, before
+        now = time.monotonic()
+        before = summary.parts_done - 1 if before < 0 else before
+        if quiet or now - last < (0.2 if on_screen else LINE_EVERY_S):
+            return
+        last = now
+        line = _line(summary, now - begin, summary.parts_done - before)
+        typer.echo(f"\r{line}\x1b[K" if on_screen else line, err=True, nl=not on_screen)
+
+    yield report
+    if on_screen and last:
+        typer.echo(err=True)
+
+
+def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
+    """Parts, rate, time left, errors so far."""
+    left_s = (summary.parts - summary.parts_done) * seconds / parts
+    minutes, rest = divmod(round(left_s), 60)
+    left = f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+    rate = summary.frames / max(seconds, 1e-9)
+    errors = f"{summary.errors} with errors"
+    return f"{summary.parts_done} of {summary.parts} parts, {rate:.1f} frames/s, {left} left, {errors}"
+
+
+def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -> None:
+    before = f", {summary.frames_before} were there" if summary.frames_before else ""
+    say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
+    if summary.stopped:
+        say(
+            f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. What is done "
+            f"is kept in {output / 'parts'} with the reasons."
+        )
+    elif summary.complete:
+        say(f"Complete: {output / 'frames.csv'} has a row for each frame.", quiet)
+    else:
+        say(f"This shard is done; {output / 'frames.csv'} is written when the last one is.", quiet)

@@ -1,0 +1,76 @@
+"""A small data set: two folders of images of a gel that is known exactly, one of them with what is no frame."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from hostile.commands import save
+from hostile.small_gel import SHAPE, Touch, calibration, image_of
+
+COUNT = 4  # images in each folder
+
+
+@pytest.fixture(scope="session")
+def images():
+    """Images of touches at several depths."""
+    return [image_of(Touch(depth_mm=0.2 + 0.05 * k, seed=k)) for k in range(COUNT)]
+
+
+@pytest.fixture
+def tree(tmp_path, images):
+    """in/frame*.png and in/day2/frame*.png; the tenth comes after the second."""
+    for folder in (tmp_path / "in", tmp_path / "in" / "day2"):
+        folder.mkdir()
+        for number, image in zip((1, 2, 10, 11), images):
+            save(folder / f"frame{number}.png", image)
+    return tmp_path / "in"
+
+
+@pytest.fixture
+def broken_tree(tree, images):
+    """The same with a truncated image, one of another size, an empty one and a text among them."""
+    whole = (tree / "frame1.png").read_bytes()
+    (tree / "cut.png").write_bytes(whole[: len(whole) // 2])
+    (tree / "empty.png").write_bytes(b"")
+    (tree / "text.png").write_text("no picture at all\n")
+    save(tree / "wide.png", np.hstack([images[0], images[0]]))
+    return tree
+
+
+@pytest.fixture(scope="session")
+def cal():
+    return calibration()
+
+
+@pytest.fixture
+def film(tmp_path, images):
+    """A video of the touches, without loss."""
+    path = tmp_path / "press.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, SHAPE[::-1])
+    if not writer.isOpened():
+        pytest.skip("this build of OpenCV cannot write FFV1")
+    for image in images:
+        writer.write(np.ascontiguousarray(image[..., ::-1]))
+    writer.release()
+    return path
+
+
+@pytest.fixture
+def visible():
+    """Every file of an output that is no leftover, with its bytes."""
+
+    def files(folder):
+        paths = (path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+    return files
+
+
+@pytest.fixture
+def copy_of(tmp_path):
+    def copy(folder, name):
+        return shutil.copytree(folder, tmp_path / name)
+
+    return copy

@@ -1,0 +1,32 @@
+"""Settings that cannot be are refused with what was expected."""
+
+import json
+
+import pytest
+
+from gelform.batch import KEPT, BatchSettings
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"form": "jpg"}, "Expected a format among npz, png, got 'jpg'"),
+        ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
+        ({"keep": ()}, "Expected maps to keep"),
+        ({"keep": ("all", "depth")}, "Expected maps to keep"),
+        ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16-bit PNG"),
+        ({"keep": ("depth_sigma",), "depth_sigma": False}, "Leave out --no-sigma"),
+        ({"solver": "fast"}, "Expected a solver among auto, dct"),
+        ({"background_frames": -1}, "Expected 0 to 200 frames"),
+        ({"part_frames": 0}, "at least one frame"),
+    ],
+)
+def test_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        BatchSettings(**wrong)
+
+
+def test_every_map_can_be_kept_and_said_in_json():
+    facts = BatchSettings(keep=KEPT).facts()
+    assert json.loads(json.dumps(facts)) == facts
+    assert facts["keep"] == list(KEPT)

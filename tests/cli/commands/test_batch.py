@@ -1,0 +1,85 @@
+"""gelform batch as a command: figures, status, what is refused in one line."""
+
+import json
+
+import pytest
+
+from gelform.cli.commands.batch import _line
+from hostile.commands import make_work
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    return make_work(tmp_path_factory.mktemp("work"))
+
+
+@pytest.fixture
+def images(work):
+    return str(work / "image*.png")
+
+
+def test_a_pattern_to_depth_and_on_with_it(run, run_json, work, images, tmp_path):
+    code, out, err = run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out")
+    assert (code, out) == (0, "")
+    assert "3 frames done; 0 with errors." in err
+    assert "Complete: " in err
+    figures = run_json("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out")
+    assert (figures["frames"], figures["frames_before"], figures["complete"]) == (0, 3, True)
+
+
+def test_frames_with_errors_end_with_status_1(run, work, images, tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "good.png").write_bytes((work / "image0.png").read_bytes())
+    (tmp_path / "in" / "empty.png").write_bytes(b"")
+    command = ("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out")
+    code, out, _ = run(*command, "--json")
+    assert code == 1
+    assert json.loads(out)["errors"] == 1
+    code, _, err = run(*command, "--max-errors", "0", "--retry-errors")
+    assert code == 1
+    assert "more than --max-errors 0 allows" in err
+
+
+def test_a_shard_says_that_others_are_to_come(run, work, images, tmp_path):
+    code, _, err = run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--shard", "2/2")
+    assert code == 0
+    assert "This shard is done" in err
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["--shard", "3/2"], "expected i/N"),
+        (["--shard", "half"], "expected i/N"),
+        (["--format", "exr"], "Expected a format among npz, png"),
+        (["--keep", "all,depth"], "Expected maps to keep"),
+        (["--solver", "fast"], "Expected a solver among auto"),
+    ],
+)
+def test_wrong_usage(fails, work, images, tmp_path, wrong, said):
+    line = fails("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", *wrong, status=2)
+    assert said in " ".join(line.replace("│", " ").split())
+
+
+def test_another_setting_is_refused_in_one_line(run, fails, work, images, tmp_path):
+    command = ("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out")
+    assert run(*command)[0] == 0
+    assert "the setting form (npz then, png now)" in fails(*command, "--format", "png")
+    assert run(*command, "--format", "png", "--overwrite")[0] == 0
+    assert len(list((tmp_path / "out" / "frames").glob("*.png"))) == 3
+
+
+def test_two_backgrounds_are_refused(fails, work, images, tmp_path):
+    two = ("--background", work / "rest.png", "--background-frames", "2")
+    assert "got both" in fails("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", *two)
+
+
+def test_a_calibration_without_a_scale_is_refused(fails, imported, images, tmp_path):
+    assert "has no scale" in fails("batch", images, "-c", imported, "-o", tmp_path / "out")
+
+
+def test_progress_says_rate_and_time_left():
+    from gelform.batch import BatchSummary
+
+    summary = BatchSummary(parts=10, parts_done=4, frames=512, errors=3)
+    assert _line(summary, 2.0, 2) == "4 of 10 parts, 256.0 frames/s, 0:00:06 left, 3 with errors"
