@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from gelform.contact import contacts
 from gelform.contact.contacts import contacts_from_mask
@@ -113,3 +114,26 @@ def test_moments_agree_with_numpy():
         return np.array(rows)
 
     assert_kernel_agrees(contacts._region_moments, by_numpy, labels, depth, np.empty((3, 14)))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.35, 0.6, 1.0])
+@pytest.mark.parametrize("shape", [(1, 9), (13, 1), (37, 51)])
+def test_labels_agree_with_scipy(share, shape):
+    mask = np.random.default_rng(0).random(shape) < share
+
+    def by_scipy(mask, labels, work):
+        labels, count = ndimage.label(mask, np.ones((3, 3)))
+        firsts = np.argsort([np.argmax(labels == k) for k in range(1, count + 1)])
+        order = np.zeros(count + 1, np.uint16)
+        order[firsts + 1] = np.arange(1, count + 1)
+        return order[labels]
+
+    work = np.empty(contacts.runs_work(shape), np.int32)
+    assert_kernel_agrees(contacts._label_regions, by_scipy, mask, np.empty(shape, np.uint16), work)
+
+
+def test_more_regions_than_labels_are_told():
+    mask = np.zeros((600, 600), bool)
+    mask[::2, ::2] = True
+    with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
+        contacts.labelled(mask)

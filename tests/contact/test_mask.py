@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.special import k0
 
 import gelform
 from gelform.contact import contact_from_depth, mask
 from gelform.simulate import LAYOUTS, Ball, simulate_press
+from kernel_agreement import assert_kernel_agrees
 
 PITCH = 0.0634
 
@@ -94,8 +96,8 @@ def test_pixels_need_not_be_square():
 
 def test_the_bending_is_minus_the_laplacian_on_either_axis():
     y, x = np.mgrid[:30, :40].astype(np.float32)
-    bent = mask._bent(-0.01 * x**2 - 0.03 * y**2, (0.1, 0.2), 2)
-    np.testing.assert_allclose(bent, 2 * 0.01 / 0.1**2 + 2 * 0.03 / 0.2**2, rtol=1e-3)
+    _, bent = mask._bent(-0.01 * x**2 - 0.03 * y**2, (0.1, 0.2), 0.7)
+    np.testing.assert_allclose(bent[5:-5, 5:-5], 2 * 0.01 / 0.1**2 + 2 * 0.03 / 0.2**2, rtol=1e-3)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -125,3 +127,117 @@ def test_wrong_depth():
         contact_from_depth(np.full((8, 8), np.nan), mm_per_px=PITCH)
     with pytest.raises(ValueError, match="one frame"):
         contact_from_depth(np.zeros((2, 8, 8)), mm_per_px=PITCH)
+
+
+@pytest.mark.parametrize(("margin", "shape"), [(0, (5, 6)), (2, (17, 21)), (3, (40, 53))])
+def test_bending_agrees_with_numpy(margin, shape):
+    depth = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
+    taps = np.array([0.5, 0.2, 0.05], np.float32)
+
+    def by_numpy(depth, taps, smooth, bent, work, along_x, along_y, margin):
+        whole = np.concatenate([taps[:0:-1], taps]).astype(float)
+        smooth = ndimage.convolve1d(
+            ndimage.convolve1d(depth.astype(float), whole, 0, mode="nearest"), whole, 1, mode="nearest"
+        )
+        bent = -along_x * ndimage.convolve1d(smooth, [1, -2, 1], 1, mode="mirror")
+        bent -= along_y * ndimage.convolve1d(smooth, [1, -2, 1], 0, mode="mirror")
+        y, x = (np.clip(np.arange(n), margin, n - 1 - margin) for n in smooth.shape)
+        return smooth, bent[np.ix_(y, x)]
+
+    blank, work = np.empty_like(depth), np.empty(1000, np.float32)
+    assert_kernel_agrees(mask._bent_surface, by_numpy, depth, taps, blank, blank, work, 2.0, 3.0, margin)
+
+
+def test_noise_agrees_with_numpy():
+    values = np.random.default_rng(0).normal(0, 1, (31, 17)).astype(np.float32)
+
+    def by_numpy(values, work, magnitude, step, share):
+        sample = np.sort(np.abs(values.ravel()[::step]))
+        return sample[[int(share * (sample.size - 1))]]
+
+    arguments = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
+    for step in (1, 3):
+        assert_kernel_agrees(mask._magnitude_of_share, by_numpy, values, *arguments, step, 0.3)
+
+
+@pytest.mark.parametrize("with_sigma", [True, False])
+@pytest.mark.parametrize("least", [5, 10_000])
+def test_pressure_agrees_with_numpy(with_sigma, least):
+    rng = np.random.default_rng(0)
+    depth, bent = (rng.normal(0.2, 0.5, (19, 23)).astype(np.float32) for _ in range(2))
+    sigma = rng.uniform(0, 0.2, depth.shape).astype(np.float32) if with_sigma else None
+
+    def by_numpy(sigma, bed, bent, work, every_sigma, sigmas, below, least, stiffest):
+        bed = np.maximum(bed - sigmas * (every_sigma if sigma is None else sigma), 0)
+        falling = (bent < below) & (bed > 0)
+        ratio = np.median(-bent[falling] / bed[falling]) if falling.sum() >= least else 0
+        return bed * min(ratio, stiffest), bent + bed * min(ratio, stiffest)
+
+    work = np.empty(2 * depth.size, np.float32)
+    for stiffest in (0.1, 25.0):
+        arguments = sigma, depth, bent, work, 0.1, 2.0, -0.3, least, stiffest
+        assert_kernel_agrees(mask._pressure_on_bed, by_numpy, *arguments)
+
+
+def regions_by_numpy(
+    pressure,
+    bed,
+    finest,
+    contact,
+    work,
+    reach,
+    limit,
+    finest_limit,
+    of_bed,
+    flat,
+    of_flat,
+    half,
+    seed,
+    *least,
+):
+    above = pressure > np.maximum(limit, of_bed * bed)
+    window = np.ones(2 * reach + 1)
+
+    def total(values):
+        return ndimage.convolve1d(
+            ndimage.convolve1d(values.astype(float), window, 0, mode="constant"), window, 1, mode="constant"
+        )
+
+    around = total(above * pressure) / np.maximum(total(above), 1)
+    face = above & (pressure > of_flat * bed) & (bed > flat * around)
+    found = above & (pressure > half * around)
+    found |= ndimage.binary_erosion(face, np.ones((5, 5)), border_value=1)
+    labels, count = ndimage.label(found, np.ones((3, 3)))
+    kept = np.zeros_like(found)
+    for k in range(1, count + 1):
+        here = labels == k
+        if here.sum() >= least[0] and (pressure[here] > seed).sum() >= least[1]:
+            kept |= here
+    grown = ndimage.binary_dilation(kept, np.ones((3, 3)))
+    return kept if finest is None else kept | (grown & (finest > finest_limit))
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])
+@pytest.mark.parametrize("finest_limit", [None, 0.5])
+def test_regions_agree_with_numpy(shape, finest_limit):
+    rng = np.random.default_rng(3)
+    smooth = ndimage.gaussian_filter(rng.normal(0, 6, shape), 1.5)
+    pressure = (smooth + 0.2 + rng.normal(0, 0.05, shape)).astype(np.float32)
+    bed = np.maximum(ndimage.gaussian_filter(rng.normal(0, 20, shape), 4) + pressure, 0).astype(np.float32)
+    finest = None if finest_limit is None else rng.normal(0, 1, shape).astype(np.float32)
+    rules = 4, 0.2, finest_limit or 0.0, 0.35, 0.4, 0.75, 0.65, 0.8, 6.0, 3.0
+    blank, work = np.empty(shape, bool), np.empty(40_000, np.float32)
+    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, pressure, bed, finest, blank, work, *rules)
+
+
+def test_a_face_pressed_flat_is_contact_in_its_middle():
+    """Every other pixel of it is below half of what it is around; the bed's share of the pressure makes it a contact."""
+    pressure = np.zeros((30, 40), np.float32)
+    pressure[8:22, 10:30] = np.tile([[0.5, 2.0], [2.0, 0.5]], (7, 10))
+    bed = np.full(pressure.shape, 0.6, np.float32)
+    rules = 4, 0.2, 0.0, 0.35, 0.4, 0.75, 0.65, 0.8, 6.0, 3.0
+    blank, work = np.empty(pressure.shape, bool), np.empty(40_000, np.float32)
+    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, pressure, bed, None, blank, work, *rules)
+    wanted = regions_by_numpy(pressure, bed, None, None, None, *rules)
+    assert wanted[10:20, 12:28].all()
+    assert not wanted[8:22, 10:30].all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,6 +12,8 @@ from gelform._native import Kernel
 from gelform.checks import as_array, check_map, check_mm_per_px
 
 MOST_CONTACTS = 65_535  # labels are uint16
+RUN_WORDS = 6  # of native/contact/runs.h
+_label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
 
 
@@ -90,20 +91,19 @@ def contacts_from_mask(
 
 
 def labelled(mask: NDArray[np.bool_]) -> tuple[int, NDArray[np.uint16]]:
-    """How many connected regions a mask (H, W) has, and the map of their labels."""
-    labels = np.zeros(mask.shape, dtype=np.uint16)
-    values = np.ascontiguousarray(mask).view(np.uint8)
-    left, top, width, height = cv2.boundingRect(values)
-    if width == 0:
-        return 0, labels
-    box = slice(top, top + height), slice(left, left + width)
-    found, part = cv2.connectedComponents(values[box], connectivity=8, ltype=cv2.CV_32S)
-    if found - 1 > MOST_CONTACTS:
-        raise ValueError(
-            f"Expected at most {MOST_CONTACTS} separate contacts, got {found - 1}: is this noise?"
-        )
-    labels[box] = part
-    return found - 1, labels
+    """How many connected regions a mask (H, W) has, and the map of their labels, in the order of their first pixels."""
+    labels = np.empty(mask.shape, dtype=np.uint16)
+    found = _label_regions(
+        np.ascontiguousarray(mask), labels, np.empty(runs_work(labels.shape), dtype=np.int32)
+    )
+    if found > MOST_CONTACTS:
+        raise ValueError(f"Expected at most {MOST_CONTACTS} separate contacts, got {found}: is this noise?")
+    return found, labels
+
+
+def runs_work(shape: tuple[int, ...]) -> int:
+    """Words of memory for the most runs of pixels that a map (H, W) can have."""
+    return RUN_WORDS * shape[0] * ((shape[1] + 1) // 2)
 
 
 def _contact(

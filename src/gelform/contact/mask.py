@@ -3,39 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
+from gelform.background.change import LANES, blur_taps
 from gelform.checks import check_map, check_mm_per_px, check_number
+from gelform.contact.contacts import runs_work
 from gelform.medians import medians_where
 
-SMOOTHINGS_PX = (
-    0.7,
-    1.5,
-    2.5,
-)  # standard deviation of a Gaussian, before the surface's bending is taken: the first ...
+# Standard deviations of a Gaussian, before the surface's bending is taken: the first ...
+SMOOTHINGS_PX = 0.7, 1.5, 2.5
 QUIET = 0.06  # ... that leaves no more noise than this, 1/mm
 NOISE_SAMPLES = 10_000
 SHARE_AT_REST = 0.3  # of the frame that is taken to be untouched at least
-SIGMA_OF_SHARE = (
-    2.595  # standard deviation of a normal distribution over the magnitude that 30 % of it are below
-)
+# Standard deviation of a normal distribution over the magnitude that 30 % of it are below.
+SIGMA_OF_SHARE = 2.595
 SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
 STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is told
 SEED = 1.7  # times the noise factor, where contacts start
 LEAST_SEEDS = 4  # pixels
+SIGMAS_OF_RIM = (
+    2.0  # that a pixel beside a region has to exceed the finest smoothing's noise by, to be part of it
+)
 NEIGHBOURHOOD_PX = 4  # in which the rim is half as high as what is around it
 LEAST_OF_BED = 0.35  # times z/L^2: L is not known exactly, nor the same everywhere
-FLAT, OF_FLAT = (
-    0.4,
-    0.75,
-)  # where the bed's share is so much of the pressure around, so much of it is a contact too
+# Where the bed's share is so much of the pressure around, so much of it is a contact too.
+FLAT, OF_FLAT = 0.4, 0.75
 LEAST_PRESSURE = 0.02  # 1/mm
 HALF = 0.65  # nearly: the smooth rim of a contact is blurred outwards more than inwards
+
+_bent_surface = Kernel(
+    "bent_surface",
+    "f32[h,w] depth, f32[t] taps, out f32[h,w] smooth, out f32[h,w] bent, out f32[n] work, f32 along_x, f32 along_y, "
+    "i64 margin",
+)
+_magnitude_of_share = Kernel(
+    "magnitude_of_share", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step, f64 share"
+)
+_pressure_on_bed = Kernel(
+    "pressure_on_bed",
+    "f32[...]? sigma, out f32[...] bed, out f32[...] bent, out f32[n] work, f32 every_sigma, f32 sigmas, f32 below, "
+    "i64 least, f32 stiffest",
+)
+_contact_regions = Kernel(
+    "contact_regions",
+    "f32[h,w] pressure, f32[h,w] bed, f32[h,w]? finest, out bool[h,w] contact, out f32[n] work, "
+    "i64 reach, f32 limit, f32 finest_limit, f32 least_of_bed, f32 flat, f32 of_flat, f32 half, f32 seed, f32 min_px, "
+    "f32 min_seeds",
+)
+
+
+class _Pressure(NamedTuple):
+    """Pressure over the surface's tension, 1/mm, (H, W), and what it is told from."""
+
+    pressure: NDArray[np.float32]
+    bed: NDArray[np.float32]  # the bed's share z/L^2 of it, of what depth is known to be there
+    finest: (
+        NDArray[np.float32] | None
+    )  # minus the Laplacian by the finest smoothing, where a wider one was needed
 
 
 def contact_from_depth(
@@ -83,78 +113,82 @@ def contact_from_depth(
             f"Expected noise_factor > 0 and min_area_mm2 >= 0, got {noise_factor} and {min_area_mm2}."
         )
     pitch = check_mm_per_px(mm_per_px)
-    if depth_sigma_mm is None:
-        sigma: Any = np.float32(_noise_mm(depth))
-    else:
+    depth, sigma = np.ascontiguousarray(depth), None
+    if depth_sigma_mm is not None:
         sigma = check_map(depth_sigma_mm, "depth_sigma_mm", shape=depth.shape, nonnegative=True)
-    pressure, bed = _pressure(depth, sigma, pitch)
-    limit = max(noise_factor * _noise(pressure), LEAST_PRESSURE)
-    return _regions(pressure, limit, bed, min_area_mm2 / (pitch[0] * pitch[1]))
+        sigma = np.ascontiguousarray(sigma)
+    found = _pressure(depth, sigma, pitch)
+    limit = max(noise_factor * _noise(found.pressure), LEAST_PRESSURE)
+    return _regions(found, limit, min_area_mm2 / (pitch[0] * pitch[1]))
 
 
 def _pressure(
-    depth: NDArray[Any], sigma: Any, pitch: tuple[float, float]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Pressure (H, W) over the surface's tension, 1/mm, and the bed's share z/L^2 of what depth is known to be there."""
+    depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, pitch: tuple[float, float]
+) -> _Pressure:
+    """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0."""
+    finest = None
     for smoothing in SMOOTHINGS_PX:
-        smooth = cv2.GaussianBlur(depth, (0, 0), smoothing, borderType=cv2.BORDER_REPLICATE).reshape(
-            depth.shape
-        )
-        bent = _bent(smooth, pitch, int(np.ceil(2 * smoothing)))
-        if (noise := _noise(bent)) <= QUIET:
+        smooth, bent = _bent(depth, pitch, smoothing)
+        noise = _noise(bent)
+        if noise <= QUIET:
             break
-    bed = np.maximum(smooth - np.float32(SIGMAS_OF_DEPTH) * sigma, 0, out=smooth)
-    falling = (bent < np.float32(-4 * noise)) & (bed > 0)
-    stiffness = 0.0
-    if np.count_nonzero(falling) >= LEAST_FALLING:
-        ratios = -bent[falling] / bed[falling]
-        stiffness = min(float(medians_where(ratios.reshape(-1, 1, 1))[0][0]), STIFFEST)
-    bed *= np.float32(stiffness)
-    bent += bed
-    return bent, bed
+        finest = bent if finest is None else finest
+    every = _noise_mm(depth) if sigma is None else 0.0
+    work = np.empty(2 * depth.size, dtype=np.float32)
+    rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
+    _pressure_on_bed(sigma, smooth, bent, work, every, *rules)
+    return _Pressure(bent, smooth, finest)
 
 
-def _bent(depth: NDArray[Any], pitch: tuple[float, float], margin: int) -> NDArray[np.float32]:
-    """Minus the Laplacian (H, W) of a depth, 1/mm; within a margin of the borders that of the next pixels inside."""
-    x, y = 1 / pitch[0] ** 2, 1 / pitch[1] ** 2
-    kernel = np.array([[0, -y, 0], [-x, 2 * (x + y), -x], [0, -y, 0]], dtype=np.float32)
-    bent: NDArray[np.float32] = cv2.filter2D(depth, cv2.CV_32F, kernel).reshape(depth.shape)
-    if min(bent.shape) > 2 * margin:
-        for side in (bent, bent.T):
-            side[:margin], side[-margin:] = side[margin], side[-margin - 1]
-    return bent
+def _bent(
+    depth: NDArray[np.float32], pitch: tuple[float, float], smoothing: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A depth (H, W) smoothed and minus its Laplacian, 1/mm; near the borders that of the next pixels inside."""
+    taps = _taps(smoothing)
+    margin = int(np.ceil(2 * smoothing))
+    if min(depth.shape) <= 2 * margin:
+        margin = 0
+    smooth, bent = np.empty_like(depth), np.empty_like(depth)
+    rows, width = 2 * taps.size - 1, depth.shape[1] + LANES
+    work = np.empty((rows + 1) * width + rows, dtype=np.float32)
+    _bent_surface(depth, taps, smooth, bent, work, 1 / pitch[0] ** 2, 1 / pitch[1] ** 2, margin)
+    return smooth, bent
+
+
+@lru_cache(maxsize=len(SMOOTHINGS_PX))
+def _taps(smoothing: float) -> NDArray[np.float32]:
+    return blur_taps(smoothing)
 
 
 def _noise(values: NDArray[np.float32]) -> float:
     """Standard deviation of a map (H, W) where nothing is: of the share of it that is smallest."""
-    sample = np.abs(values.ravel()[:: max(1, values.size // NOISE_SAMPLES)])
-    place = int(SHARE_AT_REST * (sample.size - 1))
-    return SIGMA_OF_SHARE * float(np.partition(sample, place)[place])
+    step = max(1, values.size // NOISE_SAMPLES)
+    work = np.empty(2 * -(-values.size // step), dtype=np.float32)
+    magnitude = np.empty(1, dtype=np.float32)
+    _magnitude_of_share(values, work, magnitude, step, SHARE_AT_REST)
+    return SIGMA_OF_SHARE * float(magnitude[0])
 
 
 def _noise_mm(depth: NDArray[Any]) -> float:
     """Standard deviation of the untouched gel: the median of its negative depths, as of half a Gaussian."""
     sample = depth.ravel()[:: max(1, depth.size // NOISE_SAMPLES)]
-    below = sample[sample < 0]
-    return -1.4826 * float(np.median(below)) if below.size else 0.0
+    below = sample[sample < 0].reshape(-1, 1, 1)
+    return -1.4826 * float(medians_where(below)[0][0]) if below.size else 0.0
 
 
-def _regions(
-    pressure: NDArray[np.float32], limit: float, bed: NDArray[np.float32], min_px: float
-) -> NDArray[np.bool_]:
-    """Where the pressure (H, W) is above the limit and half of what it is around, in regions that start for sure."""
-    above = pressure > np.maximum(np.float32(limit), np.float32(LEAST_OF_BED) * bed)
-    size = (2 * NEIGHBOURHOOD_PX + 1,) * 2
-    sums = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
-    there = cv2.boxFilter(above.view(np.uint8), cv2.CV_32F, size, **sums)
-    around = cv2.boxFilter(np.where(above, pressure, 0), cv2.CV_32F, size, **sums)
-    around /= np.maximum(there, 1)
-    flat = above & (pressure > np.float32(OF_FLAT) * bed) & (bed > np.float32(FLAT) * around)
-    above &= pressure > np.float32(HALF) * around
-    above |= cv2.erode(flat.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
-    count, labels = cv2.connectedComponents(above.view(np.uint8), connectivity=8)
-    inside = labels[above]  # few pixels of the frame: all that follows looks at these alone
-    areas = np.bincount(inside, minlength=count)
-    seeds = np.bincount(inside[pressure[above] > np.float32(SEED * limit)], minlength=count)
-    above[above] = ((areas >= min_px) & (seeds >= min(LEAST_SEEDS, max(min_px, 1))))[inside]
-    return above
+def _regions(found: _Pressure, limit: float, min_px: float) -> NDArray[np.bool_]:
+    """Where the pressure is above the limit and half of what it is around, in regions that start for sure.
+
+    A wider smoothing draws a contact's rim inwards; the pixels next to it are contact too where the finest one has the
+    surface bent outwards.
+    """
+    height, width = found.pressure.shape
+    contact = np.empty((height, width), dtype=np.bool_)
+    side = 2 * NEIGHBOURHOOD_PX + 1
+    sums = (2 * side + 6) * (width + side + LANES)
+    work = np.empty(sums + runs_work(contact.shape), dtype=np.float32)
+    shares = LEAST_OF_BED, FLAT, OF_FLAT, HALF
+    finest_limit = 0.0 if found.finest is None else SIGMAS_OF_RIM * _noise(found.finest)
+    least = SEED * limit, min_px, min(LEAST_SEEDS, max(min_px, 1))
+    _contact_regions(*found, contact, work, NEIGHBOURHOOD_PX, limit, finest_limit, *shares, *least)
+    return contact

@@ -1,0 +1,101 @@
+// depth -> how its surface bends, and the pressure that holds it up.
+#include "../background/blurred_change.h"
+#include "../select.h"
+
+static inline ptrdiff_t within(ptrdiff_t i, ptrdiff_t n) { return i < 0 ? 0 : i < n ? i : n - 1; }
+
+// A row of the depth blurred along x, its outermost pixels repeated.
+static void blur_along(const float *depth, float *padded, const float *taps, ptrdiff_t radius, float *out, ptrdiff_t w) {
+  struct taken from;
+  for (ptrdiff_t x = 0; x < radius; x++) padded[x] = depth[0], padded[radius + w + x] = depth[w - 1];
+  memcpy(padded + radius, depth, (size_t)w * sizeof *depth);
+  for (ptrdiff_t k = 0; k <= radius; k++) from.before[k] = padded + radius - k, from.after[k] = padded + radius + k;
+  weighted_sum(&from, taps, radius, out, w);
+}
+
+static inline float bending(const float *up, const float *row, const float *down, ptrdiff_t left, ptrdiff_t at,
+                            ptrdiff_t right, float along_x, float along_y) {
+  const float z = row[at];
+  return along_x * ((z - row[left]) + (z - row[right])) + along_y * ((z - up[at]) + (z - down[at]));
+}
+
+// Minus the Laplacian of a row; in the margin that of the next pixel inside.
+static void bend_row(const float *smooth, float *restrict bent, ptrdiff_t y, float along_x, float along_y, ptrdiff_t margin,
+                     ptrdiff_t h, ptrdiff_t w) {
+  const float *restrict up = smooth + mirrored(y - 1, h) * w, *restrict row = smooth + y * w,
+              *restrict down = smooth + mirrored(y + 1, h) * w;
+  for (ptrdiff_t x = 1; x < w - 1; x++) bent[x] = bending(up, row, down, x - 1, x, x + 1, along_x, along_y);
+  bent[0] = bending(up, row, down, mirrored(-1, w), 0, mirrored(1, w), along_x, along_y);
+  bent[w - 1] = bending(up, row, down, mirrored(w - 2, w), w - 1, mirrored(w, w), along_x, along_y);
+  for (ptrdiff_t x = 0; x < margin; x++) bent[x] = bent[margin], bent[w - 1 - x] = bent[w - 1 - margin];
+}
+
+// Depth blurred with symmetric `taps`, the middle first, and minus its Laplacian; `along_x`, `along_y`: 1/pitch^2.
+EXPORT int bent_surface(const float *depth, const float *taps, float *smooth, float *bent, float *work, float along_x,
+                        float along_y, int64_t margin, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t n) {
+  const ptrdiff_t radius = t - 1, rows = 2 * radius + 1, stride = whole_lanes(w);
+  float *ring = work + w + 2 * radius + LANES;
+  struct taken from;
+  ptrdiff_t filled = 0;
+  if (radius > MAX_RADIUS || n < w + 2 * radius + LANES + rows * stride) return WRONG_SIZE;
+  if (margin < 0 || 2 * margin >= (h < w ? h : w)) return WRONG_SIZE;
+  for (ptrdiff_t y = 0; y < h; y++) {
+    for (; filled < h && filled <= y + radius; filled++)
+      blur_along(depth + filled * w, work, taps, radius, ring + filled % rows * stride, w);
+    for (ptrdiff_t k = 0; k <= radius; k++) {
+      from.before[k] = ring + within(y - k, h) % rows * stride;
+      from.after[k] = ring + within(y + k, h) % rows * stride;
+    }
+    weighted_sum(&from, taps, radius, smooth + y * w, w);
+    if (y > margin && y <= h - 1 - margin) bend_row(smooth, bent + (y - 1) * w, y - 1, along_x, along_y, margin, h, w);
+  }
+  bend_row(smooth, bent + (h - 1 - margin) * w, h - 1 - margin, along_x, along_y, margin, h, w);
+  for (ptrdiff_t y = 0; y < margin; y++) {
+    memcpy(bent + y * w, bent + margin * w, (size_t)w * sizeof *bent);
+    memcpy(bent + (h - 1 - y) * w, bent + (h - 1 - margin) * w, (size_t)w * sizeof *bent);
+  }
+  return OK;
+}
+
+// The magnitude that a share of every `step`-th value is below.
+EXPORT int magnitude_of_share(const float *values, float *work, float *magnitude, int64_t step, double share,
+                              ptrdiff_t count, ptrdiff_t n) {
+  ptrdiff_t taken = 0;
+  if (step < 1 || count < 1 || n < 2 * ((count + step - 1) / step)) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < count; i += step) work[taken++] = fabsf(values[i]);
+  *magnitude = kth_smallest(work, taken, (ptrdiff_t)(share * (double)(taken - 1)), (uint32_t *)(work + taken));
+  return OK;
+}
+
+enum { CHUNK = 4 * LANES };
+
+// Ratios -bent/bed of the pixels where the surface falls off, appended to `ratios`; how many.
+static ptrdiff_t falling_off(const float *restrict bed, const float *restrict bent, float below, float *ratios, ptrdiff_t n) {
+  int32_t any = 0;
+  ptrdiff_t count = 0;
+  for (ptrdiff_t i = 0; i < n; i++) any += (bent[i] < below) & (bed[i] > 0);
+  if (any == 0) return 0;  // as nearly everywhere
+  for (ptrdiff_t i = 0; i < n; i++)
+    if (bent[i] < below && bed[i] > 0) ratios[count++] = -bent[i] / bed[i];
+  return count;
+}
+
+// Depth that is known to be there becomes the bed's share of what bends the surface, and is added to the bending: the
+// pressure. The bed's stiffness is the median ratio where the surface bends by less than `below`, if `least` pixels do.
+EXPORT int pressure_on_bed(const float *sigma, float *bed, float *bent, float *work, float every_sigma, float sigmas,
+                           float below, int64_t least, float stiffest, ptrdiff_t count, ptrdiff_t n) {
+  float stiffness = 0;
+  ptrdiff_t falling = 0;
+  if (n < 2 * count) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < count; i += CHUNK) {
+    const ptrdiff_t some = count - i < CHUNK ? count - i : CHUNK;
+    if (sigma != NULL)
+      for (ptrdiff_t k = i; k < i + some; k++) bed[k] = larger(bed[k] - sigmas * sigma[k], 0);
+    else
+      for (ptrdiff_t k = i; k < i + some; k++) bed[k] = larger(bed[k] - sigmas * every_sigma, 0);
+    falling += falling_off(bed + i, bent + i, below, work + falling, some);
+  }
+  if (falling > 0 && falling >= least) stiffness = smaller(median(work, falling, (uint32_t *)(work + falling)), stiffest);
+  for (ptrdiff_t i = 0; i < count; i++) bed[i] *= stiffness, bent[i] += bed[i];
+  return OK;
+}
