@@ -30,3 +30,32 @@ def test_a_calibration_that_cannot_be_read_is_said_at_once(tmp_path):
 def test_an_unknown_simulated_sensor_gets_the_nearest_one_suggested():
     with pytest.raises(ValueError, match="three-edges"):
         start(Options(["simulated:three-edge"]))
+
+
+def test_a_file_that_is_not_there_is_said_at_once(tmp_path):
+    with pytest.raises(DataError, match=r"none\.mp4"):
+        start(Options([str(tmp_path / "none.mp4")]))
+
+
+def test_a_camera_that_is_not_there_is_said_and_waited_for():
+    hub = start(Options(["NO-SUCH-SERIAL-7"]))
+    try:
+        assert "tried again" in hub.notices[0][2]
+        until(lambda: hub.stations[0].facts()["reason"])
+        assert hub.stations[0].facts()["state"] == "missing"
+    finally:
+        hub.close()
+
+
+def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
+    import gelform
+
+    for k, press in enumerate(simulated.presses[:4]):
+        gelform.save_picture(tmp_path / f"{k}.png", press.image)
+    calibration.save(tmp_path / "mine.npz")
+    hub = start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))
+    try:
+        until(lambda: hub.stations[0].facts()["state"] == "ended", 20)
+        assert hub.stations[0].newest.result is not None
+    finally:
+        hub.close()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelform.errors import DataError
+from gelform.errors import DataError, SensorError
 from gelform.live import actions
 from gelform.live.calibrations import Calibrations
 from gelform.live.hub import Hub
@@ -64,7 +64,7 @@ def start(options: Options) -> Hub:
         hub.calibrations[name]  # one that cannot be read is said before anything opens
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
-        opener = _opener(spec, sensor, options.rate_hz)
+        opener = _opener(hub, spec, sensor, options.rate_hz)
         stall_s = STALL_S if sensor is None else SIMULATED_STALL_S
         station = Station(number, spec, opener, hub.changed, stall_s=stall_s)
         hub.stations.append(station)
@@ -82,10 +82,16 @@ def _simulated_sensor(spec: str) -> SimulatedSensor | None:
     return simulated_sensor_named(name or DEFAULT_SENSOR) if kind == SIMULATED else None
 
 
-def _opener(spec: str, sensor: SimulatedSensor | None, rate_hz: float) -> Callable[[], Source]:
+def _opener(hub: Hub, spec: str, sensor: SimulatedSensor | None, rate_hz: float) -> Callable[[], Source]:
+    """Opens the source; the first time is now, so that a mistake is said in the terminal too."""
     if sensor is not None:
         return lambda: Show(sensor, rate_hz=rate_hz)
-    return lambda: open_source(spec, paced=True)
+    opened: list[Source] = []
+    try:
+        opened.append(open_source(spec, paced=True))
+    except SensorError as problem:
+        hub.notice(f"{problem} It is tried again every second.", "warning")
+    return lambda: opened.pop() if opened else open_source(spec, paced=True)
 
 
 def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:

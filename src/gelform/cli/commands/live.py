@@ -59,6 +59,8 @@ def live(
     server = listen(host, port, token=token)
     with mistakes_in("live"):
         hub = start(Options(sources or ["simulated"], calibration or [], folder, rate))
+    for _, _, text in hub.notices:
+        say(f"warning: {text}")
     typer.echo(server.url)
     say("Open this address. Ctrl-C ends it.", quiet)
     if browser:
