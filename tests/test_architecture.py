@@ -31,7 +31,7 @@ LEVELS = [
     {"reconstruct", "simulate"},
     {"sensors", "plots", "importers", "exporters", "torch"},
     {"calibration", "design", "streams"},
-    {"batch", "live"},
+    {"batch", "live", "robots"},
     {"cli"},
 ]
 SHELLS = {"__main__"}  # what starts the command line

@@ -21,6 +21,7 @@ from gelform.cli.commands import (
     verify,
 )
 from gelform.cli.commands.inspection import compare, evaluate, explain, info
+from gelform.cli.commands.robots import bag
 from gelform.cli.commands.sources import cameras, record
 from gelform.cli.failures import DEBUG, ReportedFailures
 from gelform.cli.process import as_process
@@ -54,6 +55,7 @@ app.command()(record.record)
 app.command()(live.live)
 app.command()(batch.batch)
 app.command()(verify.verify)
+app.command()(bag.bag)
 
 
 def command_names() -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from gelform.sensors.cameras.there import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.mjpeg.url import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
+from gelform.sensors.recordings.bag_folder import is_bag_folder, mcap_file_in
 from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback
 from gelform.sensors.recordings.mcap_reader import mcap_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
@@ -77,7 +78,7 @@ def open_source(
         - http://... or https://...: a camera that pushes JPEG pictures (multipart/x-mixed-replace)
         - the serial number of a USB camera, its name (or a part of it, or "digit", "gelsight-mini"), or its path; "" for the
           only one that is plugged in
-        - *.mcap, a video file, or a folder of images (one that `gelform record` wrote has its times)
+        - *.mcap, a folder of rosbag2, a video file, or a folder of images (one that `gelform record` wrote has its times)
     paced : whether files play at the pace at which they were taken, instead of as fast as they are read
     rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : for the connection to an address
@@ -114,6 +115,8 @@ def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
     if path.is_dir():
         if is_recorded_folder(path):
             return recorded_folder_playback(path, paced=paced)
+        if is_bag_folder(path):
+            return mcap_playback(mcap_file_in(path), paced=paced)
         return folder_playback(path, rate_hz=rate_hz, paced=paced)
     if is_video(path):
         return video_playback(path, paced=paced)

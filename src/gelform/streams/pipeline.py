@@ -33,12 +33,14 @@ class StreamFrame:
     result : Reconstruction
     index : int, of the frame; grows
     time_s : float, when it was captured, on `time.monotonic()`'s clock
+    frame : Frame, as the source gave it, before the view
     """
 
     image: NDArray[Any]
     result: Reconstruction
     index: int
     time_s: float
+    frame: Frame
 
 
 class Pipeline:
@@ -142,7 +144,7 @@ class Pipeline:
         with self.meter.timed("reconstruct"):
             result = self.memory.result_from_image(image)
         stamped = replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
-        return StreamFrame(image, stamped, frame.index, frame.time_s)
+        return StreamFrame(image, stamped, frame.index, frame.time_s, frame)
 
     def _ask(self, check: Callable[[], None]) -> None:
         """Have a check made by its own thread: the newest one, where they come too fast."""

@@ -9,6 +9,7 @@ from gelform.sensors.recordings.mcap_reader import mcap_playback, mcap_summary
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.source import open_source
 from made.recorded import frames
+from made.ros_images import image_file, raw_message
 
 writer = pytest.importorskip("mcap.writer", reason="the extra mcap is not installed")
 FIRST_CHUNK_END = 14000  # bytes: a frame of noise takes 9.3 kB
@@ -94,6 +95,24 @@ def test_what_is_no_recording_says_so(tmp_path):
     text.write_text("no mcap file at all, but long enough")
     with pytest.raises(DataError, match="no MCAP file"):
         mcap_playback(text)
+
+
+def test_a_bag_of_raw_pictures_is_read_and_counted(tmp_path):
+    given = [frame.image for frame in frames(3)]
+    stamped = [raw_message(image, "bgr8", wall_time_ns=k + 5) for k, image in enumerate(given)]
+    taken = list(mcap_playback(image_file(tmp_path / "a.mcap", {"/image_raw": stamped})))
+    assert [frame.index for frame in taken] == [0, 1, 2]  # though every message is numbered 0
+    assert [frame.wall_time_ns for frame in taken] == [5, 6, 7]
+    assert [frame.time_s for frame in taken] == [0.0, 0.01, 0.02]
+    for image, frame in zip(given, taken):
+        np.testing.assert_array_equal(frame.image, image[..., ::-1])
+
+
+def test_a_raw_picture_that_changes_its_encoding_is_an_error(tmp_path):
+    image = frames(1)[0].image
+    path = image_file(tmp_path / "a.mcap", {"/a": [raw_message(image), raw_message(image, "8UC3")]})
+    with pytest.raises(DataError, match=r"Frame 1 of .*got 8UC3"):
+        list(mcap_playback(path))
 
 
 def foreign(path, topics, schema="sensor_msgs/msg/CompressedImage"):

@@ -1,0 +1,163 @@
+"""A bag of ROS 2 that is being written: under a temporary name until it is whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from gelform.checks import check_path
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.reconstruction import Reconstruction
+from gelform.robots.ros_messages import RosMessages
+from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
+
+METADATA_VERSION = 9  # rosbag2 of Jazzy and later; Humble plays the .mcap inside
+DIAGNOSTICS_NS = 10**9  # at least one message a second, as ROS's own diagnostics
+QUEUE = 10  # of the publisher that `ros2 bag play` makes: ROS's default
+
+
+class BagFile:
+    """A rosbag2 folder (metadata.yaml and one MCAP file), written frame by frame; a context manager.
+
+    The folder appears under its name when it is closed. An exception discards it, but for an interrupt (Ctrl-C):
+    what was written until then is kept.
+
+    Parameters
+    ----------
+    path : a new folder
+    sensor : a name of ROS: topics begin with it, and the names of the coordinate frames
+    topics : of TOPICS, those that are written
+    hardware_id : of the diagnostics, such as the serial number
+
+    Raises
+    ------
+    DataError
+        The path is there already or cannot be written, or the extra `ros` is not installed.
+    ValueError
+        No name of ROS, or an unknown topic.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        sensor: str,
+        *,
+        topics: tuple[str, ...] = tuple(TOPICS),
+        hardware_id: str = "",
+    ) -> None:
+        self.path = check_path(path)
+        self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
+        self._topics = check_topics(topics)
+        if os.path.lexists(self.path):
+            raise DataError(f"{self.path} is there already. Choose another name, or remove it.")
+        self._unfinished = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        self._said: tuple[tuple[str, ...], int] | None = None
+        try:
+            self._unfinished.mkdir(parents=True)
+            self._writer = _writer(self._unfinished / self.path.name)
+            self._connections = {name: self._connection(name) for name in self._topics}
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+
+    def write(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
+        """Add a frame and what it gave.
+
+        Parameters
+        ----------
+        frame : as the camera gave it
+        result : of it, in mm where indentation or points are written
+        stamp_ns : UTC, ns, when it was taken
+
+        Raises
+        ------
+        DataError
+            The disk takes no more: nothing is kept.
+        """
+        try:
+            for name in self._topics:
+                if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
+                    message = getattr(self._messages, name)(frame, result, stamp_ns)
+                    self._writer.write(self._connections[name], stamp_ns, message)
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+
+    def close(self) -> None:
+        """Write the index, and give the folder its name."""
+        try:
+            self._writer.close()
+            (self._unfinished / self.path.name).rename(self.path)
+            self._unfinished.rmdir()
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+
+    def discard(self) -> None:
+        """Leave nothing."""
+        self._writer.abort()
+        shutil.rmtree(self._unfinished, ignore_errors=True)
+
+    def __enter__(self) -> BagFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None or issubclass(kind, KeyboardInterrupt):
+            self.close()
+        else:
+            self.discard()
+
+    def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
+        """Whether the findings are others than those said last, or a second has gone since."""
+        names = tuple(finding.name for finding in result.health)
+        if (
+            self._said is not None
+            and self._said[0] == names
+            and abs(stamp_ns - self._said[1]) < DIAGNOSTICS_NS
+        ):
+            return False
+        self._said = (names, stamp_ns)
+        return True
+
+    def _connection(self, name: str) -> Any:
+        topic = TOPICS[name]
+        return self._writer.add_connection(
+            topic.of(self._messages.sensor),
+            topic.type,
+            typestore=self._messages.store,
+            offered_qos_profiles=[_offered()],
+        )
+
+    def _unwritable(self, problem: OSError) -> DataError:
+        shutil.rmtree(self._unfinished, ignore_errors=True)
+        return DataError(f"Cannot write {self.path}: {problem.strerror or problem}. Nothing was kept.")
+
+
+def _writer(path: Path) -> Any:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    writer = Writer(path, version=METADATA_VERSION, storage_plugin=StoragePlugin.MCAP)
+    writer.open()
+    return writer
+
+
+def _offered() -> Any:
+    """Reliable, volatile, the last ten kept: a player that offers it serves subscribers of either reliability."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    unlimited = QosTime(9223372036, 854775807)  # what rosbag2 writes where there is no limit
+    return Qos(
+        QosHistory.KEEP_LAST,
+        QUEUE,
+        QosReliability.RELIABLE,
+        QosDurability.VOLATILE,
+        unlimited,
+        unlimited,
+        QosLiveliness.AUTOMATIC,
+        unlimited,
+        False,
+    )

@@ -1,0 +1,127 @@
+"""A frame and its result as messages of ROS 2, in its encoding CDR: standard types, metres, optical frames.
+
+REP-103: a frame whose name ends in `_optical_frame` has x to the right, y down and z away from the camera.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.errors import DataError
+from gelform.exporters.surface import points_from_result
+from gelform.frames import Frame
+from gelform.reconstruction import Reconstruction
+from gelform.robots.topics import TOPICS
+
+M_PER_MM = np.float32(1e-3)
+FLOAT32 = 7  # sensor_msgs/PointField
+OK, WARN, ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
+
+
+class RosMessages:
+    """Messages of one sensor.
+
+    Parameters
+    ----------
+    sensor : a name of ROS; frames are `<sensor>_camera_optical_frame` and `<sensor>_gel_optical_frame`
+    hardware_id : of the diagnostics, such as the serial number
+
+    Raises
+    ------
+    DataError
+        The extra `ros` is not installed.
+    """
+
+    def __init__(self, sensor: str, hardware_id: str = "") -> None:
+        self.store = typestore()
+        self.sensor, self.hardware_id = sensor, hardware_id
+        self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
+
+    def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
+        """The frame as the camera gave it: sensor_msgs/Image, rgb8."""
+        return self._image(frame.image, "rgb8", self._header(stamp_ns, self.camera_frame))
+
+    def indentation(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
+        """Depth in metres, positive where pressed, NaN where it is not known: sensor_msgs/Image, 32FC1."""
+        metres = (result.depth_mm * M_PER_MM).astype("<f4")
+        metres[~result.known] = np.nan
+        return self._image(metres, "32FC1", self._header(stamp_ns, self.gel_frame))
+
+    def points(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
+        """The surface, row by row: (x, y, -depth), metres; NaN where it is not known: sensor_msgs/PointCloud2."""
+        height, width = result.shape
+        points = (points_from_result(result) * M_PER_MM).astype("<f4")
+        points[~result.known.ravel()] = np.nan
+        field = self._type("sensor_msgs/msg/PointField")
+        fields = [field(name=n, offset=4 * k, datatype=FLOAT32, count=1) for k, n in enumerate("xyz")]
+        message = self._type(TOPICS["points"].type)(
+            header=self._header(stamp_ns, self.gel_frame),
+            height=height,
+            width=width,
+            fields=fields,
+            is_bigendian=False,
+            point_step=12,
+            row_step=12 * width,
+            data=points.view(np.uint8).ravel(),
+            is_dense=bool(result.known.all()),
+        )
+        return self._encoded(message)
+
+    def diagnostics(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
+        """The findings of `health`, each as a value: diagnostic_msgs/DiagnosticArray with one status.
+
+        OK without findings, WARN with some, ERROR where not one pixel of depth is known.
+        """
+        pair = self._type("diagnostic_msgs/msg/KeyValue")
+        findings = result.health
+        level = (WARN if result.known.any() else ERROR) if findings else OK
+        status = self._type("diagnostic_msgs/msg/DiagnosticStatus")(
+            level=level,
+            name=f"gelform: {self.sensor}",
+            message=", ".join(finding.name for finding in findings) or "OK",
+            hardware_id=self.hardware_id,
+            values=[pair(key=one.name, value=f"{one.figure:g}: {one.message}") for one in findings],
+        )
+        message = self._type(TOPICS["diagnostics"].type)(header=self._header(stamp_ns, ""), status=[status])
+        return self._encoded(message)
+
+    def _image(self, pixels: NDArray[Any], encoding: str, header: Any) -> memoryview:
+        height, width = pixels.shape[:2]
+        data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
+        image = self._type(TOPICS["image"].type)
+        step = data.size // height
+        return self._encoded(
+            image(
+                header=header,
+                height=height,
+                width=width,
+                encoding=encoding,
+                is_bigendian=0,
+                step=step,
+                data=data,
+            )
+        )
+
+    def _header(self, stamp_ns: int, frame_id: str) -> Any:
+        seconds, nanoseconds = divmod(stamp_ns, 10**9)
+        stamp = self._type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
+        return self._type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
+
+    def _type(self, name: str) -> Any:
+        return self.store.types[name]
+
+    def _encoded(self, message: Any) -> memoryview:
+        encoded: memoryview = self.store.serialize_cdr(message, message.__msgtype__)
+        return encoded
+
+
+def typestore() -> Any:
+    """Definitions of ROS 2's own messages; DataError, naming the extra, where they are not installed."""
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as problem:
+        raise DataError("Bags of ROS 2 need the extra ros: pip install 'gelform[ros]'.") from problem
+    return get_typestore(Stores.ROS2_JAZZY)

@@ -1,0 +1,53 @@
+"""What a sensor is called in ROS 2: its topics, their types, its coordinate frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic: its name below the sensor's (from the root where it begins with /), and the type of its messages."""
+
+    name: str
+    type: str
+
+    def of(self, sensor: str) -> str:
+        """Its whole name for a sensor."""
+        return self.name if self.name.startswith("/") else f"/{sensor}/{self.name}"
+
+
+TOPICS = {
+    "image": Topic("image_raw", "sensor_msgs/msg/Image"),
+    "indentation": Topic("indentation", "sensor_msgs/msg/Image"),
+    "points": Topic("points", "sensor_msgs/msg/PointCloud2"),
+    "diagnostics": Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+}
+NEEDS_SCALE = ("indentation", "points")
+_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
+
+
+def check_topics(topics: Iterable[str]) -> tuple[str, ...]:
+    """Return names of TOPICS, in the order of the table, each once; ValueError for none or an unknown one."""
+    wanted = [topics] if isinstance(topics, str) else list(topics)
+    unknown = [one for one in wanted if one not in TOPICS]
+    if unknown or not wanted:
+        raise ValueError(f"Expected topics among {', '.join(TOPICS)}, got {', '.join(unknown) or 'none'}.")
+    return tuple(name for name in TOPICS if name in wanted)
+
+
+def check_sensor_name(name: str) -> str:
+    """Return a name that topics and frames can begin with; ValueError for another."""
+    if not _NAME.fullmatch(name):
+        raise ValueError(
+            f"Expected a name of ROS: small letters, digits and single underscores, a letter first, got {name!r}."
+        )
+    return name
+
+
+def sensor_name_from(text: str) -> str:
+    """Such a name, made of what people call a sensor: "GelSight Mini" becomes "gelsight_mini"."""
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+    return name if _NAME.fullmatch(name) else f"sensor_{name}".rstrip("_")

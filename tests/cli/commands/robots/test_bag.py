@@ -1,0 +1,44 @@
+"""gelform bag: what it writes and says, of a folder and of the simulated sensor; mistakes in one line."""
+
+import pytest
+
+from gelform.sensors.source import open_source
+
+pytest.importorskip("rosbags", reason="the extra ros is not installed")
+pytest.importorskip("mcap", reason="the extra mcap is not installed")
+
+
+@pytest.fixture
+def images(press_folder, tmp_path):
+    """Three images of presses, as a folder."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k in range(3):
+        name = f"{k:04d}.png"
+        (folder / name).write_bytes((press_folder / "images" / name).read_bytes())
+    return folder
+
+
+def test_a_folder_becomes_a_bag_that_is_a_source(run_json, images, calibration_file, tmp_path):
+    said = run_json("bag", images, "-c", calibration_file, "-o", tmp_path / "bag", "--name", "left", "-q")
+    assert (said["frames"], said["sensor"], said["drops"]) == (3, "left", 0)
+    assert said["topics"] == ["/left/image_raw", "/left/indentation", "/left/points", "/diagnostics"]
+    assert len(list(open_source(tmp_path / "bag"))) == 3
+
+
+def test_topics_are_left_out_and_missing_times_are_said(run, images, calibration_file, tmp_path):
+    code, _, err = run("bag", images, "-c", calibration_file, "-o", tmp_path / "b", "--topics", "indentation")
+    assert code == 0, err
+    assert "3 frames" in err
+    assert "their stamps begin now" in err
+    with pytest.raises(Exception, match="32FC1"):
+        open_source(tmp_path / "b")
+
+
+def test_mistakes(run, fails, images, calibration_file, tmp_path):
+    given = ("-c", calibration_file, "-o", tmp_path / "bag")
+    assert run("bag", images, *given, "--topics", "depth")[0] == 2
+    assert run("bag", images, *given, "--name", "Left Finger")[0] == 2
+    assert "No recording" in fails("bag", tmp_path / "missing.mcap", *given)
+    tmp_path.joinpath("bag").mkdir()
+    assert "is there already" in fails("bag", images, *given)

@@ -1,0 +1,55 @@
+"""A small recording of a simulated sensor, the bag of it, and an independent reader of bags."""
+
+from __future__ import annotations
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.robots.bag import save_bag
+from gelform.simulate import Ball, Pose, simulate_pose
+
+START_NS, RATE_HZ = 1_700_000_000_123_456_789, 50
+
+
+@pytest.fixture(scope="session")
+def recording(sensor, made_once):
+    """A recorded folder of four frames: a gel at rest, then pressed; one of them torn."""
+    return made_once("bag_recording", lambda path: _recorded(path, sensor))
+
+
+def _recorded(path, sensor):
+    path.mkdir()
+    rng = np.random.default_rng(7)
+    with (path / "frames.csv").open("w", newline="") as table:
+        write = csv.writer(table, lineterminator="\n").writerow
+        write(["index", "time_s", "wall_time_ns", "image"])
+        for k, depth_mm in enumerate((0.0, 0.3, 0.5, 0.5)):
+            image = simulate_pose(sensor, Ball(3.0), Pose(depth_mm), rng=rng).image
+            if k == 3:
+                image[80:] = 0  # a torn frame: its lower part never came
+            cv2.imwrite(str(path / f"{k:08d}.png"), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+            write([k, k / RATE_HZ, START_NS + k * 10**9 // RATE_HZ, f"{k:08d}.png"])
+    (path / "recording.json").write_text('{"name": "a gel", "rate_hz": 50.0, "format_version": 1}')
+    return path
+
+
+@pytest.fixture(scope="session")
+def bag(recording, calibration, tmp_path_factory):
+    """The bag of that recording."""
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
+    path = tmp_path_factory.mktemp("bags") / "press"
+    save_bag(recording, calibration, path, sensor="left_finger")
+    return path
+
+
+@pytest.fixture(scope="session")
+def messages(bag):
+    """(topic, log time, message) of all, decoded by mcap-ros2-support, which shares no code with the writer."""
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
+    return [
+        (one.channel.topic, one.log_time_ns, one.ros_msg)
+        for one in reader.read_ros2_messages(str(bag / "press.mcap"))
+    ]

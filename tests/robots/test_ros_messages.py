@@ -1,0 +1,81 @@
+"""Messages of a made-up result: units and signs by hand, NaN where nothing is known, levels of findings."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.background.check import Finding
+from gelform.frames import Frame
+from gelform.reconstruction import Reconstruction
+
+pytest.importorskip("rosbags", reason="the extra ros is not installed")
+from gelform.robots.ros_messages import RosMessages
+
+STAMP_NS = 1_700_000_000_000_000_009
+FRAME = Frame(np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)[:, ::-1], 0.0, STAMP_NS, 0)
+DEPTH_MM = np.array([[0.0, 0.5, -0.125], [1.0, 2.0, 0.25]], np.float32)
+
+
+@pytest.fixture(scope="module")
+def result():
+    maps = np.ones((2, 3), np.float32)
+    known = np.array([[True, True, True], [True, True, False]])
+    slopes = np.zeros((2, 3, 2), np.float32)
+    return Reconstruction(DEPTH_MM, None, slopes, None, maps, known, known, (0.5, 0.25))
+
+
+@pytest.fixture(scope="module")
+def made():
+    return RosMessages("left", "S1")
+
+
+def decoded(made, message, kind):
+    return made.store.deserialize_cdr(bytes(message), kind)
+
+
+def test_metres_positive_where_pressed(made, result):
+    image = decoded(made, made.indentation(FRAME, result, STAMP_NS), "sensor_msgs/msg/Image")
+    metres = image.data.view("<f4").reshape(2, 3)
+    np.testing.assert_allclose(metres, [[0, 5e-4, -1.25e-4], [1e-3, 2e-3, np.nan]], rtol=1e-6)
+    assert (image.header.stamp.sec, image.header.stamp.nanosec) == (1_700_000_000, 9)
+
+
+def test_points_by_hand(made, result):
+    cloud = decoded(made, made.points(FRAME, result, STAMP_NS), "sensor_msgs/msg/PointCloud2")
+    points = cloud.data.view("<f4").reshape(2, 3, 3)
+    np.testing.assert_allclose(points[0, 2], [5e-4, -1.25e-4, 1.25e-4], rtol=1e-6)
+    np.testing.assert_allclose(points[1, 0], [-5e-4, 1.25e-4, -1e-3], rtol=1e-6)
+    assert np.isnan(points[1, 2]).all()
+    assert not cloud.is_dense
+
+
+def test_images_that_are_views_of_others_are_written_right(made, result):
+    image = decoded(made, made.image(FRAME, result, STAMP_NS), "sensor_msgs/msg/Image")
+    np.testing.assert_array_equal(image.data.reshape(2, 3, 3), FRAME.image)
+
+
+def test_levels_of_findings(made, result):
+    def status(of):
+        kind = "diagnostic_msgs/msg/DiagnosticArray"
+        return decoded(made, made.diagnostics(FRAME, of, STAMP_NS), kind).status[0]
+
+    found = (Finding("dust", "Clean it.", 0.25), Finding("drift", "Take a background.", 2.0))
+    fine, warned = status(result), status(replace(result, health=found))
+    lost = status(replace(result, health=found, known=np.zeros((2, 3), bool)))
+    assert [one.level for one in (fine, warned, lost)] == [0, 1, 2]
+    assert (fine.message, warned.message, fine.hardware_id) == ("OK", "dust, drift", "S1")
+    assert (warned.values[0].key, warned.values[0].value) == ("dust", "0.25: Clean it.")
+
+
+def test_without_the_extra_the_error_names_it():
+    program = """
+import sys
+sys.modules["rosbags"] = None
+from gelform.robots.ros_messages import RosMessages
+RosMessages("left")
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "DataError: Bags of ROS 2 need the extra ros: pip install 'gelform[ros]'" in ran.stderr
