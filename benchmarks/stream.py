@@ -175,19 +175,16 @@ def faults(calibration: gelform.Calibration, draws: int, rng: np.random.Generato
 
 def false_alarms() -> dict[str, Any]:
     """Real sensors that are sound, each image shown for two seconds, video as it is: names of faults that were found."""
+    mini = gelform.calibrate(gelform.read_presses(DATA / "mini-ball"), color_model="hierarchical")
     found = {}
     for name, images, background, rate_hz in _real_sequences():
-        calibration = replace(calibrated_like(background))
+        calibration = replace(
+            mini, background=background.astype(np.float32)
+        )  # the untouched image of its own unit
         names = NAMED & found_in(iter(images), calibration, rate_hz).keys()
         found[name] = sorted(names)
         print(f"  {name}: {len(images)} images: {sorted(names)}", flush=True)
     return {"asked": 0, "by_set": found}
-
-
-def calibrated_like(background: np.ndarray) -> gelform.Calibration:
-    """A calibration on mini-ball's presses with the untouched image of another unit."""
-    calibration = gelform.calibrate(gelform.read_presses(DATA / "mini-ball"), color_model="hierarchical")
-    return replace(calibration, background=background.astype(np.float32))
 
 
 def _real_sequences() -> Iterator[tuple[str, list[np.ndarray], np.ndarray, float]]:

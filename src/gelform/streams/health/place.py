@@ -79,10 +79,11 @@ class Place:
         size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)
         ratio = (evidence.image + 1) / (evidence.start * evidence.light + 1) - 1
         blocks = cv2.resize(ratio, size, interpolation=cv2.INTER_AREA)
-        off = float(np.median(np.abs(blocks).max(axis=-1)))
+        free = cv2.resize(evidence.touched.astype(np.float32), size, interpolation=cv2.INTER_AREA) < 0.5
+        off = float(np.median(np.abs(blocks[free]).max(axis=-1))) if free.any() else 0.0
         if off < PATTERN:
             return ()
-        said = f"Half of the image differs from the untouched one by {100 * off:.1f} % or more in any smooth light"
+        said = f"Half of what nothing touches differs from the untouched image by {100 * off:.1f} % or more in any smooth light"
         return (_other_gel(said, off),)
 
     def _other_texture(
@@ -94,7 +95,7 @@ class Place:
         stays = _correlation(now[free], before[free])
         expected = stays * float(np.std(now[free])) / max(float(np.std(self._start[free])), 1e-9)
         found = _correlation(now[free], self._start[free])
-        if expected < LEAST_EXPECTED or found > SAME_GEL * min(expected, 1.0):
+        if expected < LEAST_EXPECTED or found > SAME_GEL:
             return ()
         said = f"The fine texture correlates with the calibration's by {found:.2f}, expected {min(expected, 1.0):.2f}"
         return (_other_gel(said, found),)
