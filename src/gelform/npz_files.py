@@ -78,7 +78,7 @@ def check_free(
         raise error(f"Expected a file name to write to, got the folder {path}. Add a name: {path / 'name'}.")
     if path.exists() and not overwrite:
         raise error(
-            f"{path} is already there. Choose another name, or allow it to be replaced: overwrite=True."
+            f"{path} is already there. Choose another name, or allow it to be replaced: overwrite=True (--overwrite)."
         )
     if not path.parent.is_dir():
         raise error(f"Cannot write {path}: its folder {path.parent} does not exist. Make it first.")

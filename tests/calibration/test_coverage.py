@@ -1,7 +1,12 @@
 """Where presses are missing is said: tiles, slope directions, named places; a gap is where to press next."""
 
+import re
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from gelform.calibration.coverage import (
     DIRECTIONS,
@@ -99,15 +104,40 @@ def test_all_in_one_corner():
 
 def test_presses_that_reach_over_the_image_are_in_no_part():
     """Twelve presses in three rows of four, whose contacts span three quarters of the height."""
-    circles = [(x, y, 28.0) for x in (45, 120, 200, 275) for y in (57, 120, 182)]
-    assert one_part(circles, SHAPE) is None
-    (note,) = coverage_notes(circles, SHAPE)
-    assert note.startswith("8 more presses are advised (12 of 20 fit)")
+    for radius in (10.0, 16.0, 28.0, 40.0):
+        circles = [(x, y, radius) for x in (45, 120, 200, 275) for y in (57, 120, 182)]
+        assert one_part(circles, SHAPE) is None
+        (note,) = coverage_notes(circles, SHAPE)
+        assert note.startswith("8 more presses are advised (12 of 20 fit)")
+
+
+@given(
+    x=arrays(float, 6, elements=st.floats(0, SHAPE[1])),
+    y=arrays(float, 6, elements=st.floats(0, SHAPE[0])),
+    radius=st.floats(4, 60),
+)
+def test_all_presses_lie_in_the_part_that_is_named(x, y, radius):
+    part = one_part([(*place, radius) for place in zip(x, y)], SHAPE)
+    for name, share in (
+        ("left", 1 - x / SHAPE[1]),
+        ("right", x / SHAPE[1]),
+        ("top", 1 - y / SHAPE[0]),
+        ("bottom", y / SHAPE[0]),
+    ):
+        assert part is None or name not in part or (share >= 0.5).all()
+    if part in ("middle", "middle row"):
+        assert (abs(y / SHAPE[0] - 0.5) <= 1 / 6 + 1e-9).all()
+    if part in ("middle", "middle column"):
+        assert (abs(x / SHAPE[1] - 0.5) <= 1 / 6 + 1e-9).all()
 
 
 def test_a_note_never_lists_nothing():
     """Large contacts in a part may show all directions of all tiles: then no place is named."""
-    assert "next at ." not in " ".join(coverage_notes([(160.0, 120.0, 75.0)] * 4, SHAPE))
+    for circle in ((160.0, 120.0, 75.0), (160.0, 120.0, 5.0)):
+        for count in (4, 30):
+            said = " ".join(coverage_notes([circle] * count, SHAPE))
+            assert not re.search(r" at [. ]", said)
+            assert ("(x, y in px" in said) == (" at " in said)
 
 
 def test_too_few_presses_are_counted_and_placed():

@@ -43,6 +43,10 @@ def test_a_bug_says_that_it_is_one(broken, run, problem):
         (PermissionError(13, "Permission denied", "x.npz"), "gelform: error: Permission denied: x.npz.\n"),
         (OSError("odd"), "gelform: error: odd\n"),
         (
+            DataError("Give mm_per_px= (--mm-per-px), or allow it: overwrite=True (--overwrite)."),
+            "gelform: error: Give --mm-per-px, or allow it: --overwrite.\n",  # options, not Python's parameters
+        ),
+        (
             MemoryError(),
             "gelform: error: not enough memory for this. Use smaller images, or fewer at a time.\n",
         ),

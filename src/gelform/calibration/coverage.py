@@ -198,26 +198,27 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
     if part is not None:
         return (
             f"All {len(circles)} presses lie in the {part} of the image. Elsewhere colours mean other slopes, and depth "
-            f"there is a guess. Press all over the gel{_next_at(coverage)}.",
+            f"there is a guess. Press all over the gel{_at('next', press_next(coverage))}.",
         )
     missing = ADVISED_PRESSES - len(circles)
     if missing > 0:
         places = press_next(coverage, min(missing, NAMED_PLACES))
-        where = f", first at {_listed(places)}" if places else ", all over the gel"
-        return (
-            f"{missing} more presses are advised ({len(circles)} of {ADVISED_PRESSES} fit){where} "
-            "(x, y in px of the image).",
-        )
+        where = _at("first", places) or ", all over the gel"
+        return (f"{missing} more presses are advised ({len(circles)} of {ADVISED_PRESSES} fit){where}.",)
     if coverage.share < 0.5:
+        where = _at("first", press_next(coverage)) or ", with larger contacts"
         return (
-            f"The presses show {100 * coverage.share:.0f} % of the places and slope directions. "
-            f"Press next at {_listed(press_next(coverage))} (x, y in px of the image).",
+            f"The presses show {100 * coverage.share:.0f} % of the places and slope directions. Press more{where}.",
         )
     return ()
 
 
 def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
-    """The part of the image that holds all contacts, where they span about half of it or less; else None."""
+    """The part of the image that holds the centres of all contacts; None where there is none, or they reach over it.
+
+    Top, bottom, left and right are halves, the middle is a third. Along one side at least the contacts must
+    leave a third of the image free.
+    """
     if len(circles) < 3:
         return None
     x, y, radius = np.array(circles).T
@@ -226,19 +227,31 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     spans_x, spans_y = high_x - low_x > PART_SHARE * shape[1], high_y - low_y > PART_SHARE * shape[0]
     if spans_x and spans_y:
         return None
-    middle_x, middle_y = (low_x + high_x) / 2, (low_y + high_y) / 2
-    name = name_of_place(
-        shape[1] / 2 if spans_x else float(middle_x), shape[0] / 2 if spans_y else float(middle_y), shape
+    third_x, third_y = (
+        None if spans else _holding(centers / n)
+        for spans, centers, n in ((spans_x, x, shape[1]), (spans_y, y, shape[0]))
     )
-    if name == "middle" and (spans_x or spans_y):
-        return "middle row" if spans_x else "middle column"
+    if third_x is None and third_y is None:
+        return None
+    place = [
+        n * (0.5 if third is None else (third + 0.5) / 3)
+        for third, n in ((third_x, shape[1]), (third_y, shape[0]))
+    ]
+    name = name_of_place(place[0], place[1], shape)
+    if name == "middle" and (third_x is None or third_y is None):
+        return "middle row" if third_x is None else "middle column"
     return name
 
 
-def _next_at(coverage: Coverage) -> str:
-    places = press_next(coverage)
-    return f", next at {_listed(places)}" if places else ""
+def _holding(centers: NDArray[np.float64]) -> int | None:
+    """1 where all centres, as shares of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
+    low, high = float(centers.min()), float(centers.max())
+    if low >= 1 / 3 and high <= 2 / 3:
+        return 1
+    return 0 if high <= 0.5 else 2 if low >= 0.5 else None
 
 
-def _listed(places: Sequence[Place]) -> str:
-    return ", ".join(str(place) for place in places)
+def _at(word: str, places: Sequence[Place]) -> str:
+    """Where to press, as the rest of a sentence; nothing where there are no places."""
+    listed = ", ".join(str(place) for place in places)
+    return f", {word} at {listed} (x, y in px of the image)" if places else ""

@@ -21,7 +21,6 @@ from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.held_out import measure_held_out
 from gelform.calibration.report.record import report_of_run
 from gelform.calibration.selection.candidates import (
-    DEFAULT_ZONE,
     ZONES,
     Candidate,
     Start,
@@ -31,7 +30,8 @@ from gelform.calibration.selection.candidates import (
 from gelform.calibration.selection.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.selection.select import select
 from gelform.calibration.selection.trials import HeldOutPresses
-from gelform.calibration_file import Calibration, as_calibration
+from gelform.calibration.start import start_from
+from gelform.calibration_file import Calibration
 from gelform.color_models import HierarchicalModel
 from gelform.errors import CalibrationError
 from gelform.progress import Progress, no_progress
@@ -55,7 +55,7 @@ def calibrate(
     ----------
     presses : from `read_presses`, or what that reads without options
     color_model : "auto" or a name in `gelform.color_models.COLOR_MODELS`
-    start : the calibration of another unit of the same sensor, color model `hierarchical`, or its file
+    start : the calibration of another unit of the same sensor, of any color model, or its file
         What it learnt is kept where these presses say nothing else: five of them can do.
     progress : called with (done, total, what)
 
@@ -103,26 +103,6 @@ def calibrate(
         start=first_unit,
     )
     return replace(draft, slope_sigma=measured.slope_sigma, held_out=report.held_out, report=report)
-
-
-def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
-    """What a first unit's calibration gives a second one to begin with.
-
-    Raises
-    ------
-    ValueError
-        Its color model is none that can be started from, or its images are of another size.
-    """
-    first = as_calibration(start)
-    model = first.color_model
-    if not isinstance(model, HierarchicalModel) or color_model not in ("auto", "hierarchical"):
-        wanted = color_model if isinstance(model, HierarchicalModel) else model.name
-        raise ValueError(
-            f"Expected a start with the color model hierarchical, which can be drawn to another, got {wanted}. "
-            "Calibrate the first unit with --model hierarchical."
-        )
-    model.check_like(model.degree, presses.image_shape)
-    return Start(model, first.digest, first.settings.get("zone", DEFAULT_ZONE))
 
 
 def _refined_and_folded(

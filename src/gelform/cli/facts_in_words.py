@@ -24,7 +24,9 @@ def lines_of(facts: Facts) -> Lines:
 
 def _calibration(facts: Facts) -> Lines:
     settings = ", ".join(
-        f"{name} {_said(value)}" for name, value in (facts.get("model_settings") or {}).items()
+        f"{name} {_said(value)}"
+        for name, value in (facts.get("model_settings") or {}).items()
+        if name != "shape"  # said of the images
     )
     held_out = facts.get("held_out") or {}
     known = [form.format(held_out[name]) for name, form in HELD_OUT.items() if name in held_out]

@@ -7,6 +7,7 @@ Any other exception is a bug and says so.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Iterator
@@ -69,13 +70,18 @@ def _report(problem: BaseException) -> int:
 
 
 def _said(text: str, status: int) -> int:
-    typer.echo(f"gelform: {one_line(text)}", err=True)
+    typer.echo(f"gelform: {in_options(one_line(text))}", err=True)
     return status
 
 
 def one_line(text: object) -> str:
     """What a message says, on one line."""
     return " ".join(str(text).split())
+
+
+def in_options(text: str) -> str:
+    """A library's message as a command says it: "give mm_per_px= (--mm-per-px)" names the option alone."""
+    return re.sub(r"\b\w+=\w* \((--[a-z-]+)\)", r"\1", text)
 
 
 def _sentence(problem: OSError) -> str:

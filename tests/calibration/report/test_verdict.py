@@ -31,14 +31,26 @@ def test_the_worse_of_normals_and_radius_is_the_level():
     assert verdict_of(checks_of({**GOOD, "covered_percent": 1.0}))["level"] == "good"
 
 
-def test_causes_are_mended_before_their_effects():
-    """Few presses are the reason of poor normals: more of them come first, though they are only fair."""
-    verdict = verdict_of(checks_of({**GOOD, "presses_used": 20.0, "normal_free_deg": 9.0}))
-    assert "30 presses" in verdict["next"]
-    assert verdict["because"] == "presses used: 20, fair"
-    assert verdict["level"] == "poor"
-    alone = verdict_of(checks_of({**GOOD, "normal_free_deg": 9.0}))
-    assert alone["because"] == "normals, held out: 9°, poor"
+@pytest.mark.parametrize(
+    ("figures", "because"),
+    [
+        ({"presses_used": 20.0, "normal_free_deg": 9.0}, "normals, held out: 9°, poor"),  # poor before fair
+        ({"presses_used": 6.0, "normal_free_deg": 9.0}, "presses used: 6, poor"),  # 5 times, not 3
+        ({"presses_used": 9.0, "radius_percent": 30.0}, "ball's radius, held out: 30 %, poor"),
+        ({"presses_used": 15.0, "cap_free_um": 40.0}, "presses used: 15, fair"),  # alike: the cause
+        ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth off the contact, held out: 79 µm, fair"),
+        (
+            {"scale_percent": None, "ball_sizes": 1.0},
+            "ball sizes: 1, fair",
+        ),  # what is not known is no large fault
+        ({"covered_percent": 0.0, "normal_free_deg": 90.0}, "places and slope directions seen: 0 %, poor"),
+    ],
+)
+def test_the_largest_fault_comes_next(figures, because):
+    verdict = verdict_of(checks_of({**GOOD, **figures}))
+    assert verdict["because"] == because
+    named = because.split(":")[0]
+    assert verdict["next"] == next(limit.action for limit in LIMITS if limit.label == named)
 
 
 def test_what_is_not_known_is_said():

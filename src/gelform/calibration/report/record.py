@@ -130,7 +130,8 @@ def _press_rows(
 
 
 def _candidate_rows(selection: Selection, um_per_px: float) -> tuple[dict[str, Any], ...]:
-    return tuple(
+    """What was tried, the smallest held-out normal error first."""
+    rows = [
         {
             "candidate": trial.candidate.describe(),
             "normal_free_deg": trial.mean_deg(),
@@ -141,7 +142,8 @@ def _candidate_rows(selection: Selection, um_per_px: float) -> tuple[dict[str, A
             "chosen": trial.candidate == selection.chosen,
         }
         for trial in selection.trials
-    )
+    ]
+    return tuple(sorted(rows, key=lambda row: np.nan_to_num(row["normal_free_deg"], nan=np.inf)))
 
 
 def _how_held_out(presses: int, selection: Selection) -> str:

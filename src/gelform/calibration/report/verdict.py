@@ -35,11 +35,11 @@ LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses: their reasons say what to press or to write down differently."),
     Limit("presses_used", "presses used", "", 30, 10, True,
-          "Press the ball at more places: 30 presses or more, the ones marked 1, 2, 3 first."),
+          "Press the ball at more places: 30 presses or more, the places marked 1, 2, 3 first."),
     Limit("normal_free_deg", "normals, held out", "°", 3, 5, False,
           "Press at the places marked 1, 2, 3; check that exposure and light did not change, and look for cast shadows."),
     Limit("radius_percent", "ball's radius, held out", "%", 3, 6, False,
-          "Check ball_diameter_mm and mm_per_px, and add presses of a second ball of another size."),
+          "Check the ball's diameter and the mm per pixel that you gave, and add presses of a second ball of another size."),
     Limit("covered_percent", "places and slope directions seen", "%", 80, 60, True,
           "Press at the places marked 1, 2, 3: there the gel has not yet been seen from all sides."),
     Limit("gain_percent", "slope gain off 1, at worst", "%", 5, 12, False,
@@ -83,12 +83,13 @@ def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
 def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
     """The headline: the worse of normals and radius in words, and one sentence on what to do next.
 
-    The next step is that of the first check that is not good: causes stand before their effects. Where all is
-    good, it is what keeps it so.
+    The next step is that of the largest fault: of a poor check before that of a fair one, and among those the
+    one whose figure is the most times its limit; of equal ones the first, since causes stand before their effects.
+    Where all is good, it is what keeps it so.
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
-    first = next((check for check in checks if check["level"] != "good"), None)
+    first = max((check for check in checks if check["level"] != "good"), key=_severity, default=None)
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
     figures = (
         f"normals {named['normal_free_deg']['value']:.1f}°, radius {named['radius_percent']['value']:.1f} %"
@@ -101,6 +102,15 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
         "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
         "learning": learning_sentence,
     }
+
+
+def _severity(check: Mapping[str, Any]) -> tuple[int, float]:
+    """How bad a check is: its level, then how many times its figure is the limit of good, or the other way round."""
+    value, limit = check["value"], check["good"]
+    if value is None or not math.isfinite(value):
+        return LEVELS.index(check["level"]), 1.0
+    part, whole = (value, limit) if check["rising"] else (limit, value)
+    return LEVELS.index(check["level"]), whole / part if part > 0 else math.inf
 
 
 def shown(check: dict[str, Any]) -> str:

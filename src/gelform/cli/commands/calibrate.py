@@ -106,7 +106,8 @@ def calibrate(
     _show(calibration, quiet or as_json)
     say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.", quiet)
     say(f"{verdict['headline']}.", quiet)
-    say(f"Next: {verdict['next']}", quiet)
+    marks = " (--report DIR shows where that is.)" if report is None and "marked" in verdict["next"] else ""
+    say(f"Next: {verdict['next']}{marks}", quiet)
     if as_json:
         print_json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 

@@ -15,7 +15,7 @@ LOST_DARK_TO = 16  # of a lost part's mean
 def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm; not where a channel is saturated, a marker is, or no light
     reaches at rest either."""
-    dark = seen.reached_from((seen.pixels <= DARK_TO).any(axis=-1))
+    dark = seen.reached_from(np.any(seen.pixels <= DARK_TO, axis=-1))
     if seen.lost is not None:
         dark |= seen.lost & (lost_level(seen).min(axis=-1) <= LOST_DARK_TO)
     return seen.where(dark & (saturated.sigma(seen) == 0))

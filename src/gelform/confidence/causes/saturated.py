@@ -13,7 +13,7 @@ LOST_SATURATED_FROM = 240  # of a lost part's mean
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm."""
-    saturated = seen.reached_from((seen.pixels >= SATURATED_FROM).any(axis=-1))
+    saturated = seen.reached_from(np.any(seen.pixels >= SATURATED_FROM, axis=-1))
     if seen.lost is not None:
         saturated |= seen.lost & (lost_level(seen).max(axis=-1) >= LOST_SATURATED_FROM)
     return seen.where(saturated)

@@ -4,12 +4,11 @@ import re
 
 from gelform.calibration.report.page.sections import (
     coverage_section,
-    digits,
     figures_section,
     learning_section,
     models_section,
-    place_in_words,
 )
+from gelform.calibration.report.page.words import digits, place_in_words
 
 
 def test_digits_keep_their_zeros():

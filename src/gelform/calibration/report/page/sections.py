@@ -18,6 +18,7 @@ from gelform.calibration.report.page.charts import (
 )
 from gelform.calibration.report.page.images import jpeg_url
 from gelform.calibration.report.page.maps import coverage_map, scale_of_errors, share_map, slope_error_map
+from gelform.calibration.report.page.words import digits, place_in_words, setting_in_words
 from gelform.calibration.report.verdict import shown
 from gelform.calibration.selection.slope_errors import ZONE
 
@@ -69,11 +70,6 @@ def figures_section(content: dict[str, Any]) -> str:
     )
 
 
-def digits(value: float) -> str:
-    """Three significant digits, zeros at the end included."""
-    return f"{value:#.3g}".removesuffix(".")
-
-
 def _check_row(check: dict[str, Any]) -> str:
     side = "≥" if check["rising"] else "≤"
     action = "" if check["level"] == "good" else f'<span class="do">{escape(check["action"])}</span>'
@@ -105,13 +101,6 @@ def coverage_section(content: dict[str, Any]) -> str:
         )
         + f"</ul></div><div><h3>Press here next</h3><ol>{places}</ol></div></div></section>"
     )
-
-
-def place_in_words(place: dict[str, Any], mm_per_px: float) -> str:
-    """A place as a user finds it: part of the image, px, and mm from its left and its top."""
-    x, y = place["x_px"], place["y_px"]
-    from_left, from_top = x * mm_per_px, y * mm_per_px
-    return f"{place['name']}: ({x:.0f}, {y:.0f}) px, {from_left:.1f} mm from the left, {from_top:.1f} mm from the top"
 
 
 def models_section(content: dict[str, Any]) -> str:
@@ -279,7 +268,7 @@ def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
         f" ± {sigma:.2g}" if sigma is not None else "; its uncertainty is not known"
     )
     noise = ", ".join(f"{value:.2f}" for value in background["noise"])
-    settings = ", ".join(f"{key} {value}" for key, value in facts["settings"].items())
+    settings = ", ".join(f"{key} {setting_in_words(value)}" for key, value in facts["settings"].items())
     listed: list[tuple[str, Any]] = [
         ("Sensor", facts["sensor_name"]),
         ("Serial number", facts["serial"] or "not written down"),
