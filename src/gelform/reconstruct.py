@@ -36,7 +36,7 @@ from gelform.frames import Frame
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFlow, MarkerFollower
-from gelform.pool import Pool
+from gelform.pool import Pool, keep_freed_memory
 from gelform.reconstruction import Reconstruction
 from gelform.solvers.inputs import checked_solver, takes_weights
 from gelform.view import image_from_frame
@@ -44,6 +44,7 @@ from gelform.view import image_from_frame
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
 USUAL_WIDTH_MM = 20.0
 USUAL_SIGMA = 0.05
+BYTES_PER_PX = 80  # of all that a frame allocates
 
 
 class _Read(NamedTuple):
@@ -132,10 +133,11 @@ class Reconstructor:
         self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
         self._solved_factor = calibration.slope_sigma.solved_factor if calibration.slope_sigma else 1.0
         self._health = FrameHealth(self.background)
-        thickness_mm = calibration.settings.get("gel_thickness_mm")
-        self._limit = DepthLimit.of(calibration.image_shape, self._pitch, thickness_mm)
+        shape, settings = calibration.image_shape, calibration.settings
+        self._limit = DepthLimit.of(shape, self._pitch, settings.get("gel_thickness_mm"))
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
-        self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
+        self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
+        keep_freed_memory(BYTES_PER_PX * shape[0] * shape[1])
 
     def with_background(self, background: NDArray[np.float32]) -> Reconstructor:
         """The same for another state (H, W, 3) of the same untouched gel, 0-255: quick, and nothing is checked."""
@@ -183,8 +185,7 @@ class Reconstructor:
             read = self._read(self._checked(image, "image"), change, markers)
             albedo = self._albedo_source(change)
         faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
-        confidence, untouched = read.confidence, read.untouched
-        solution, depth_sigma = self._integrate(observed, confidence, untouched, observed_sigma)
+        solution, depth_sigma = self._integrate(observed, read.confidence, read.untouched, observed_sigma)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
         if depth_sigma is not None:
             np.minimum(depth_sigma, self._limit.ignorance_mm, out=depth_sigma)
@@ -196,7 +197,7 @@ class Reconstructor:
             gradients=slopes_of_solution(depth_mm, (self._pitch, self._pitch)),
             gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
             observed_gradients=observed,
-            confidence=confidence,
+            confidence=read.confidence,
             contact=contact_from_depth(depth_mm, mm_per_px=self._pitch, depth_sigma_mm=depth_sigma),
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
