@@ -14,6 +14,7 @@ from gelform.robots.bag import save_bag
 from made.recorded import frames
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
+pytest.importorskip("mcap", reason="the extra mcap is not installed")
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
 
 

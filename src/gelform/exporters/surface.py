@@ -68,11 +68,11 @@ def points_from_result(result: Reconstruction) -> NDArray[np.float32]:
     """points_mm (H*W, 3), row by row: (x, y, -depth_mm), right-handed, from the middle of the image."""
     height, width = result.depth.shape
     pitch_x, pitch_y = np.broadcast_to(np.asarray(result.mm_per_px, dtype=np.float64), 2)
-    y, x = np.mgrid[:height, :width]
-    points = np.stack(
-        [(x - (width - 1) / 2) * pitch_x, (y - (height - 1) / 2) * pitch_y, -result.depth_mm], axis=-1
-    )
-    return points.reshape(-1, 3).astype(np.float32)
+    points = np.empty((height, width, 3), dtype=np.float32)
+    points[..., 0] = (np.arange(width) - (width - 1) / 2) * pitch_x
+    points[..., 1] = ((np.arange(height) - (height - 1) / 2) * pitch_y)[:, None]
+    points[..., 2] = -result.depth_mm
+    return points.reshape(-1, 3)
 
 
 def _grid_triangles(height: int, width: int) -> NDArray[np.int64]:
