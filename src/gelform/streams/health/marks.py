@@ -20,6 +20,7 @@ TORN, TORN_AREA = 0.2, 0.0045  # a tear: brightness of all channels together, pa
 DARK = 0.06  # dust keeps light away, on average so much; a slight bright spot does no harm
 CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
 AROUND_PX = 8
+BODY_PX = 15
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Marks:
     def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
         """`scratch`, `dust` and `tear`; figures are the largest one's length or diameter, px, and share of the image."""
         change = evidence.image / np.maximum(evidence.start * evidence.light, 1) - 1
-        odd = _stands_out(change)
+        odd = _stands_out(change, _near_a_body(evidence.contact))
         if self._stays is None:
             self._stays = np.zeros(odd.shape, np.uint8)
         nearby = cv2.dilate(odd.view(np.uint8), np.ones((3, 3), np.uint8)).view(np.bool_)
@@ -72,8 +73,15 @@ def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
     return Finding(name, message, share if name == "tear" else largest.length_px)
 
 
-def _stands_out(change: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels (H, W) that differ from their wide surroundings by much more than others do, in any channel."""
+def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) in or beside contact that is wider than a mark: their relief is that of what touches."""
+    wide = cv2.morphologyEx(contact.view(np.uint8), cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
+    near: NDArray[np.bool_] = cv2.dilate(wide, np.ones((2 * BODY_PX + 1,) * 2, np.uint8)).view(np.bool_)
+    return near
+
+
+def _stands_out(change: NDArray[np.float32], near_a_body: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) that differ from their wide surroundings by much more than others do, in any channel; or are torn."""
     smooth = cv2.GaussianBlur(change, (0, 0), SMOOTH_PX)
     height, width = change.shape[:2]
     step = max(1, round(WIDE_PX / 2))
@@ -82,7 +90,8 @@ def _stands_out(change: NDArray[np.float32]) -> NDArray[np.bool_]:
     off = np.abs(smooth - wide)
     torn = np.abs(smooth).min(axis=-1) > TORN  # wider than the surroundings that the median looks at
     noise = 1.4826 * np.median(off[::2, ::2], axis=(0, 1))
-    return np.asarray((off > np.maximum(OUTLIER * noise, LEAST_CHANGE)).any(axis=-1) | torn)
+    odd = (off > np.maximum(OUTLIER * noise, LEAST_CHANGE)).any(axis=-1)
+    return np.asarray((odd & ~near_a_body) | torn)
 
 
 def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArray[np.bool_]) -> list[Mark]:
