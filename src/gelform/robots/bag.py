@@ -23,8 +23,15 @@ from gelform.streams.stream import stream
 
 @dataclass(frozen=True)
 class BagStats:
-    """Of a bag: the sensor's name in it, frames, seconds from first to last, frames dropped between, and whether frames
-    said when they were taken (else stamps begin when the bag was written)."""
+    """What a bag holds.
+
+    Attributes
+    ----------
+    sensor : the name that its topics begin with
+    frames, duration_s : how many, and s from the first to the last
+    drops : frames of the source that never became a result
+    stamped : whether frames said when they were taken; else stamps begin when the bag was written
+    """
 
     sensor: str
     frames: int
