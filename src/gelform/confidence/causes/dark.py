@@ -13,8 +13,7 @@ LOST_DARK_TO = 16  # of a lost part's mean
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
-    """Standard deviation (H, W), mm/mm; not where a channel is saturated, a marker is, or no light
-    reaches at rest either."""
+    """Standard deviation (H, W), mm/mm; 0 where a channel is saturated, a marker is, or no light comes at rest."""
     dark = seen.reached_from(np.any(seen.pixels <= DARK_TO, axis=-1))
     if seen.lost is not None:
         dark |= seen.lost & (lost_level(seen).min(axis=-1) <= LOST_DARK_TO)

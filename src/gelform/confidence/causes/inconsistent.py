@@ -10,8 +10,7 @@ from gelform.confidence.causes.seen import COMMON, Seen
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
-    """Standard deviation (H, W), mm/mm, from what is unexplained where the channels
-    do not have it in common; and of lost parts that are not clipped."""
+    """Standard deviation (H, W), mm/mm, of what the channels do not have in common, and of lost parts not clipped."""
     torn = seen.where(seen.lost)
     torn[(saturated.sigma(seen) > 0) | (dark.sigma(seen) > 0)] = 0
     mixed = np.abs(seen.common()) <= COMMON * seen.unexplained()
