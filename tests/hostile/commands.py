@@ -22,6 +22,9 @@ def make_work(folder: Path) -> Path:
     calibration().save(folder / "cal.npz")
     for k in range(3):
         save(folder / f"image{k}.png", image_of(Touch(seed=k)))
+    (folder / "frames").mkdir()
+    for k in range(3):
+        save(folder / "frames" / f"{k}.png", image_of(Touch(seed=k)))
     save(folder / "rest.png", np.rint(background()).astype(np.uint8))
     for k, name in enumerate(("red", "green", "blue")):
         save(folder / f"{name}.png", np.full((64, 80, 3), 20, np.uint8) + 100 * np.eye(3, dtype=np.uint8)[k])
@@ -61,6 +64,10 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "import": ["import", work / "net.pth", *imported, "-o", out / "imported.npz"],
         "batch": ["batch", work / "image*.png", "-c", work / "cal.npz", "-o", out / "batch"],
         "compare": ["compare", images[0], *two, "-o", out / "compared"],
+        "explain": ["explain", images[0], "-c", work / "cal.npz", "-o", out / "why"],
+        "export": ["export", work / "cal.npz", "--to", "taxim", "-o", out / "tables"],
+        "record": ["record", work / "frames", "-o", out / "recorded", "--frames", "3"],
+        "bag": ["bag", work / "frames", "-c", work / "cal.npz", "-o", out / "bag"],
     }
 
 
