@@ -22,6 +22,7 @@ def make_work(folder: Path) -> Path:
     calibration().save(folder / "cal.npz")
     for k in range(3):
         save(folder / f"image{k}.png", image_of(Touch(seed=k)))
+    gelform.save_result(gelform.Reconstructor(calibration()).from_image(image_of(Touch())), folder / "result.npz")
     (folder / "frames").mkdir()
     for k in range(3):
         save(folder / "frames" / f"{k}.png", image_of(Touch(seed=k)))
@@ -65,7 +66,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "batch": ["batch", work / "image*.png", "-c", work / "cal.npz", "-o", out / "batch"],
         "compare": ["compare", images[0], *two, "-o", out / "compared"],
         "explain": ["explain", images[0], "-c", work / "cal.npz", "-o", out / "why"],
-        "export": ["export", work / "cal.npz", "--to", "taxim", "-o", out / "tables"],
+        "export": ["export", work / "result.npz", "--to", "tiff", "-o", out / "depth.tiff"],
         "record": ["record", work / "frames", "-o", out / "recorded", "--frames", "3"],
         "bag": ["bag", work / "frames", "-c", work / "cal.npz", "-o", out / "bag"],
     }

@@ -39,6 +39,7 @@ class FolderRecording:
 
     def __init__(self, path: Path, facts: RecordingFacts) -> None:
         self.path = path
+        was_there = path.exists()
         try:
             path.mkdir(parents=True, exist_ok=True)
             if any(path.iterdir()):
@@ -46,7 +47,12 @@ class FolderRecording:
             (path / FACTS).write_text(facts.to_json(), encoding="utf-8")
             self._times = (path / TIMES).open("x", encoding="ascii", newline="\n")
             self._times.write(COLUMNS + "\n")
+            self._times.flush()
         except OSError as problem:
+            for name in (FACTS, TIMES):
+                (path / name).unlink(missing_ok=True)
+            if not was_there and path.is_dir():
+                path.rmdir()
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
         self._first_s: float | None = None
 
