@@ -22,7 +22,9 @@ def make_work(folder: Path) -> Path:
     calibration().save(folder / "cal.npz")
     for k in range(3):
         save(folder / f"image{k}.png", image_of(Touch(seed=k)))
-    gelform.save_result(gelform.Reconstructor(calibration()).from_image(image_of(Touch())), folder / "result.npz")
+    gelform.save_result(
+        gelform.Reconstructor(calibration()).from_image(image_of(Touch())), folder / "result.npz"
+    )
     (folder / "frames").mkdir()
     for k in range(3):
         save(folder / "frames" / f"{k}.png", image_of(Touch(seed=k)))
