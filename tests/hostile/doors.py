@@ -41,6 +41,10 @@ def depth_sigma(shape: Any, gradients_sigma: Any, **settings: Any) -> np.ndarray
     return gelform.DepthSigma(shape, **settings)(gradients_sigma)
 
 
+def registered(image: Any, background: Any, touched: Any) -> np.ndarray:
+    return gelform.registration_from_image(image, background, touched).shift_px
+
+
 def saved_presses(**arguments: Any) -> Path:
     return gelform.save_press_folder(Path(tempfile.mkdtemp(dir=FOLDER)), **arguments)
 
@@ -65,6 +69,9 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "exposure_from_image": (gain, {"image": IMAGE, "background": REST}),
     "background_from_frames": (gelform.background_from_frames, {"frames": [IMAGE, IMAGE, IMAGE]}),
     "markers_from_image": (gelform.markers_from_image, {"image": IMAGE, "background": REST}),
+    "MarkerFollower": (gelform.MarkerFollower, {"background": REST}),
+    "MarkerTracker": (gelform.MarkerTracker, {"background": REST}),
+    "registration_from_image": (registered, {"image": IMAGE, "background": REST, "touched": MASK}),
     "normals_from_image": (gelform.normals_from_image, {"image": NORMALS @ LIGHTS.T, "lights": LIGHTS}),
     "image_from_normals": (gelform.image_from_normals, {"normals": NORMALS, "lights": LIGHTS, "albedo": WEIGHTS}),
     "lights_from_normals": (
@@ -164,7 +171,7 @@ SETTINGS = {
     ),
     "contact_from_depth": (
         lambda **s: gelform.contact_from_depth(DEPTH, mm_per_px=MM_PER_PX, **s),
-        ("min_depth_mm", "noise_factor", "rim_fraction", "min_area_mm2"),
+        ("depth_sigma_mm", "noise_factor", "min_area_mm2"),
     ),
     "ChangeSettings": (
         lambda **s: gelform.color_change_from_image(IMAGE, REST, gelform.ChangeSettings(**s)),
@@ -189,7 +196,9 @@ RECORDS = (
     "MarkerFlow",
     "Markers",
     "Reconstruction",
+    "Registration",
     "Source",
+    "Stream",
 )
 # Tried with nothing right at all: what is right is long to make, or a thread.
-ALL_ODD = ("save_simulated_presses", "Grabber")
+ALL_ODD = ("save_simulated_presses", "Grabber", "stream")

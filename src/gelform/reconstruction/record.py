@@ -172,7 +172,7 @@ class Reconstruction:
             return {
                 "height x width": f"{height}x{width} px, scale unknown",
                 "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px",
-                "contacts": _counted(float(np.count_nonzero(self.contact)), "px", len(self.contacts)),
+                "contacts": _counted(int(np.count_nonzero(self.contact)), "px", len(self.contacts)),
                 **markers,
                 "zero": self.zero,
                 "solver": self.solver,

@@ -64,7 +64,7 @@ def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images):
         (("--punch", "punch.png"), "IMG,MM", 2),
         (("--stage", "punch.png,2"), "A,B,MM", 2),
         (("--points", "1,1,2,2,5"), "--points: Expected two points at least", 1),
-        (("--points", "20,10,100,70,-12"), "--points: Expected length_mm > 0", 1),
+        (("--points", "20,10,100,70,-12"), "--points: Expected distance_mm > 0", 1),
         (("--thread", "nothing.png,1"), "No file", 1),
         (("--points", "20,10,100,70,12", "--punch", f"{images / 'punch.png'},14"), "agree", 1),
     ):
