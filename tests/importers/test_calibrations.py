@@ -90,5 +90,5 @@ def test_a_real_press_stands_up(data, package):
     )
     result = gelform.Reconstructor(calibration)(gelform.read_image(data / "mini-objects" / "key.png"))
     assert 0.8 < result.peak_mm < 2.5
-    assert result.contact[130:140, 205:225].mean() > 0.8  # its relief is hollow in places
+    assert result.contact[130:140, 205:225].mean() > 0.6  # its relief is hollow in places
     assert not result.contact[:, :100].any()
