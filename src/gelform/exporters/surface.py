@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from gelform.checks import check_is, check_path
 from gelform.errors import DataError
 from gelform.exporters.quantised import levels_from_depth
+from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
 BASE_SHARE = 0.1  # an STL's base lies this share of the frame's width below the lowest point
@@ -53,14 +53,12 @@ def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite
     if path.exists() and not overwrite:
         raise DataError(f"{path} is there already. Choose another name, or overwrite.")
     content = SURFACES[path.suffix.lower()](result)
-    unfinished = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(content)
-        unfinished.replace(path)
     except OSError as error:
-        unfinished.unlink(missing_ok=True)
         raise DataError(f"Cannot write {path}: {error.strerror or error}. Nothing was kept.") from error
+    with written_file(path, overwrite=overwrite) as file:
+        file.write(content)
     return path
 
 

@@ -35,8 +35,7 @@ def simulate_background(
 
 def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:
     """The sensor with the white balance that gives its untouched image these mean grey levels."""
-    linear = replace(sensor.optics, response_gamma=1.0, jpeg_quality=None)
-    flat = replace(sensor, white_balance=(1, 1, 1), optics=linear)
+    flat = replace(sensor.linear(), white_balance=(1, 1, 1))
     light = simulate_background(flat, None, quantise=False)
     if light.mean(axis=(0, 1)).min() <= 0:
         raise ValueError(

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.live.wire.planes import DEPTH_ZERO, bits_plane, depth_plane, image_plane, level_plane
+from gelform.exporters.quantised import ZERO_LEVEL
+from gelform.live.wire.planes import bits_plane, depth_plane, image_plane, level_plane
 
 
 def floats(plane):
@@ -40,7 +41,7 @@ def test_deep_depth_gets_larger_steps_instead_of_being_cut(depth):
 def test_zero_stays_zero_and_0_is_never_sent():
     plane = depth_plane(np.array([[0, -40]], np.float32), "raw")
     levels = np.frombuffer(plane.data, np.uint16)
-    assert levels[0] == DEPTH_ZERO
+    assert levels[0] == ZERO_LEVEL
     assert levels[1] >= 1
 
 

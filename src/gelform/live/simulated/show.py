@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -71,7 +71,7 @@ class Show:
         height, width = sensor.shape
         self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
         self._rate_hz, self._seed = rate_hz, seed
-        self._linear = replace(sensor, optics=replace(sensor.optics, response_gamma=1.0, jpeg_quality=None))
+        self._linear = sensor.linear()
         self._asked: _Asked | None = None
         self._resting = False
         self._closed = threading.Event()

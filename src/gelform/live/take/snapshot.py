@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_mm_per_px
 from gelform.errors import DataError, GelformError
+from gelform.exporters.quantised import levels_from_depth
 from gelform.live.shown import Shown
-from gelform.live.wire.planes import DEPTH_STEP, DEPTH_ZERO
 from gelform.reconstruction import Reconstruction, save_result
 
 KEPT = 16
@@ -84,10 +84,7 @@ def depth_png(shown: Shown) -> bytes:
         Depth beyond 3.2767 mm does not fit.
     """
     result = _result(shown)
-    levels = np.rint(result.depth_mm / DEPTH_STEP).astype(np.int64) + DEPTH_ZERO
-    if levels.min() < 1 or levels.max() > 65535:
-        raise DataError("Depth beyond 3.2767 mm does not fit into 16 bits. Take the npz.")
-    return _png(np.where(result.known, levels, 0).astype(np.uint16))
+    return _png(levels_from_depth(result.depth_mm, result.known))
 
 
 def points_ply(shown: Shown) -> bytes:

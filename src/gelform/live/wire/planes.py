@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError
+from gelform.exporters.quantised import MM_PER_LEVEL, ZERO_LEVEL
 
 ENCODINGS = ("raw", "small")
 JPEG_QUALITY = 80
-DEPTH_ZERO = 32768
-DEPTH_STEP = 1e-4  # mm: the step of depth as 16 bits everywhere in gelform
 LARGEST = 32767
 
 
@@ -54,9 +53,9 @@ def depth_plane(depth: NDArray[np.float32], encoding: str, name: str = "depth") 
     0 is never sent: in files it stands for unknown pixels.
     """
     reach = float(np.abs(depth).max(initial=0.0))
-    step = max(DEPTH_STEP, reach / LARGEST)
-    levels = np.rint(depth * np.float32(1 / step)).astype(np.int32) + DEPTH_ZERO
-    return _numbers(name, levels.clip(1, 65535).astype(np.uint16), encoding, zero=DEPTH_ZERO, step=step)
+    step = max(MM_PER_LEVEL, reach / LARGEST)
+    levels = np.rint(depth * np.float32(1 / step)).astype(np.int32) + ZERO_LEVEL
+    return _numbers(name, levels.clip(1, 65535).astype(np.uint16), encoding, zero=ZERO_LEVEL, step=step)
 
 
 def level_plane(name: str, values: NDArray[Any], encoding: str, *, step: float = 1 / 255) -> Plane:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -97,7 +96,7 @@ def _pose(sensor: SimulatedSensor, place: int, step: int) -> Pose:
 @lru_cache(maxsize=2)
 def _noise_free_levels(sensor: SimulatedSensor) -> dict[tuple[int, int], NDArray[Any]]:
     """Linear grey levels (H, W, 3) float32 by place and step: before noise, response curve and rounding."""
-    linear = replace(sensor, optics=replace(sensor.optics, response_gamma=1.0, jpeg_quality=None))
+    linear = sensor.linear()
     wanted = [(0, 0), *((place, step) for place in range(len(PLACES)) for step in range(1, STEPS + 1))]
     return {
         key: simulate_pose(linear, BALL, _pose(sensor, *key), rng=None, quantise=False).image.astype(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,10 @@ class SimulatedSensor:
             raise ValueError(f"Expected shading as three tuples of 6 or 15 numbers, got {self.shading}.")
         if not 0 <= self.vignetting < 1:
             raise ValueError(f"Expected vignetting in 0-1 (1 excluded), got {self.vignetting}.")
+
+    def linear(self) -> SimulatedSensor:
+        """The same sensor with grey levels in proportion to light: no response curve, no JPEG."""
+        return replace(self, optics=replace(self.optics, response_gamma=1.0, jpeg_quality=None))
 
     def grid_mm(
         self, oversample: int = 1, margin: int = 0
