@@ -66,7 +66,7 @@ def test_threads_share_one_reconstructor(calibration, simulated):
 
 def maps_of(result):
     """Every map of a result, as bytes."""
-    names = ("depth_mm", "gradients", "gradients_sigma", "observed_gradients", "confidence")
+    names = ("depth_mm", "depth_sigma_mm", "gradients", "gradients_sigma", "observed_gradients", "confidence")
     return {name: np.ascontiguousarray(getattr(result, name)).tobytes() for name in names}
 
 
