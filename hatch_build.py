@@ -14,6 +14,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,7 +22,10 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).parent
 ZIG = "ziglang==0.17.1"  # one version: everyone gets the same bits
-FLAGS = "-std=c11 -O3 -Wall -Wextra -fPIC -shared -fvisibility=hidden -ffp-contract=off -fno-math-errno -fno-trapping-math"
+FLAGS = (
+    "-std=c11 -O3 -g0 -Wall -Wextra -fPIC -shared -fvisibility=hidden"
+    " -ffp-contract=off -fno-math-errno -fno-trapping-math"
+)
 FLAGS_OF = {"base": "", "v3": "-mavx2 -mfma"}  # for each instruction set, the same sources
 TAGS = {  # of wheels for other platforms, by zig's name of the target
     "x86_64-linux-gnu.2.17": "manylinux_2_17_x86_64.manylinux2014_x86_64",
@@ -33,22 +37,25 @@ TAGS = {  # of wheels for other platforms, by zig's name of the target
 
 
 def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
-    """Compile every file of native/ into one library for each instruction set of the platform; their paths."""
+    """Compile every file of native/ into one library for each instruction set, side by side; their paths."""
     target = os.environ.get("GELFORM_TARGET", "")
     machine, system = (target or f"{platform.machine()}-{sys.platform}").lower().split("-")[:2]
     suffix = ".dll" if system.startswith("win") else ".so"
     sources = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "native").rglob("*.c"))
-    built = []
-    for isa in FLAGS_OF if machine in ("x86_64", "amd64") else ["base"]:
-        built.append(folder / f"kernels_{isa}{suffix}")
-        unfinished = built[-1].with_suffix(
-            f"{suffix}.{os.getpid()}"
-        )  # a running process may have the old one open
+    isas = list(FLAGS_OF) if machine in ("x86_64", "amd64") else ["base"]
+    built = [folder / f"kernels_{isa}{suffix}" for isa in isas]
+
+    def compile_one(isa: str, library: Path) -> None:
+        # A running process may have the old library open: written beside it, then renamed.
+        unfinished = library.with_suffix(f"{suffix}.{os.getpid()}")
         own = shlex.split(os.environ.get("CC", ""))[1:]
         run(
             [*compiler(target), *FLAGS.split(), *FLAGS_OF[isa].split(), *own, "-o", str(unfinished), *sources]
         )
-        unfinished.replace(built[-1])
+        unfinished.replace(library)
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(compile_one, isas, built))
     return built
 
 
