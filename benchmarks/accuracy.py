@@ -116,8 +116,20 @@ def real() -> dict[str, Any]:
         calibration = gelform.calibrate(presses.subset(training))
         evaluation = gelform.evaluate(calibration, labelled.subset(test))
         assert evaluation.seen == 0
-        figures["splits"][name] = {**evaluation.summary, "settings": calibration.settings}
-    keys = ["normal_deg", "normal_free_deg", "radius_percent", "cap_um", "cap_free_um", "off_contact_um"]
+        figures["splits"][name] = {
+            **evaluation.summary,
+            "where": evaluation.where,
+            "settings": calibration.settings,
+        }
+    keys = [
+        "normal_deg",
+        "normal_free_deg",
+        "normal_inner_deg",
+        "radius_percent",
+        "cap_um",
+        "cap_free_um",
+        "off_contact_um",
+    ]
     rows = [[name, *(figures["splits"][name][k] for k in keys)] for name in splits]
     for name, values in PEERS["real_presses"].items():
         rows.append([name, *(float(values[k]) if k in values else "" for k in keys)])

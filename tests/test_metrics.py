@@ -62,6 +62,20 @@ def test_errors_are_those_put_in():
     assert lifted.cap_um < 1e-3  # the offset is free, the scale is not
 
 
+def test_a_flat_rim_is_left_out_of_the_inner_part():
+    depth, gradients, _ = pressed_ball()
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    rim = np.hypot(x - 80.3, y - 59.6) > 0.85 * 30.0
+    errors = press_errors(
+        depth,
+        np.where(rim[..., None], 0.5 * gradients, gradients),
+        circle_px=(80.3, 59.6, 30.0),
+        ball_radius_mm=BALL_MM,
+        mm_per_px=MM_PER_PX,
+    )
+    assert errors.normal_inner_deg < 0.3 < 1 < errors.normal_free_deg
+
+
 def test_wrong_circle_costs_the_label_but_not_the_free_centre():
     depth, gradients, _ = pressed_ball()
     errors = press_errors(

@@ -11,6 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere
 from gelform.checks import check_gradients, check_map, check_numbers, check_positive, check_within
 
+INNER = (
+    0.8  # of the contact radius: beyond it the gel leaves the ball, and the ball's slopes are not the gel's
+)
+
 
 def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
     """Angle between the normals of two sets of gradients (..., 2), degrees."""
@@ -62,6 +66,8 @@ class PressErrors:
     ----------
     normal_deg : mean angle to the ball's normals inside the contact, 3 px (at 240 rows) inside its rim
     normal_free_deg : the same with a free centre: the ball of known radius fitted to the gradients
+    normal_inner_deg : the same, within 0.8 of the contact radius of that centre: without the rim, where the gel leaves
+        the ball
     cap_um : standard deviation of depth minus the ball's cap there (offset free, scale not)
     cap_free_um : the same with a free centre, fitted to the slopes of the depth map
     radius_percent : (R_fit - R)/R of a sphere fitted to the depth, signed
@@ -70,6 +76,7 @@ class PressErrors:
 
     normal_deg: float
     normal_free_deg: float
+    normal_inner_deg: float
     cap_um: float
     cap_free_um: float
     radius_percent: float
@@ -118,7 +125,8 @@ def press_errors(
     slope_y, slope_x = np.gradient(np.asarray(depth_mm, dtype=np.float64), mm_per_px)
     surface = np.stack([slope_x, slope_y], axis=-1)
     free = [ball_center(g[inside], x[inside], y[inside], (cx, cy), ball_px) for g in (gradients, surface)]
-    inside_free = [np.hypot(x - c[0], y - c[1]) < reach for c in free]
+    from_free = [np.hypot(x - c[0], y - c[1]) for c in free]
+    inside_free = [distance < reach for distance in from_free]
 
     def normal(center: tuple[float, float], region: NDArray[np.bool_]) -> float:
         truth = ball_gradients(x[region], y[region], center, ball_px)
@@ -139,6 +147,7 @@ def press_errors(
     return PressErrors(
         normal_deg=normal((cx, cy), inside),
         normal_free_deg=normal(free[0], inside_free[0]),
+        normal_inner_deg=normal(free[0], from_free[0] < min(INNER * contact, reach)),
         cap_um=cap((cx, cy), inside),
         cap_free_um=cap(free[1], inside_free[1]),
         radius_percent=100 * (sphere.radius_mm - ball_radius_mm) / ball_radius_mm,

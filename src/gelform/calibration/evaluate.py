@@ -10,8 +10,9 @@ from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
 from gelform.calibration.presses.adjust import with_view
 from gelform.calibration.presses.folder import Press, Presses, as_presses
-from gelform.calibration.report.held_out import errors_of
+from gelform.calibration.report.held_out import errors_of, sample_of
 from gelform.calibration.report.record import summary
+from gelform.calibration.report.where import errors_where
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
@@ -26,6 +27,7 @@ class Evaluation:
     ----------
     rows : one per press: its name, whether the calibration has seen it, its circle and errors, or why it has none
     summary : over the presses that have errors
+    where : their normal errors by the ball's slope and by place, of the whole contact and of its inner 0.8
     seen : how many of them the calibration was made from; their errors say little
     own_background : whether the presses' background is the calibration's own, pixel for pixel
     findings : what should be known of a background that is not
@@ -33,6 +35,7 @@ class Evaluation:
 
     rows: tuple[dict[str, Any], ...]
     summary: dict[str, float]
+    where: dict[str, Any]
     seen: int
     own_background: bool = True
     findings: tuple[str, ...] = ()
@@ -69,7 +72,7 @@ def evaluate(
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background, depth_sigma=False)
     changes = ColorChanges(reconstruct.background, calibration.change)
-    rows, errors = [], []
+    rows, errors, samples = [], [], []
     for done, press in enumerate(presses.presses):
         circle, reason = _circle(press, changes)
         row: dict[str, Any] = {
@@ -80,7 +83,9 @@ def evaluate(
             "reason": reason,
         }
         if reason is None:
-            errors.append(errors_of(press, circle, reconstruct.from_image(press.image), mm_per_px))
+            result = reconstruct.from_image(press.image)
+            errors.append(errors_of(press, circle, result, mm_per_px))
+            samples.append(sample_of(done, press, circle, result, mm_per_px))
             row["errors"] = asdict(errors[-1])
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
@@ -88,7 +93,8 @@ def evaluate(
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {rows[0]['reason']}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     said = tuple(finding.message for finding in reconstruct.findings)
-    return Evaluation(tuple(rows), summary(errors), seen, reconstruct.own_background, said)
+    where = errors_where(samples, calibration.image_shape)
+    return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, said)
 
 
 def _through_view_of(calibration: Calibration, presses: Presses) -> Presses:

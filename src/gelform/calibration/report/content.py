@@ -22,6 +22,7 @@ from gelform.calibration.report.residuals import (
     stated_sigma,
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
+from gelform.calibration.report.where import errors_where
 from gelform.calibration.selection.slope_errors import ZONE
 from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
@@ -33,6 +34,7 @@ GAIN_TO_SLOPE, GAIN_PRESSES, GAIN_PIXELS = 0.8, 10, 500
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
     ("normal_free_deg", np.mean),
+    ("normal_inner_deg", np.mean),
     ("cap_um", np.mean),
     ("cap_free_um", np.mean),
     ("radius_percent", np.median),
@@ -60,7 +62,7 @@ def report_content(
     -------
     content : dict
         What `CalibrationReport.to_dict` holds, and format, verdict, checks, figures (with 95 % intervals over
-        presses), calibration, background, coverage, gain, error_map, sigma, learning.
+        presses), calibration, background, coverage, gain, where, error_map, sigma, learning.
 
     Raises
     ------
@@ -96,6 +98,7 @@ def report_content(
             "contact": gain_curve(samples, rng),
             "training_zone": gain_curve([one.within(zone) for one in samples], rng),
         },
+        "where": errors_where(samples, shape),
         "error_map": error_map(samples, shape, square_tiles(shape, ERROR_COLUMNS)),
         "sigma": share_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
         "learning": learning,

@@ -166,6 +166,7 @@ def summary(errors: list[PressErrors]) -> dict[str, float]:
         "presses": float(len(errors)),
         "normal_deg": float(np.mean([e.normal_deg for e in errors])),
         "normal_free_deg": float(np.mean([e.normal_free_deg for e in errors])),
+        "normal_inner_deg": float(np.mean([e.normal_inner_deg for e in errors])),
         "cap_um": float(np.mean([e.cap_um for e in errors])),
         "cap_free_um": float(np.mean([e.cap_free_um for e in errors])),
         "radius_percent": float(np.median(np.abs(radius))),

@@ -10,11 +10,14 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     expected = evaluate(load_calibration(calibration_file), read_presses(press_folder))
     assert said["summary"] == expected.summary
     assert said["seen"] == expected.seen > 0
+    assert said["where"] == expected.where
     code, out, err = run("evaluate", press_folder, "-c", calibration_file)
     assert code == 0
     assert f"made from {expected.seen} of these presses" in err
     assert out.count("(seen)") == expected.seen
     assert "may even be larger" in err
+    assert "by the ball's slope" in out
+    assert f"{expected.where['contact']['by_slope'][0]['normal_deg']:.3g}" in out
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
 
 

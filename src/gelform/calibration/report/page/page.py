@@ -19,6 +19,7 @@ from gelform.calibration.report.page.sections import (
     sigma_section,
 )
 from gelform.calibration.report.page.style import STYLE
+from gelform.calibration.report.page.where import where_section
 from gelform.calibration_file import Calibration
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -28,6 +29,7 @@ NAV = (
     ("coverage", "Coverage"),
     ("models", "Color models"),
     ("errors", "Residuals"),
+    ("where", "By slope and place"),
     ("gain", "Slope gain"),
     ("learning", "Learning curve"),
     ("sigma", "Uncertainty"),
@@ -58,6 +60,7 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
         coverage_section(content),
         models_section(content),
         errors_section(content, caps_section(content, samples)),
+        where_section(content),
         gain_section(content),
         learning_section(content),
         sigma_section(content),

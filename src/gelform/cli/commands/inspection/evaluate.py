@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -90,6 +90,37 @@ def evaluate(
         [(n, figure(v)) for n, v in evaluation.summary.items()],
         quiet=quiet,
     )
+    _show_where(evaluation.where, quiet)
+
+
+def _show_where(where: dict[str, Any], quiet: bool) -> None:
+    """Normal errors by the ball's slope, and by place: the whole contact and its inner part."""
+    inner = {b["slope_from"]: b for b in where["inner"]["by_slope"]}
+    title, inside = "Normal error, degrees, by the ball's slope", f"inner {where['inner_zone']:g}"
+    rows = [
+        (
+            f"{b['slope_from']:g}-{b['slope_to']:g}",
+            figure(b["normal_deg"]),
+            figure(b["gain"]),
+            figure(inner[b["slope_from"]]["normal_deg"]) if b["slope_from"] in inner else "-",
+            str(b["pixels"]),
+        )
+        for b in where["contact"]["by_slope"]
+    ]
+    show_table(title, ("slope", "contact", "gain", inside, "pixels"), rows, quiet=quiet)
+    places = where["contact"]["by_place"]
+    cells = [
+        f"{_degrees(whole)} / {_degrees(part)}"
+        for whole, part in zip(places["normal_deg"], where["inner"]["by_place"]["normal_deg"])
+    ]
+    columns = places["columns"]
+    grid = [tuple(cells[k : k + columns]) for k in range(0, len(cells), columns)]
+    title = f"Normal error, degrees, by place in the image: contact / {inside}"
+    show_table(title, tuple(f"column {k + 1}" for k in range(columns)), grid, quiet=quiet)
+
+
+def _degrees(value: float | None) -> str:
+    return "-" if value is None else figure(value)
 
 
 def _check_size(presses: Presses, calibration: Calibration) -> None:
