@@ -14,7 +14,7 @@ from made.torch_file_writer import network_arrays, torch_file
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
 WRITE_NOTHING = ("evaluate", "info", "cameras", "verify")
-SERVERS = ("live",)  # writes when the page asks for it: tests/live
+SERVERS = ("live", "ros")  # live writes when the page asks for it: tests/live
 
 
 def make_work(folder: Path) -> Path:

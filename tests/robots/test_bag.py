@@ -1,6 +1,5 @@
 """A bag decoded by an independent reader: every value, stamp, frame and type; what cannot become one."""
 
-import time
 from dataclasses import replace
 
 import cv2
@@ -119,25 +118,6 @@ def test_a_bag_is_a_source_that_gives_the_same_results(bag, truth, calibration):
         np.testing.assert_array_equal(seen.result.depth_mm, result.depth_mm)
         assert (seen.frame.index, seen.frame.wall_time_ns) == (frame.index, frame.wall_time_ns)
         assert seen.time_s == pytest.approx(frame.time_s, abs=1e-6)
-
-
-def test_frames_without_a_time_are_stamped_from_now_on(recording, calibration, tmp_path):
-    plain = tmp_path / "plain"
-    plain.mkdir()
-    for k in range(2):
-        (plain / f"{k}.png").write_bytes((recording / f"{k:08d}.png").read_bytes())
-    before = time.time_ns()
-    stats = save_bag(plain, calibration, tmp_path / "bag", topics=["image"])
-    assert (stats.stamped, stats.frames) == (False, 2)
-    stamps = [frame.wall_time_ns for frame in gelform.open_source(tmp_path / "bag")]
-    assert before <= stamps[0] <= time.time_ns()
-    assert stamps[1] - stamps[0] == 10**9 // 25
-
-
-def test_seconds_end_it(recording, calibration, tmp_path):
-    stats = save_bag(recording, calibration, tmp_path / "bag", topics=["image"], seconds=1.5 / RATE_HZ)
-    assert stats.frames == 2
-    assert stats.sensor == "simulated"
 
 
 def test_what_cannot_become_a_bag_is_said_and_leaves_nothing(recording, calibration, tmp_path):

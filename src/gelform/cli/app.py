@@ -21,7 +21,7 @@ from gelform.cli.commands import (
     verify,
 )
 from gelform.cli.commands.inspection import compare, evaluate, explain, info
-from gelform.cli.commands.robots import bag
+from gelform.cli.commands.robots import bag, ros
 from gelform.cli.commands.sources import cameras, record
 from gelform.cli.failures import DEBUG, ReportedFailures
 from gelform.cli.process import as_process
@@ -56,6 +56,7 @@ app.command()(live.live)
 app.command()(batch.batch)
 app.command()(verify.verify)
 app.command()(bag.bag)
+app.command()(ros.ros)
 
 
 def command_names() -> tuple[str, ...]:

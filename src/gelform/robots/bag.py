@@ -2,42 +2,18 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Iterable
 from os import PathLike
 
 from numpy.typing import ArrayLike
 
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_positive
-from gelform.errors import DataError
-from gelform.frames import Frame
 from gelform.progress import Progress, no_progress
 from gelform.robots.bag_file import BagFile
+from gelform.robots.stamped import SentStats, StampedResults
 from gelform.robots.topics import NEEDS_SCALE, TOPICS, check_topics, sensor_name_from
-from gelform.streams.pipeline import StreamFrame
 from gelform.streams.stream import stream
-
-
-@dataclass(frozen=True)
-class BagStats:
-    """What a bag holds.
-
-    Attributes
-    ----------
-    sensor : the name that its topics begin with
-    frames, duration_s : how many, and s from the first to the last
-    drops : frames of the source that never became a result
-    stamped : whether frames said when they were taken; else stamps begin when the bag was written
-    """
-
-    sensor: str
-    frames: int
-    duration_s: float
-    drops: int
-    stamped: bool
 
 
 def save_bag(
@@ -50,7 +26,7 @@ def save_bag(
     seconds: float | None = None,
     background: ArrayLike | None = None,
     progress: Progress = no_progress,
-) -> BagStats:
+) -> SentStats:
     """Reconstruct what a source gives, and write frames and results as a rosbag2 folder.
 
     Of a recording, a video or a folder every frame; of a camera the newest ones, until `seconds` have gone. An
@@ -86,43 +62,11 @@ def save_bag(
         BagFile(path, name, topics=topics, hardware_id=calibration.serial or "") as bag,
         stream(source, calibration, background=background) as running,
     ):
-        seen = _from_first(running.pairs(), source)
-        stamps, count, last_s = _Stamps(), 0, 0.0
+        results = StampedResults(running, source, limit_s)
         try:
-            for one in seen:
-                stamp_ns = stamps(one.frame)
-                if limit_s is not None and one.time_s - stamps.first_s >= limit_s:
-                    break
-                bag.write(one.frame, one.result, stamp_ns)
-                count, last_s = count + 1, one.time_s
+            for count, (seen, stamp_ns) in enumerate(results, 1):
+                bag.write(seen.frame, seen.result, stamp_ns)
                 progress(count, count, "writing frames")
         except KeyboardInterrupt:  # the usual end of a camera's bag
             pass
-        drops = running.stats.drops
-    return BagStats(name, count, last_s - stamps.first_s, drops, stamps.known)
-
-
-class _Stamps:
-    """When frames were taken, UTC, ns; where they do not say, from now on, as far apart as they were."""
-
-    def __init__(self) -> None:
-        self.known, self.first_s = True, 0.0
-        self._start_ns = 0
-
-    def __call__(self, frame: Frame) -> int:
-        if not self._start_ns:
-            self._start_ns, self.first_s, self.known = time.time_ns(), frame.time_s, frame.wall_time_ns > 0
-        if self.known:
-            return frame.wall_time_ns
-        return self._start_ns + round((frame.time_s - self.first_s) * 1e9)
-
-
-def _from_first(pairs: Iterator[StreamFrame], source: object) -> Iterator[StreamFrame]:
-    """All of them; DataError where there is none, or where they are not of the calibrated size."""
-    try:
-        first = next(pairs, None)
-    except (ValueError, TypeError) as problem:
-        raise DataError(f"{source}: {problem}") from problem
-    if first is None:
-        raise DataError(f"No frame came from {source}: there is nothing to write.")
-    return chain([first], pairs)
+        return results.stats(name)

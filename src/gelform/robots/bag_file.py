@@ -17,7 +17,6 @@ from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
 
 METADATA_VERSION = 9  # rosbag2 of Jazzy and later; Humble plays the .mcap inside
-DIAGNOSTICS_NS = 10**9  # at least one message a second, as ROS's own diagnostics
 QUEUE = 10  # of the publisher that `ros2 bag play` makes: ROS's default
 
 
@@ -56,7 +55,6 @@ class BagFile:
         if os.path.lexists(self.path):
             raise DataError(f"{self.path} is there already. Choose another name, or remove it.")
         self._unfinished = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
-        self._said: tuple[tuple[str, ...], int] | None = None
         try:
             self._unfinished.mkdir(parents=True)
             self._writer = _writer(self._unfinished / self.path.name)
@@ -79,10 +77,8 @@ class BagFile:
             The disk takes no more: nothing is kept.
         """
         try:
-            for name in self._topics:
-                if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
-                    message = getattr(self._messages, name)(frame, result, stamp_ns)
-                    self._writer.write(self._connections[name], stamp_ns, message)
+            for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
+                self._writer.write(self._connections[name], stamp_ns, message)
         except OSError as problem:
             raise self._unwritable(problem) from problem
 
@@ -110,18 +106,6 @@ class BagFile:
             self.close()
         else:
             self.discard()
-
-    def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
-        """Whether the findings are others than those said last, or a second has gone since."""
-        names = tuple(finding.name for finding in result.health)
-        if (
-            self._said is not None
-            and self._said[0] == names
-            and abs(stamp_ns - self._said[1]) < DIAGNOSTICS_NS
-        ):
-            return False
-        self._said = (names, stamp_ns)
-        return True
 
     def _connection(self, name: str) -> Any:
         topic = TOPICS[name]

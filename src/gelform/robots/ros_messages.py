@@ -5,6 +5,7 @@ REP-103: a frame whose name ends in `_optical_frame` has x to the right, y down 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from gelform.robots.topics import TOPICS
 
 M_PER_MM = np.float32(1e-3)
 FLOAT32 = 7  # sensor_msgs/PointField
+DIAGNOSTICS_NS = 10**9  # at least one message a second, as ROS's own diagnostics
 OK, WARN, ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
 
@@ -39,6 +41,23 @@ class RosMessages:
         self.store = typestore()
         self.sensor, self.hardware_id = sensor, hardware_id
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
+        self._said: tuple[tuple[str, ...], int] | None = None
+
+    def due(
+        self, topics: Iterable[str], frame: Frame, result: Reconstruction, stamp_ns: int
+    ) -> Iterator[tuple[str, memoryview]]:
+        """(topic, message) of those topics; diagnostics once a second, and when the findings change.
+
+        Parameters
+        ----------
+        topics : names of TOPICS
+        frame : as the camera gave it
+        result : of it, in mm where indentation or points are asked for
+        stamp_ns : UTC, ns, when it was taken
+        """
+        for name in topics:
+            if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
+                yield name, getattr(self, name)(frame, result, stamp_ns)
 
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The frame as the camera gave it: sensor_msgs/Image, rgb8."""
@@ -87,6 +106,18 @@ class RosMessages:
         )
         message = self._type(TOPICS["diagnostics"].type)(header=self._header(stamp_ns, ""), status=[status])
         return self._encoded(message)
+
+    def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
+        """Whether the findings are others than those said last, or a second has gone since."""
+        names = tuple(finding.name for finding in result.health)
+        if (
+            self._said is not None
+            and self._said[0] == names
+            and abs(stamp_ns - self._said[1]) < DIAGNOSTICS_NS
+        ):
+            return False
+        self._said = (names, stamp_ns)
+        return True
 
     def _image(self, pixels: NDArray[Any], encoding: str, header: Any) -> memoryview:
         height, width = pixels.shape[:2]

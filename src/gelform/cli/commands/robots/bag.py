@@ -52,7 +52,7 @@ def bag(
     from gelform.cli.sensor_images import background_in
     from gelform.robots.bag import save_bag
 
-    wanted = _checked(topics, name)
+    wanted = checked_names(topics, name)
     loaded = load_calibration(calibration)
     with progress_shown(quiet) as progress:
         stats = save_bag(
@@ -72,7 +72,8 @@ def bag(
         print_json({"bag": output, **vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
 
 
-def _checked(topics: str, name: str | None) -> tuple[str, ...]:
+def checked_names(topics: str, name: str | None) -> tuple[str, ...]:
+    """Topics and a name of ROS from the command line, or what is wrong with them."""
     try:
         wanted = check_topics(one.strip() for one in topics.split(",") if one.strip())
     except ValueError as problem:

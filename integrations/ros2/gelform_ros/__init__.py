@@ -1,0 +1,1 @@
+"""Depth in millimetres of a visual-tactile sensor as topics of ROS 2."""

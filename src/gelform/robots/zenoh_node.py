@@ -1,0 +1,143 @@
+"""A node of ROS 2 that publishes over zenoh, without ROS; experimental."""
+
+from __future__ import annotations
+
+import json
+import time
+from types import TracebackType
+from typing import Any
+
+from gelform.errors import DataError, GelformError
+from gelform.frames import Frame
+from gelform.reconstruction import Reconstruction
+from gelform.robots.ros_messages import RosMessages
+from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
+from gelform.robots.zenoh_keys import Node, attachment, gid_from_token
+
+ROUTER = "tcp/localhost:7447"  # where rmw_zenoh's own sessions look for it
+CONNECT_MS = 3000
+MAX_DOMAIN = 232  # of ROS 2
+
+
+class ZenohNode:
+    """Publishes frames and results as topics of ROS 2; a context manager.
+
+    Messages that a subscriber is too slow for are dropped: the newest counts.
+
+    Parameters
+    ----------
+    sensor : a name of ROS: topics begin with it, the node is `gelform_<sensor>`
+    topics : of TOPICS, those that are published
+    router : address of the zenoh router, such as "tcp/localhost:7447"
+    domain : the number ROS_DOMAIN_ID of those who listen
+    hardware_id : of the diagnostics, such as the serial number
+
+    Raises
+    ------
+    GelformError
+        No router answers at the address.
+    DataError
+        The extra `zenoh` is not installed.
+    ValueError
+        No name of ROS, an unknown topic, no such domain, or what is no address.
+    """
+
+    def __init__(
+        self,
+        sensor: str,
+        *,
+        topics: tuple[str, ...] = tuple(TOPICS),
+        router: str = ROUTER,
+        domain: int = 0,
+        hardware_id: str = "",
+    ) -> None:
+        self._topics = check_topics(topics)
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise ValueError(f"Expected a ROS domain from 0 to {MAX_DOMAIN}, got {domain}.")
+        self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
+        self._session = _session(router)
+        self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")
+        self._tokens = [self._token(self.node.token)]
+        self._publishers = {name: self._publisher(k, name) for k, name in enumerate(self._topics, 1)}
+
+    def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
+        """Send a frame and what it gave, to those who listen.
+
+        Parameters
+        ----------
+        frame : as the camera gave it
+        result : of it, in mm where indentation or points are published
+        stamp_ns : UTC, ns, when it was taken
+        """
+        for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
+            self._publishers[name].put(bytes(message))
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._session.close()
+
+    def __enter__(self) -> ZenohNode:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _publisher(self, number: int, name: str) -> _Publisher:
+        topic, sensor = TOPICS[name], self._messages.sensor
+        names = topic.of(sensor), topic.type, self._messages.store.hash_rihs01(topic.type)
+        token = self.node.publisher_token(number, *names)
+        self._tokens.append(self._token(token))
+        return _Publisher(self._session, self.node.topic_key(*names), gid_from_token(token))
+
+    def _token(self, key: str) -> Any:
+        return self._session.liveliness().declare_token(key)
+
+
+class _Publisher:
+    """One topic: its messages are numbered."""
+
+    def __init__(self, session: Any, key: str, gid: bytes) -> None:
+        import zenoh
+
+        drop = zenoh.CongestionControl.DROP
+        self._publisher = session.declare_publisher(key, congestion_control=drop)
+        self._gid, self._number = gid, 0
+
+    def put(self, message: bytes) -> None:
+        self._number += 1
+        self._publisher.put(message, attachment=attachment(self._number, time.time_ns(), self._gid))
+
+
+def _session(router: str) -> Any:
+    """A session as rmw_zenoh's: finds its peers by the router, sends to them directly."""
+    try:
+        import zenoh
+    except ImportError as problem:
+        raise DataError(
+            "Publishing for ROS 2 needs the extra zenoh: pip install 'gelform[zenoh]'."
+        ) from problem
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": "peer",
+        "connect/timeout_ms": CONNECT_MS,
+        "connect/exit_on_failure": True,
+        "listen/endpoints": ["tcp/localhost:0"],
+        "scouting/multicast/enabled": False,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        config.insert_json5("connect/endpoints", json.dumps([router]))
+    except zenoh.ZError as problem:
+        raise ValueError(
+            f"Expected the address of a zenoh router such as {ROUTER}, got {router!r}."
+        ) from problem
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as problem:
+        raise GelformError(
+            f"No zenoh router answers at {router}. Start one, with ROS by `ros2 run rmw_zenoh_cpp rmw_zenohd`, without by "
+            "`zenohd`, or give its address by --router."
+        ) from problem
