@@ -27,7 +27,7 @@ def test_untouched_gel_is_held_as_the_units_say():
 
 @pytest.mark.parametrize("height_mm", [0.1, -0.1])
 def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
-    """(1 + (z/0.05)^2)^-2 of the firmness at rest: 1/25 at 0.1 mm, on either side; the border cuts it, so it may be drift."""
+    """(1 + (z/0.05)^2)^-2 of the firmness at rest: 1/25 at 0.1 mm, on either side; cut by the border it may be drift."""
     _, gradients, untouched, face = plateau(height_mm, radius_px=40, center=(0, 60))
     anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
     face &= np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 0])[:, None, None])) < 20
