@@ -34,6 +34,9 @@ EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
 PATH_TESTS = ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py")
 RELATED = {  # files of tests that hold what a module does beside its own
     "view": ("tests/test_lens.py",),
+    "color_models/_shared/least_squares": tuple(
+        f"tests/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
+    ),
     "background/untouched": ("tests/confidence/test_frame_sigma.py",),
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),

@@ -7,6 +7,7 @@ import pytest
 
 import gelform
 from gelform.color_models.lambertian import LambertianModel
+from gelform.view import View
 from hostile.small_gel import LIGHTS, SHAPE, Touch, background, calibration, depth_of, image_of
 
 TOUCH = Touch(depth_mm=0.4, x_px=40, y_px=32)
@@ -164,3 +165,67 @@ def test_without_a_scale_depth_is_in_pixels():
     result = unscaled(image_of(TOUCH))
     np.testing.assert_allclose(0.1 * result.depth_px, TRUTH, atol=0.02)
     assert result.depth_sigma_mm is None
+
+
+def test_without_a_slope_sigma_depth_is_measured_and_nothing_said_of_it():
+    """As in a calibration that another program wrote."""
+    result = gelform.Reconstructor(replace(calibration(), slope_sigma=None))(image_of(TOUCH))
+    assert error_um(result) < 10
+    assert result.depth_sigma_mm is None
+    assert result.gradients_sigma is None
+
+
+class Stating(Tilted):
+    """A color model that states the deviation of its slopes: 0.04, and 0.5 in the leftmost columns."""
+
+    def prepare(self, background, shape):
+        return StatingPrepared(LambertianModel.prepare(self, background, shape), shape)
+
+
+class StatingPrepared:
+    def __init__(self, exact, shape):
+        self.exact, self.sigma = exact, np.full((*shape, 2), 0.04, np.float32)
+        self.sigma[:, :20] = 0.5
+
+    def gradients_from_color(self, color_change):
+        return self.exact.gradients_from_color(color_change)[0], self.sigma
+
+
+def test_a_deviation_that_the_color_model_states_counts():
+    """Alone, where the calibration has none; else the larger of the two."""
+    stating = replace(calibration(), color_model=Stating(LIGHTS))
+    alone = gelform.Reconstructor(replace(stating, slope_sigma=None))(image_of(TOUCH))
+    np.testing.assert_allclose(alone.gradients_sigma[20:40, 40:60], 0.04, rtol=1e-3)
+    both = gelform.Reconstructor(stating)(image_of(TOUCH))
+    for result in (alone, both):
+        assert result.confidence[:, :20].max() < 0.02
+        assert np.median(result.confidence[:, 40:]) == 1
+    assert both.gradients_sigma[TRUTH > 0.2].min() >= 0.999 * 0.04
+
+
+def test_depth_sigma_is_at_most_that_of_not_knowing():
+    """A depth between 0 and 10 um of which nothing is known has a deviation of 10 um / sqrt(12)."""
+    thin = replace(calibration(), settings={"gel_thickness_mm": 0.01})
+    sigma = gelform.Reconstructor(thin)(image_of(TOUCH)).depth_sigma_mm
+    assert sigma.max() == pytest.approx(0.01 / np.sqrt(12), rel=1e-5)
+
+
+def test_an_explanation_names_the_glare(reconstruct):
+    glare = image_of(TOUCH)
+    glare[10:20, 55:75] = 255
+    explained = reconstruct.explain(glare)
+    np.testing.assert_array_equal(explained.confidence, reconstruct(glare).confidence)
+    assert explained.confidence[12:18, 57:73].max() < 0.01
+
+
+def test_a_frame_where_an_image_is_wanted_is_pointed_to_the_view():
+    """The camera's frame has twice the rows and columns of the calibrated image."""
+    view = View((128, 160), image_shape=SHAPE)
+    halved = gelform.Reconstructor(replace(calibration(), view=view))
+    frame = np.kron(image_of(TOUCH), np.ones((2, 2, 1), dtype=np.uint8))
+    assert error_um(halved(frame)) < 5
+    with pytest.raises(ValueError, match=r"image_from_frame\(frame, calibration.view\) first"):
+        halved.from_image(frame)
+    with pytest.raises(ValueError, match="64x80") as other:
+        halved.from_image(frame[:100])
+    assert "image_from_frame" not in str(other.value)

@@ -59,7 +59,7 @@ def python_mutants(source: str) -> list[Mutant]:
         mutant(source, changed, place[0], change)
         for place, change, changed in found
         if changed != source
-        and source.splitlines()[place[0] - 1].strip() != "*,"  # no operator
+        and not source.splitlines()[place[0] - 1][place[1] :].startswith("*,")  # of a signature: no operator
         and not any(start <= place < end for start, end in skipped)
         and _compiles(changed)
     ]

@@ -145,3 +145,10 @@ def test_the_means_of_bytes_are_those_of_opencv(shape, step):
 
     work, means = np.zeros(3 * shape[1], np.uint16), np.zeros((size[1], size[0], 3), np.float32)
     assert_kernel_agrees(exposure._means_of_bytes, by_opencv, image, step, work, means)
+
+
+@pytest.mark.parametrize(("level", "known"), [(5.6, False), (6.4, True), (249.6, True), (250.4, False)])
+def test_between_which_levels_a_block_tells_the_gain(level, known):
+    """Below, noise rules the ratio; above, the sensor's end."""
+    blocks = np.full((20, 3), level, dtype=np.float32)
+    assert (exposure.exposure_from_blocks(blocks, blocks).gain is not None) == known

@@ -141,3 +141,20 @@ def test_one_pass_gives_what_two_give(dtype):
         ready.gradients_in_one_pass(pending, change)[0], ready.gradients_from_color(two)[0]
     )
     np.testing.assert_array_equal(change, two)
+
+
+def test_a_start_is_corrected_by_what_it_does_not_explain():
+    """Another unit's slopes are a fifth too small: what the presses add is the missing fifth, not all of it again."""
+    samples = ball_samples(lambertian_change)
+    whole = HierarchicalModel.fit(samples, ridge=1e-6)
+    start = replace(whole, nodes=0.8 * whole.nodes)
+    assert rms(start, samples) > 0.05
+    assert rms(HierarchicalModel.fit(samples, start=start), samples) < 0.001
+    held = HierarchicalModel.fit(samples, start=start, ridge=1e6)
+    np.testing.assert_allclose(held.nodes, start.nodes, atol=1e-3)
+
+
+def test_the_light_is_smoothed_alike_in_both_directions():
+    background = np.random.default_rng(0).uniform(20, 200, (65, 65, 3)).astype(np.float32)
+    turned = hierarchical._light_at_nodes(background.transpose(1, 0, 2))
+    np.testing.assert_allclose(turned, hierarchical._light_at_nodes(background).transpose(0, 2, 1), atol=1e-4)

@@ -1,5 +1,7 @@
 """Interpolation: exact on a line, close on shading, and it knows when it is far from its samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,28 @@ def test_bad_settings_and_other_sizes_are_refused():
     samples = ball_samples(shading_change)
     with pytest.raises(ValueError, match="points >= 16"):
         InterpolationModel.fit(samples, points=3)
+    with pytest.raises(ValueError, match="place_scale > 0"):
+        InterpolationModel.fit(samples, place_scale=0.0)
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         InterpolationModel.fit(samples).prepare(np.zeros((10, 10, 3)), (10, 10))
     assert samples.shape == SHAPE
+
+
+def test_grey_levels_of_another_size_give_the_same_slopes():
+    """How near a sample is in colour is judged by the samples' own range."""
+    samples, unseen = ball_samples(shading_change), ball_samples(shading_change, seed=1, count=300)
+    wider = replace(samples, color_change=8 * samples.color_change)
+    found = InterpolationModel.fit(wider, points=500).gradients_at(
+        8 * unseen.color_change, unseen.x_px, unseen.y_px
+    )
+    np.testing.assert_allclose(found, at(InterpolationModel.fit(samples, points=500), unseen), atol=1e-6)
+
+
+def test_what_the_neighbours_do_not_say_is_taken_from_all():
+    """All colours near one place along red: how slopes go with blue there, the others tell."""
+    samples = ball_samples(lambda g, x, y: g @ MATRIX)
+    model = InterpolationModel.fit(samples)
+    blue = np.array([[0.0, 0.0, 0.3]] * 200)
+    rng = np.random.default_rng(0)
+    found = model.gradients_at(blue, rng.uniform(0, 63, 200), rng.uniform(0, 47, 200))
+    np.testing.assert_allclose(found, blue @ model.line, atol=0.02)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.color_models import LambertianModel, Samples
+from gelform.background.change import ChangeSettings, PreparedBackground
+from gelform.color_models import LambertianModel, NearLightModel, Samples
 from gelform.color_models.lambertian import inverse_lights, linear_change
 from made.color_samples import LIGHTS, SHAPE, ball_samples, lambertian_change
 
@@ -91,3 +92,12 @@ def test_huber_weights_ignore_a_bad_press():
     spoilt = Samples(change, good.x_px, good.y_px, good.gradients, good.weight, SHAPE)
     model = LambertianModel.fit(spoilt)
     np.testing.assert_allclose(model.lights, LIGHTS / LIGHTS[:, 2:], atol=0.05)
+
+
+@pytest.mark.parametrize("model", [LambertianModel, NearLightModel])
+def test_its_color_change_is_the_ratio_of_light_however_dark_the_gel(model):
+    """The law is of I/I0: levels added to either, as other models want them against noise, would bend it."""
+    ratio = np.linspace(0.3, 1.9, 60).reshape(4, 5, 3).astype(np.float32)
+    dark = np.full((4, 5, 3), 10.0, dtype=np.float32)
+    settings = ChangeSettings(offset=model.change_offset, blur_px=0.0)
+    np.testing.assert_allclose(PreparedBackground(dark, settings).change(dark * ratio), ratio - 1, atol=1e-5)

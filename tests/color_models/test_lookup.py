@@ -1,5 +1,7 @@
 """The lookup table: a multilinear law is met, smooth at zero, honest off its gamut."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,8 +94,6 @@ def test_deviation_is_that_of_the_noise():
 
 
 def test_the_reconstructor_lowers_confidence_off_gamut(calibration, simulated):
-    from dataclasses import replace
-
     table = np.zeros((1, 1, 4, 4, 4, 3), dtype=np.float32)
     table[..., 2] = 0.02
     table[:, :, 3, 3, 3, 2] = OFF_GAMUT_SIGMA
@@ -112,3 +112,15 @@ def test_settings_out_of_range():
             LookupModel.fit(linear_samples(100), **settings)
     with pytest.raises(ValueError, match="as calibrated, got 10x10"):
         LookupModel.fit(linear_samples(500), nodes=4).prepare(np.zeros((10, 10, 3)), (10, 10))
+
+
+def test_the_table_spans_the_colours_and_one_wild_press_is_no_larger_doubt():
+    samples = linear_samples(3000)
+    gradients = np.array(samples.gradients)
+    gradients[1000:1200] += 40.0
+    model = LookupModel.fit(replace(samples, gradients=gradients), positions=(1, 1))
+    span = model.step * (model.table.shape[2] - 1) / 0.7
+    assert span.min() > 0.99
+    assert span.max() < 1.15
+    assert model.table[..., 2].max() <= OFF_GAMUT_SIGMA
+    assert LookupModel.variants(20)[0].complexity == model.table[0, 0, ..., 0].size

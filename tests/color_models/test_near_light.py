@@ -50,6 +50,12 @@ def test_crosstalk_and_response_come_back_too():
     np.testing.assert_allclose(model.mixture, MIXTURE, atol=0.03)
 
 
+def test_a_channel_may_see_another_light_more_than_its_own():
+    mixture = np.array([[1.0, 0.1, 1.4], [0.0, 1.0, 0.1], [0.05, 0.1, 1.0]])
+    model = NearLightModel.fit(samples_of(mixture), response=1.0)
+    np.testing.assert_allclose(model.mixture, mixture, atol=0.05)
+
+
 def test_gradients_of_unseen_pixels_are_exact_where_all_lights_shine():
     model = NearLightModel.fit(samples_of(MIXTURE))
     unseen = samples_of(MIXTURE, seed=1, slope=0.15)

@@ -29,14 +29,18 @@ def test_no_change_is_no_slope():
         assert np.abs(gradients(model(weight, answer=answer), np.zeros((*SHAPE, 3)))).max() == 0
 
 
-def test_it_is_fed_blue_green_red():
-    """The first input is blue: its weight alone answers to a change of blue alone."""
-    change = np.zeros((*SHAPE, 3))
-    change[..., 2] = 0.1
-    first, third = np.zeros((2, 5)), np.zeros((2, 5))
-    first[0, 0] = third[0, 2] = 1
-    assert np.abs(gradients(model(first), change)[..., 0]).min() > 0.05
-    assert np.abs(gradients(model(third), change)).max() == 0
+@pytest.mark.parametrize(("position", "place"), [("xy", (1, 2)), ("yx", (2, 1)), ("zeros", (0, 0))])
+def test_it_is_fed_blue_green_red_and_the_place(position, place):
+    """Its answer, read as an angle, worked out from image and place."""
+    weight = np.array([[0.3, 0.5, -0.4, 0.6, -0.7], [0.2, -0.3, 0.1, 0.4, 0.5]])
+    change = np.random.default_rng(6).uniform(-0.2, 0.2, (*SHAPE, 3))
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    both = [np.zeros(SHAPE), x / SHAPE[1], y / SHAPE[0]]
+    fed = [*np.moveaxis(BACKGROUND[..., ::-1] / 255, -1, 0), *(both[k] for k in place)]
+    rest, touched = np.stack(fed, axis=-1), np.stack(fed, axis=-1)
+    touched[..., :3] += change[..., ::-1]
+    expected = -np.tan(touched @ weight.T) + np.tan(rest @ weight.T)
+    np.testing.assert_allclose(gradients(model(weight, position), change), expected, atol=1e-5)
 
 
 def test_angles_go_down_where_pressed_and_normals_point_along_them():

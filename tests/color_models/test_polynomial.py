@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.color_models import PolynomialModel, Samples, polynomial
-from gelform.color_models._shared.least_squares import term_count
+from gelform.color_models._shared.least_squares import monomial_products, monomials, term_count
 from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
@@ -42,11 +42,18 @@ def test_it_refuses_frames_of_another_size():
 
 
 @pytest.mark.parametrize(
-    ("presses", "largest"), [(2, (1,)), (6, (2, 1)), (9, (3, 2, 0)), (18, (4, 3, 1)), (30, (5, 4, 3))]
+    ("presses", "largest"),
+    [
+        *[(2, (1,)), (5, (1,)), (6, (2, 1)), (8, (2, 1)), (9, (3, 2, 0)), (17, (3, 2, 0))],
+        *[(18, (4, 3, 1)), (29, (4, 3, 1)), (30, (5, 4, 3))],
+    ],
 )
 def test_more_presses_carry_more_terms(presses, largest):
     variants = PolynomialModel.variants(presses)
     assert variants[-1].settings == {"position_degrees": largest}
+    assert variants[-1].complexity == len(
+        PolynomialModel.fit(ball_samples(lambertian_change), **variants[-1].settings).coefficients
+    )
     in_auto = [v.settings["position_degrees"] for v in variants if v.in_auto]
     assert in_auto == ([(1,), largest] if presses >= 18 else [(1,)])
 
@@ -66,3 +73,12 @@ def test_the_kernel_agrees_with_numpy(shape, degrees):
         change, ready._x, ready._table, ready._degrees, ready._parents,
         np.empty(6 * (shape[1] + 16), np.float32), np.empty((*shape, 2), np.float32),
     )  # fmt: skip
+
+
+def test_the_coefficients_at_a_place_give_its_gradients():
+    rng = np.random.default_rng(2)
+    model = PolynomialModel(rng.normal(size=(term_count(3, (3, 2, 1)), 2)), (3, 2, 1), SHAPE)
+    change, x, y = rng.normal(size=(20, 3)), rng.uniform(0, 63, 20), rng.uniform(0, 47, 20)
+    products = np.stack(monomial_products(change.T, monomials(3, model.degree)))
+    found = np.einsum("tn,ntk->nk", products, model.coefficients_at(x, y))
+    np.testing.assert_allclose(found, model.gradients_at(change, x, y))

@@ -112,6 +112,8 @@ def test_the_inverse_kernel_finds_what_was_rendered(model):
     """Where colors have one cause the nearest slope is exact: what was rendered, wherever the search began."""
     gradients, x, y = (part.astype(np.float32) for part in scattered(500, steepest=0.8, seed=6))
     prepared = model.prepare(None, SHAPE)
+    exact = bilinear_terms(model._faded().astype(float), prepared._starts.astype(float))
+    np.testing.assert_allclose(np.moveaxis(prepared._terms, -1, 0), exact, atol=1e-5)
     u, v = model._place(x, y)
     change = rendered(model._faded(), u, v, gradients).astype(np.float32)
     assert_kernel_agrees(
@@ -126,3 +128,23 @@ def test_the_inverse_kernel_finds_what_was_rendered(model):
         np.empty((500, 2), np.float32),
         tolerance=1e-4,
     )
+
+
+def test_the_search_starts_near_every_slope(model):
+    """Up to 60 degrees: half a step away in angle, half in direction."""
+    starts = model.prepare(None, SHAPE)._starts
+    gradients, _, _ = scattered(500, steepest=np.tan(np.deg2rad(58)), seed=9)
+    a, b = (np.concatenate([-g, np.ones((len(g), 1))], axis=1) for g in (gradients, starts))
+    a, b = (n / np.linalg.norm(n, axis=1)[:, None] for n in (a, b))
+    assert np.rad2deg(np.arccos(np.clip(a @ b.T, -1, 1)).min(axis=1)).max() < 7.0
+
+
+def test_the_tables_own_answer_at_rest_is_taken_off_up_to_ten_degrees():
+    """Of 31 angles every third degree, and half as many directions, an offset at all of them."""
+    table = np.full((31, 16, 3, 6), 0.0, dtype=np.float32)
+    table[..., 5] = 0.2
+    table[..., 5] += np.linspace(0, 0.5, 31, dtype=np.float32)[:, None, None]
+    model = SlopeTableModel(table, SHAPE)
+    steep = np.tan(np.deg2rad([0.0, 20.0, 45.0]))
+    found = model.color_from_gradients(np.stack([steep, 0 * steep], axis=1), np.full(3, 5.0), np.full(3, 5.0))
+    np.testing.assert_allclose(found[:, 0], [0, 0.2 + 0.5 * 20 / 90, 0.2 + 0.25], atol=1e-3)

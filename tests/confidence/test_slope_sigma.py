@@ -88,3 +88,9 @@ def test_the_share_of_error_that_a_surface_keeps():
     assert solved_factor(errors, 0.9 * errors) == pytest.approx(0.9)
     assert solved_factor(errors, 1.2 * errors) == 1.0
     assert solved_factor(0 * errors, errors) == 1.0
+
+
+def test_a_place_where_all_slopes_were_right_is_not_taken_for_exact():
+    held_out = errors_by(lambda s: 0.02 + 0 * s, place=lambda x, y: np.where(x > 0.75, 0.0, 1.0))
+    sigma = SlopeSigma.fit(held_out, 8.0, 0.5)
+    assert 0.05 < sigma.place[1][3] < 0.2

@@ -98,3 +98,22 @@ def test_an_anchored_pixel_follows_its_neighbours_by_its_ties(anchor):
     assert out[1, 1] ** 2 == pytest.approx(
         0.04 * (ties / (ties + anchor) * 4 / (4 + x)) ** 2 + 0.5 * 0.1**2, rel=1e-5
     )
+
+
+def test_blocks_of_equal_pixels():
+    """Independent errors are averaged away by the pixels inside, common ones are not; the counts are odd."""
+    mask = np.zeros((11, 22), dtype=bool)
+    mask[1:10, 3:19] = True
+    sigma = np.full((11, 22, 1), 0.05, dtype=np.float32)
+    one = blocks.Blocks(
+        sigma, np.ones((11, 22), np.float32), mask, None, np.ones_like(mask), np.float32(FLOOR), 4
+    )
+    padded = np.zeros((12, 28), dtype=bool)
+    padded[:11, :22] = mask
+    count = padded.reshape(3, 4, 7, 4).sum(axis=(1, 3))
+    np.testing.assert_array_equal(one.mask, count > 0)
+    np.testing.assert_array_equal(one.region, count)
+    np.testing.assert_allclose(one.common[count > 0], 0.05, rtol=1e-6)
+    np.testing.assert_allclose(one.white[..., 1][count > 0], 0.05 / np.sqrt(count[count > 0]), rtol=1e-6)
+    assert blocks.block_rows_and_columns((20, 17), 3) == (7, 7)
+    assert blocks.block_rows_and_columns((24, 25), 3) == (9, 9)

@@ -44,6 +44,12 @@ def test_correlated_draws_have_the_correlation_that_they_say():
     assert np.mean(many[..., 0] * many[..., 1]) == pytest.approx(0, abs=0.02)
 
 
+def test_correlated_draws_are_alike_up_to_both_ends_of_a_long_frame():
+    many = np.concatenate([correlated_draws(64, (1, 90), 1.5, np.random.default_rng(k)) for k in range(30)])
+    products = np.mean(many[:, 0, :-2] * many[:, 0, 2:], axis=(0, 2), dtype=np.float64)
+    assert products == pytest.approx(np.exp(-4 / (2 * 1.5**2)), abs=0.08)
+
+
 def test_errors_of_the_two_slopes_are_on_their_edges():
     """With a lattice point as origin, the first slope's field is the second's, moved by half a place each."""
     draws = correlated_draws(8, (9, 9), 4.0, np.random.default_rng(2))

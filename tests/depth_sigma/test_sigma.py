@@ -85,12 +85,17 @@ def test_agrees_with_monte_carlo_weighted_anchored_and_correlated(anchored, leng
     assert np.mean(off < 0.25) > 0.93
 
 
-@pytest.mark.parametrize("arguments", [{"zero": "border"}, {"level": "plane"}, {"level": "slope"}])
+LEFT_TOP = np.arange(SHAPE[0])[:, None] + np.arange(SHAPE[1]) < 40  # which pixels are untouched
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"level": "slope"}, {"zero": LEFT_TOP}, {"zero": LEFT_TOP, "level": "plane"}]
+)
 def test_follows_the_zero_reference_and_the_level(arguments):
     sigma, weights, _ = uneven()
     expected = monte_carlo(sigma, 0, 0.0, weights=weights, **arguments)
     found = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, weights=weights, probes=200, **arguments)
-    assert np.median(deviation(found, expected)) < 0.12
+    assert np.median(deviation(found, expected)) < 0.15
 
 
 def test_few_probes_are_as_good_as_said():
@@ -218,3 +223,15 @@ def test_bad_input_is_refused(change, text):
     arguments = {"gradients_sigma": np.ones((4, 5, 2)), "mm_per_px": 0.1, "zero": "border"} | change
     with pytest.raises(ValueError, match=text):
         depth_sigma_from_gradients_sigma(arguments.pop("gradients_sigma"), **arguments)
+
+
+@pytest.mark.parametrize("shape", [(96, 128), (120, 160), (150, 200), (180, 240)])
+def test_about_as_many_blocks_at_every_size(shape):
+    """Between the largest and the smallest blocks, their count is what costs, and what the draws' error hangs on."""
+    assert 1600 < shape[0] * shape[1] / DepthSigma(shape, mm_per_px=0.1).block ** 2 < 3100
+
+
+def test_a_column_of_pixels():
+    sigma = DepthSigma((40, 1), mm_per_px=0.1, probes=400)(np.full((40, 1), 0.05))
+    exact = depth_sigma_from_gradients_sigma(np.full((40, 1, 2), 0.05), mm_per_px=0.1)
+    assert np.median(deviation(sigma, exact)) < 0.15

@@ -82,13 +82,11 @@ def _missed(aspect: float, block: int, anchors: NDArray[Any]) -> NDArray[Any]:
 
 
 def correlation_of_blocks(correlation_px: float, block: int) -> tuple[float, float]:
-    """Length, in blocks, and variance of correlated errors of length `correlation_px` and variance 1.
+    """Length, in blocks, and variance of correlated errors of length `correlation_px` > 0 and variance 1.
 
     They are averaged over a block, as if over a Gaussian of the same second moment: longer and weaker, with
     the same power at low frequencies.
     """
-    if correlation_px == 0:
-        return 0.0, 1 / block**2
     length = np.sqrt(correlation_px**2 / block**2 + 1 / 6)
     return float(length), float((_extent(correlation_px) / (block * _extent(length))) ** 2)
 

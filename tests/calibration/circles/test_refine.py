@@ -3,11 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import gelform
+from gelform.ball import ball_gradients
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.circles.refine import refine, refining_degrees
+from gelform.calibration.circles.refine import (
+    ROUNDS,
+    misfit_reasons,
+    recentered,
+    refine,
+    refining_degrees,
+    why_impossible,
+)
 from gelform.calibration.selection.folds import make_folds, unlike_the_others
 
 
@@ -16,10 +25,10 @@ def errors_px(contacts, simulated):
     return np.hypot(*(np.array([(c.x_px, c.y_px) for c in contacts]) - truth).T)
 
 
-def test_refinement_corrects_the_circles_that_the_border_cuts(presses, simulated):
-    prepared = prepare(presses, 10.0)
-    found = [find_contact(press.color_change) for press in prepared]
-    refined = refine(prepared, found)
+def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, simulated):
+    done = []
+    refined = refine(prepared, found, progress=lambda *step: done.append(step[:2]))
+    assert done == [(k, ROUNDS) for k in range(1, ROUNDS + 1)]
     before, after = errors_px(found, simulated), errors_px(refined.contacts, simulated)
     kept = refined.accepted
     assert len(kept) >= len(prepared) - 2
@@ -40,9 +49,9 @@ def test_wrong_ball_is_found_by_the_presses_that_did_not_see_it(data):
     assert refine(prepared, found, excluded=odd).reasons[20] == odd[20]
 
 
-def test_double_contact_is_rejected(presses):
+def test_double_contact_is_rejected(prepared):
     """Two balls at once: the second is the colour change of another press, added far away."""
-    prepared = prepare(presses, 10.0)
+    prepared = list(prepared)
     shape = prepared[0].size.shape
     other = np.roll(prepared[0].color_change, (shape[0] // 4, shape[1] // 8), axis=(0, 1))
     doubled = prepared[0].color_change + other
@@ -52,11 +61,48 @@ def test_double_contact_is_rejected(presses):
     assert refined.reasons[0] is not None
 
 
-def test_impossible_contact_is_rejected_and_named(presses):
-    prepared = [replace(press, ball_radius_px=press.ball_radius_px / 4) for press in prepare(presses, 10.0)]
-    refined = refine(prepared, [find_contact(press.color_change) for press in prepared])
+def test_impossible_contact_is_rejected_and_named(prepared, found):
+    refined = refine([replace(press, ball_radius_px=press.ball_radius_px / 4) for press in prepared], found)
     assert not refined.accepted
     assert "ball diameter or mm_per_px is wrong" in refined.reasons[0]
+
+
+def test_a_circle_beyond_the_frame_is_rejected_and_named(prepared, found):
+    outside = replace(found[0], x_px=-2 * found[0].radius_px)
+    assert why_impossible(prepared[0], outside) == "contact lies outside the frame"
+    assert why_impossible(prepared[0], found[0]) is None
+
+
+class BallElsewhere:
+    """Slopes of a ball whose centre is elsewhere, as a model of the others might read them."""
+
+    def __init__(self, press, center_px):
+        self.ball = center_px, press.ball_radius_px
+
+    def gradients_at(self, change, x_px, y_px):
+        return ball_gradients(x_px, y_px, *self.ball)
+
+
+def test_a_circle_moves_to_the_ball_but_not_far(prepared, found):
+    """By 12 px at most where the frame is 240 px high."""
+    press, start = prepared[0], replace(found[0], x_px=60.0, y_px=60.0)
+    most = 12 * min(press.size.shape) / 240
+    near = recentered(press, start, start, BallElsewhere(press, (62.0, 57.5)))
+    assert (near.x_px, near.y_px) == pytest.approx((62.0, 57.5), abs=0.05)
+    far = recentered(press, start, start, BallElsewhere(press, (60 + 1.2 * most, 60 + 1.6 * most)))
+    assert (far.x_px, far.y_px) == pytest.approx((60 + 0.6 * most, 60 + 0.8 * most), abs=0.3)
+
+
+def test_what_does_not_fit_is_three_times_as_far_off_as_usual():
+    """Below 0.1 nothing is, above 0.25 everything."""
+    for typical, limit in ((0.02, 0.1), (0.05, 0.15), (0.2, 0.25)):
+        *others, below, above = misfit_reasons(
+            [*[(typical, 1.0)] * 8, (limit - 0.01, 1.0), (limit + 0.01, 1.0)]
+        )
+        assert others == [None] * 8
+        assert below is None
+        assert f"limit {limit:.2f}" in above
+    assert ["1.50 times" in str(one) for one in misfit_reasons([(0.1, 1.4), (0.1, 1.5)])] == [False, True]
 
 
 def test_few_presses_carry_few_terms():

@@ -69,6 +69,7 @@ def test_presses_share_the_samples_and_rest_gives_half_as_many():
     contacts = [ContactCircle(20.0, 30.0, 15.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 20.0, 1.0, 9.0)]
     presses = [press_of(np.arange(80)[None, :].repeat(60, axis=0) != 70), press_of()]
     samples = contact_samples(presses, contacts, 1.0, total=800)
+    assert 700 < len(samples.x_px) < 900
     first = within(contacts[0], 15.0)[samples.y_px, samples.x_px]
     assert 0.35 < first.mean() < 0.65
     rested = with_rest_samples(samples, presses, contacts)

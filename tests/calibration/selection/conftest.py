@@ -1,28 +1,11 @@
-"""The shared presses prepared for choosing, and dealt into folds once."""
+"""The shared presses for choosing: sizes left out, held-out presses, made-up trials."""
 
 import pytest
 
-from gelform.calibration.circles.find import find_contact
-from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.selection.candidates import Candidate
-from gelform.calibration.selection.folds import make_folds, size_folds
+from gelform.calibration.selection.folds import size_folds
 from gelform.calibration.selection.press_score import PressScore
 from gelform.calibration.selection.trials import HeldOutPresses, Trial
-
-
-@pytest.fixture(scope="session")
-def prepared(presses):
-    return prepare(presses, 10.0)
-
-
-@pytest.fixture(scope="session")
-def found(prepared):
-    return [find_contact(press.color_change) for press in prepared]
-
-
-@pytest.fixture(scope="session")
-def folds(prepared, found):
-    return make_folds(prepared, found, range(len(prepared)))
 
 
 @pytest.fixture(scope="session")

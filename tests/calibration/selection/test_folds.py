@@ -1,5 +1,7 @@
 """Folds: no press trains what scores it, sizes are left out whole, another unit's model counts everywhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,15 @@ def test_presses_are_judged_by_the_other_units_model(folds, prepared, found, sta
     monkeypatch.setattr(module, "fit_model", lambda *given: starts.append(given[2]) or fit(*given))
     unlike_the_others(prepared, found, folds, start=start)
     assert starts == [start] * len(folds)
+
+
+def test_a_press_under_the_name_of_another_ball_is_found(folds, prepared, found, monkeypatch):
+    monkeypatch.setattr(module, "MIN_TO_JUDGE", 1)
+    given = list(prepared)
+    given[5] = replace(given[5], ball_radius_px=2 * given[5].ball_radius_px)
+    odd = unlike_the_others(given, found, [fold for fold in folds if 5 in fold.held_out])
+    assert list(odd) == [5]
+    assert "check its ball_diameter_mm" in odd[5]
 
 
 def test_few_presses_judge_nobody(folds, prepared, found):

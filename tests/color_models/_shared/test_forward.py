@@ -47,3 +47,20 @@ def test_the_slopes_part_does_not_depend_on_the_depths():
     assert not plain.knows_depth
     with pytest.raises(ValueError, match="fitted without"):
         plain.color_from_gradients(*at, depth_mm=np.ones(len(samples.x_px)))
+
+
+def test_a_law_of_its_own_form_comes_back_with_its_noise():
+    """Slopes to the third power whose effect changes over the image, and light that grows with depth."""
+    samples = ball_samples(shading_change, count=8000)
+    p, q = samples.gradients.T
+    x, y = unit_position(samples.x_px, samples.y_px, SHAPE)
+    depth = np.random.default_rng(9).uniform(0, 1, len(x))
+    law = np.stack([0.3 * p * x**3 + 0.2 * q, 0.4 * p * q * y**2, 0.5 * p**3 * x + 0.1 * q**3], axis=1)
+    noise = np.array([0.02, 0.01, 0.03]) * np.random.default_rng(3).normal(size=law.shape)
+    found = ForwardResponse.fit(replace(samples, color_change=law + noise))
+    np.testing.assert_allclose(found.noise, [0.02, 0.01, 0.03], rtol=0.05)
+    at = samples.gradients, samples.x_px, samples.y_px
+    assert np.sqrt(np.mean((found.color_from_gradients(*at) - law) ** 2)) < 0.002
+    by_depth = (depth * (x**3 - 0.5 * y**3))[:, None] * np.array([0.3, 0.2, 0.1])
+    seeing = ForwardResponse.fit(replace(samples, color_change=by_depth), depth_mm=depth)
+    np.testing.assert_allclose(seeing.color_from_gradients(*at, depth_mm=depth), by_depth, atol=0.002)

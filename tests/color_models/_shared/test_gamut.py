@@ -45,3 +45,15 @@ def test_the_kernel_is_the_table_and_the_way_to_it():
 
     distance = np.empty((9, 31), np.float32)
     assert_kernel_agrees(module._gamut_distance, reference, change, table, low, distance, 6.5, 0.7)
+
+
+def test_the_grid_spans_all_colours_and_a_quarter_more():
+    """Red changes three times as much as blue; what lies a bin beyond a colour that was seen counts as seen."""
+    seen = np.random.default_rng(4).uniform(-1, 1, (40_000, 3)) * np.array([0.3, 0.2, 0.1])
+    edge = 0.3 + 0.9 * 0.6 * 1.5 / 23  # 0.9 bins beyond the largest red
+    gamut = Gamut.fit(np.concatenate([seen, [[0.49, 0, 0]]]), seen[:, :2])
+    away = gamut.distance_of(seen[None].astype(np.float32))
+    assert np.mean(away == 0) > 0.99
+    assert gamut.distance_of(np.float32([[[edge, 0, 0]]])) == 0
+    assert gamut.low[0] == pytest.approx(-0.45, abs=0.01)
+    assert gamut.low[0] + 23 * gamut.bin_width == pytest.approx(0.45, abs=0.01)

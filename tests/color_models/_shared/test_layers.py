@@ -26,8 +26,17 @@ def test_layers_that_do_not_fit_are_refused():
         (good.weights[:1], good.biases),
         (good.weights[::-1], good.biases[::-1]),
         ((good.weights[0].T, good.weights[1]), good.biases),
-        ((good.weights[0] * np.nan, good.weights[1]), good.biases),
+        ((np.where(np.eye(8, 5) > 0, np.nan, good.weights[0]), good.weights[1]), good.biases),
+        ((np.zeros((5000, 5)),), (np.zeros(5000),)),
+        ((np.zeros(5),), (np.zeros(5),)),
         ((), ()),
     ):
         with pytest.raises(ValueError, match="Expected"):
             Layers(weights, biases)
+
+
+def test_saved_arrays_give_the_same_layers():
+    layers = layers_of((5, 7, 6, 2))
+    again = Layers.from_arrays({**layers.to_arrays(), "background": np.zeros(3)})
+    for mine, theirs in zip((*layers.weights, *layers.biases), (*again.weights, *again.biases)):
+        np.testing.assert_array_equal(mine, theirs)

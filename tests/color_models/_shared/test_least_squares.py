@@ -43,3 +43,20 @@ def test_monomials_are_complete_and_ordered():
     np.testing.assert_allclose(terms, [[2, 1, 0.5, 3, 1.5, 0.75, 4, 6, 9]])
     assert terms.shape[1] == term_count(2, (1, 0)) == 9
     assert len(position_powers(3)) == 10
+
+
+def test_its_answer_makes_hubers_loss_stationary():
+    """Weights, a tenth of outliers, two outputs: the derivative by every coefficient is 0; one round is plain."""
+    rng = np.random.default_rng(3)
+    design, weight = rng.normal(size=(400, 3)), rng.uniform(0.2, 3, 400)
+    target = design @ rng.normal(size=(3, 2)) + 0.05 * rng.normal(size=(400, 2))
+    target[::10] += rng.normal(size=(40, 2))
+    for order in ("C", "F"):
+        given = np.asarray(design, order=order)
+        found = robust_ridge(given, target, weight, ridge=1e-12, huber=0.1, rounds=60)
+        residual = given @ found - target
+        share = weight * np.minimum(1, 0.1 / np.linalg.norm(residual, axis=1))
+        assert np.abs(given.T @ (share[:, None] * residual)).max() < 1e-4
+        plain = robust_ridge(given, target, weight, ridge=1e-12, huber=0.1, rounds=1)
+        root = np.sqrt(weight)[:, None]
+        np.testing.assert_allclose(plain, np.linalg.lstsq(root * given, root * target)[0], atol=1e-8)
