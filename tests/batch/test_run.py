@@ -17,7 +17,7 @@ PARTS = BatchSettings(part_frames=2)
 @pytest.fixture
 def done(tree, cal, tmp_path):
     """An output that is complete."""
-    assert run_batch(tree, cal, tmp_path / "done", PARTS).complete
+    assert run_batch(tree, cal, tmp_path / "done", PARTS, table="csv").complete
     return tmp_path / "done"
 
 
@@ -32,8 +32,8 @@ def test_the_whole_of_it(tree, cal, done):
 
 def test_shards_give_the_same_bytes_as_one_run(tree, cal, done, tmp_path, visible):
     for number in (3, 1):
-        assert not run_batch(tree, cal, tmp_path / "out", PARTS, shard=(number, 3)).complete
-    assert run_batch(tree, cal, tmp_path / "out", PARTS, shard=(2, 3)).complete
+        assert not run_batch(tree, cal, tmp_path / "out", PARTS, shard=(number, 3), table="csv").complete
+    assert run_batch(tree, cal, tmp_path / "out", PARTS, shard=(2, 3), table="csv").complete
     assert visible(tmp_path / "out") == visible(done)
 
 
@@ -41,7 +41,7 @@ def test_only_what_is_missing_is_done(tree, cal, done, visible):
     before = visible(done)
     (done / "frames/day2/frame2.npz").unlink()
     (done / "frames/frame11.npz").write_bytes(b"torn")
-    summary = run_batch(tree, cal, done, PARTS)
+    summary = run_batch(tree, cal, done, PARTS, table="csv")
     assert (summary.frames, summary.frames_before) == (4, 4)  # their two parts
     assert visible(done) == before
 

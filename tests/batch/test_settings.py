@@ -10,11 +10,11 @@ from gelform.batch import KEPT, BatchSettings
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"form": "jpg"}, "Expected a format among npz, png, got 'jpg'"),
+        ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, .*got 'jpg'"),
         ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
         ({"keep": ()}, "Expected maps to keep"),
         ({"keep": ("all", "depth")}, "Expected maps to keep"),
-        ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16-bit PNG"),
+        ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16 bits"),
         ({"keep": ("depth_sigma",), "depth_sigma": False}, "Leave out --no-sigma"),
         ({"solver": "fast"}, "Expected a solver among auto, dct"),
         ({"background_frames": -1}, "Expected 0 to 200 frames"),

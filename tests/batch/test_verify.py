@@ -9,7 +9,7 @@ from gelform.errors import DataError
 
 @pytest.fixture
 def output(broken_tree, cal, tmp_path):
-    run_batch(broken_tree, cal, tmp_path / "out", BatchSettings(part_frames=4))
+    run_batch(broken_tree, cal, tmp_path / "out", BatchSettings(part_frames=4), table="csv")
     return tmp_path / "out"
 
 

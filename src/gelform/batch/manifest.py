@@ -11,8 +11,11 @@ from typing import Any
 
 from gelform import __version__
 from gelform.batch.inputs.listing import Listing
-from gelform.batch.records import FRAMES, PARTS, TABLE
+from gelform.batch.outputs.hdf5_files import INDEX
+from gelform.batch.outputs.places import FRAMES
+from gelform.batch.records import PARTS
 from gelform.batch.settings import BatchSettings
+from gelform.batch.table import TABLES
 from gelform.errors import DataError
 from gelform.npz_files import written_file
 
@@ -140,7 +143,7 @@ def _remove(output: Path) -> None:
     for name in (FRAMES, PARTS):
         if (output / name).is_dir():
             shutil.rmtree(output / name)
-    for name in (TABLE, NAME):
+    for name in (*TABLES.values(), INDEX, NAME):
         (output / name).unlink(missing_ok=True)
 
 

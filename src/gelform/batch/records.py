@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gelform.batch.outputs.places import OutputFile
 from gelform.errors import DataError
 from gelform.npz_files import written_file
 
-COLUMNS = (
-    "sequence",
-    "frame",
-    "index",
-    "output",
-    "time_s",
-    "wall_time_ns",
-    "deepest_mm",
-    "contact_mm2",
-    "volume_mm3",
-    "contacts",
-    "findings",
-    "error",
-)
-FRAMES, PARTS, TABLE = "frames", "parts", "frames.csv"
+PARTS = "parts"
 PARTS_IN_A_FOLDER = 1000
 
 
@@ -39,11 +24,19 @@ class PartRecord:
     Attributes
     ----------
     input_digest : of the files that it was made from (see `Part.input_digest`)
-    rows : a dict for each frame: the table's columns, and `bytes` and `sha256` of its output
+    rows : a dict for each frame: the table's columns, and `bytes` and `sha256` where its output is a file of its own
+    files : those that hold several frames
     """
 
     input_digest: str
     rows: tuple[dict[str, Any], ...]
+    files: tuple[OutputFile, ...] = ()
+
+    @property
+    def outputs(self) -> list[OutputFile]:
+        """Every file that the part wrote."""
+        own = [row for row in self.rows if row["output"] and "sha256" in row]
+        return [OutputFile(row["output"], row["bytes"], row["sha256"]) for row in own] + list(self.files)
 
     @property
     def errors(self) -> int:
@@ -60,7 +53,11 @@ def write_record(output: Path, number: int, record: PartRecord) -> None:
     """Write a part's record: from then on the part is done."""
     path = record_path(output, number)
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = {"input_digest": record.input_digest, "rows": list(record.rows)}
+    content = {
+        "input_digest": record.input_digest,
+        "rows": list(record.rows),
+        "files": [vars(file) for file in record.files],
+    }
     with written_file(path, overwrite=True) as file:
         file.write(json.dumps({**content, "digest": _digest(content)}).encode())
 
@@ -79,7 +76,8 @@ def read_record(output: Path, number: int) -> PartRecord | None:
         digest = content.pop("digest")
         if digest != _digest(content):
             raise ValueError("altered")
-        return PartRecord(content["input_digest"], tuple(content["rows"]))
+        files = tuple(OutputFile(**file) for file in content["files"])
+        return PartRecord(content["input_digest"], tuple(content["rows"]), files)
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError, AttributeError) as problem:
@@ -90,37 +88,33 @@ def read_record(output: Path, number: int) -> PartRecord | None:
 
 def outputs_there(output: Path, record: PartRecord) -> bool:
     """Whether every output of a part is there in its full size; `gelform verify` reads them too."""
-    for row in record.rows:
-        if row["output"]:
-            try:
-                if (output / row["output"]).stat().st_size != row["bytes"]:
-                    return False
-            except OSError:
+    for file in record.outputs:
+        try:
+            if (output / file.path).stat().st_size != file.bytes:
                 return False
+        except OSError:
+            return False
     return True
 
 
-def write_table(output: Path, parts: int) -> None:
-    """The table of all frames, from the records of all parts."""
-    with written_file(output / TABLE, overwrite=True) as file:
-        for line in table_lines(output, range(parts)):
-            file.write(line)
+def files_of(output: Path, parts: int) -> list[str]:
+    """Those of all parts that hold several frames, in the order of the parts."""
+    return [file.path for record in done_records(output, parts) for file in record.files]
 
 
-def table_lines(output: Path, numbers: Iterable[int]) -> Iterator[bytes]:
-    """The header and the rows of some parts as CSV, a piece for each part."""
-    yield _csv([COLUMNS])
-    for number in numbers:
+def done_records(output: Path, parts: int) -> Iterator[PartRecord]:
+    """Those of all parts.
+
+    Raises
+    ------
+    DataError
+        A part is not done.
+    """
+    for number in range(parts):
         record = read_record(output, number)
         if record is None:
             raise DataError(f"Part {number} of {output} is not done. Run the same command again.")
-        yield _csv([[row[column] for column in COLUMNS] for row in record.rows])
-
-
-def _csv(rows: Iterable[Iterable[Any]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")  # names of files may be no text
+        yield record
 
 
 def _digest(content: dict[str, Any]) -> str:

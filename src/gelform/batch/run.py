@@ -13,22 +13,22 @@ from typing import Any
 from numpy.typing import NDArray
 
 from gelform.background.check import background_digest
+from gelform.batch.finish import finish
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
 from gelform.batch.locks import only_run
 from gelform.batch.manifest import Manifest, begin
+from gelform.batch.outputs.places import FRAMES
 from gelform.batch.processes import done_parts
 from gelform.batch.records import (
-    FRAMES,
     PARTS,
-    TABLE,
     outputs_there,
     read_record,
     record_path,
-    write_table,
 )
 from gelform.batch.settings import BatchSettings
+from gelform.batch.table import TABLES, table_form
 from gelform.batch.work import Job
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_path
@@ -52,6 +52,7 @@ class BatchSummary:
     frames_before : done in earlier runs
     errors : frames with errors, in this run and before
     stopped : whether there were more errors than allowed
+    table : name of the table
     complete : whether all parts of all shards are done and the table is written
     """
 
@@ -61,6 +62,7 @@ class BatchSummary:
     frames_before: int = 0
     errors: int = 0
     stopped: bool = False
+    table: str = ""
     complete: bool = False
 
 
@@ -76,6 +78,7 @@ def run_batch(
     max_errors: int = MAX_ERRORS,
     overwrite: bool = False,
     retry_errors: bool = False,
+    table: str = "auto",
     progress: Callable[[BatchSummary], Any] = lambda _: None,
 ) -> BatchSummary:
     """Reconstruct every frame of a data set into an output folder; the same call goes on where it was left.
@@ -92,6 +95,7 @@ def run_batch(
     max_errors : frames with errors; more end the run
     overwrite : begin anew where the output was begun with something else
     retry_errors : do parts again that have frames with errors
+    table : "parquet", "csv", or "auto": Parquet where pyarrow is installed
     progress : called with the BatchSummary after each part
 
     Raises
@@ -107,6 +111,7 @@ def run_batch(
         check_path(output),
         as_calibration(calibration),
     )
+    table = table_form(table)
     if calibration.mm_per_px is None:
         raise DataError(
             "This calibration has no scale, so there is no depth in mm. Import it again with --mm-per-px F."
@@ -129,15 +134,14 @@ def run_batch(
     _made(output)
     with only_run(output, shard) as alone:
         begin(output, manifest, overwrite=overwrite)
-        summary = BatchSummary(parts=len(parts))
+        summary = BatchSummary(parts=len(parts), table=TABLES[table])
         todo = list(_not_done(output, parts, summary, retry_errors))
         if alone:
-            _clean(output, todo)
+            _clean(output, todo, settings.form)
         job = Job(calibration, rest, output, settings)
         _do(job, todo, workers, max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
-            if todo or not (output / TABLE).exists():
-                write_table(output, len(plan))
+            finish(output, manifest, table, again=bool(todo))
             summary.complete = True
     return summary
 
@@ -219,12 +223,15 @@ def _not_done(
         summary.errors += record.errors
 
 
-def _clean(output: Path, todo: Sequence[Part]) -> None:
+def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
     """Delete the temporary files that a killed run left."""
     folders = {output / FRAMES / part.sequence for part in todo}
     folders |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
     for folder in folders:
-        for left in folder.glob(".gelform-*.tmp"):
+        deep = (
+            form == "zarr" and FRAMES in folder.relative_to(output).parts
+        )  # shards lie in folders of their own
+        for left in folder.glob("**/.gelform-*.tmp" if deep else ".gelform-*.tmp"):
             left.unlink(missing_ok=True)
 
 

@@ -8,7 +8,9 @@ from typing import Any
 from gelform.solvers import SOLVERS
 
 KEPT = ("depth", "known", "depth_sigma", "gradients", "confidence", "contact")
-FORMATS = ("npz", "png")
+FORMATS = ("npz", "png", "zarr", "hdf5")
+DTYPES = ("float32", "uint16")
+LEVELS_ALONE = ("png",)  # which hold nothing but depth in 16 bits
 MOST_BACKGROUND_FRAMES = 200
 
 
@@ -18,8 +20,10 @@ class BatchSettings:
 
     Attributes
     ----------
-    form : "npz", or "png": 16-bit PNG of the depth, (v - 32768) x 1e-4 mm, 0 where unknown
-    keep : maps of an npz file, among KEPT; ("all",): the whole result, which `gelform.load_result` reads
+    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames
+    keep : maps among KEPT; ("all",), npz alone: the whole result, which `gelform.load_result` reads
+    dtype : of what is kept; "uint16" is depth alone, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png, never
+        in npz
     solver : as of a `Reconstructor`
     depth_sigma : whether depth's standard deviation is worked out, which also decides where contact is; without it a
         frame takes a quarter less time
@@ -38,15 +42,13 @@ class BatchSettings:
     depth_sigma: bool = True
     background_frames: int = 0
     part_frames: int = 256
+    dtype: str = ""
 
     def __post_init__(self) -> None:
         if self.form not in FORMATS:
             raise ValueError(f"Expected a format among {', '.join(FORMATS)}, got {self.form!r}.")
-        unknown = [name for name in self.keep if name not in KEPT]
-        if not self.keep or (unknown and self.keep != ("all",)):
-            raise ValueError(f"Expected maps to keep among {', '.join(KEPT)}, or all, got {self.keep}.")
-        if self.form == "png" and set(self.keep) - {"depth", "known"}:
-            raise ValueError(f"Expected depth alone in 16-bit PNG, got {', '.join(self.keep)}. Write npz.")
+        self._check_keep()
+        self._check_dtype()
         if "depth_sigma" in self.keep and not self.depth_sigma:
             raise ValueError("Expected depth_sigma to be worked out where it is kept. Leave out --no-sigma.")
         if self.solver not in ("auto", *SOLVERS):
@@ -57,6 +59,27 @@ class BatchSettings:
             )
         if self.part_frames < 1:
             raise ValueError(f"Expected at least one frame in a part, got {self.part_frames}.")
+
+    def _check_keep(self) -> None:
+        unknown = [name for name in self.keep if name not in KEPT]
+        if not self.keep or (unknown and self.keep != ("all",)):
+            raise ValueError(f"Expected maps to keep among {', '.join(KEPT)}, or all, got {self.keep}.")
+        if self.keep == ("all",) and self.form != "npz":
+            raise ValueError(
+                f"Expected maps by name in {self.form}, got all. Whole results are written as npz."
+            )
+
+    def _check_dtype(self) -> None:
+        usual = "uint16" if self.form in LEVELS_ALONE else "float32"
+        object.__setattr__(self, "dtype", self.dtype or usual)
+        if self.dtype not in DTYPES:
+            raise ValueError(f"Expected a dtype among {', '.join(DTYPES)}, got {self.dtype!r}.")
+        if self.dtype != usual and self.form in (*LEVELS_ALONE, "npz"):
+            raise ValueError(f"Expected {usual} in {self.form}, got {self.dtype}. Zarr and HDF5 hold either.")
+        if self.dtype == "uint16" and set(self.keep) - {"depth", "known"}:
+            raise ValueError(
+                f"Expected depth alone in 16 bits, got {', '.join(self.keep)}. Write float32 as npz, zarr or hdf5."
+            )
 
     def facts(self) -> dict[str, Any]:
         """The settings as JSON has them."""

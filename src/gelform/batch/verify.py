@@ -7,12 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelform.batch.finish import problems_of_finish
 from gelform.batch.manifest import read_manifest
-from gelform.batch.outputs import size_and_digest
-from gelform.batch.records import FRAMES, TABLE, PartRecord, read_record, table_lines
+from gelform.batch.outputs.places import FRAMES, output_file
+from gelform.batch.records import PartRecord, read_record
 from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
+
+TO_BE_MADE = "is missing or not what the parts say. Delete it and run the same command again."
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,9 @@ def verify_output(
     manifest = read_manifest(output)
     if manifest is None:
         raise DataError(f"{output} has no manifest.json. Expected the output folder of gelform batch.")
-    problems, expected, errors, missing = [], set(), 0, 0
+    problems: list[Problem] = []
+    expected: set[str] = set()
+    good = errors = missing = 0
     for number in range(manifest.parts):
         progress(number, manifest.parts, "verifying")
         try:
@@ -55,47 +60,41 @@ def verify_output(
             missing += 1
             continue
         errors += record.errors
-        expected |= {row["output"] for row in record.rows if row["output"]}
-        problems += _problems_of_part(output, record)
-    good = len(expected) - len(problems)
+        expected |= {file.path for file in record.outputs}
+        here = list(_problems_of_part(output, record))
+        good += _whole_frames(output, record, {one.path for one in here})
+        problems += here
     progress(manifest.parts, manifest.parts, "verifying")
     if missing:
         what = f"{missing} of {manifest.parts} parts are not done. Run the same command again."
         problems.append(Problem(output, what))
     elif not problems:
-        problems += _problems_of_table(output, manifest.parts)
+        problems += [Problem(path, TO_BE_MADE) for path in problems_of_finish(output, manifest)]
     problems += [Problem(path, "no part knows of it.") for path in _others(output, expected)]
     return good, errors, problems
 
 
 def _problems_of_part(output: Path, record: PartRecord) -> Iterator[Problem]:
-    for row in record.rows:
-        if not row["output"]:
-            continue
-        path = output / row["output"]
+    for file in record.outputs:
+        path = output / file.path
         try:
-            size, digest = size_and_digest(path)
+            there = output_file(output, path)
         except FileNotFoundError:
             yield Problem(path, "is missing. Run the same command again.")
         except OSError as problem:
             yield Problem(path, f"cannot be read: {problem.strerror}.")
         else:
-            if size != row["bytes"]:
-                yield Problem(path, f"has {size} of {row['bytes']} bytes. Run the same command again.")
-            elif digest != row["sha256"]:
+            if there.bytes != file.bytes:
+                yield Problem(path, f"has {there.bytes} of {file.bytes} bytes. Run the same command again.")
+            elif there != file:
                 yield Problem(path, "was altered. Delete it and run the same command again.")
 
 
-def _problems_of_table(output: Path, parts: int) -> Iterator[Problem]:
-    try:
-        with (output / TABLE).open("rb") as file:
-            same = all(file.read(len(piece)) == piece for piece in table_lines(output, range(parts)))
-            same = same and not file.read(1)
-    except OSError:
-        same = False
-    if not same:
-        what = "is missing or not what the parts say. Delete it and run the same command again."
-        yield Problem(output / TABLE, what)
+def _whole_frames(output: Path, record: PartRecord, wrong: set[Path]) -> int:
+    """Frames in files of their own that are whole; of a damaged file of several frames, none counts."""
+    if record.files and wrong:
+        return 0
+    return sum(bool(row["output"]) and output / row["output"] not in wrong for row in record.rows)
 
 
 def _others(output: Path, expected: set[str]) -> Iterator[Path]:

@@ -16,9 +16,12 @@ from gelform.batch.inputs.reading import (
     frames_of_part,
     image_of_calibration,
 )
-from gelform.batch.outputs import facts_of, size_and_digest, writer_of
-from gelform.batch.records import COLUMNS, FRAMES, PartRecord, write_record
+from gelform.batch.outputs.maps import facts_of
+from gelform.batch.outputs.places import Place
+from gelform.batch.outputs.writers import WRITERS, PartWriter
+from gelform.batch.records import PartRecord, write_record
 from gelform.batch.settings import BatchSettings
+from gelform.batch.table import COLUMNS
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.frames import Frame
@@ -59,37 +62,37 @@ class Worker:
             `stop()` said so; no record is written then.
         """
         digest, rows = part.input_digest(), []
-        for named in frames_of_part(part):
-            if stop():
-                raise Stopped
-            rows.append(self._row(part, named))
-        record = PartRecord(digest, tuple(rows))
+        with WRITERS[self.job.settings.form](self._place(part)) as writer:
+            for named in frames_of_part(part):
+                if stop():
+                    raise Stopped
+                rows.append(self._row(part, named, writer))
+        record = PartRecord(digest, tuple(rows), tuple(writer.files))
         write_record(self.job.output, part.number, record)
         return record
 
-    def _row(self, part: Part, named: NamedFrame) -> dict[str, Any]:
+    def _place(self, part: Part) -> Place:
+        calibration = self.job.calibration
+        facts = {"mm_per_px": calibration.mm_per_px, "calibration_digest": calibration.digest}
+        return Place(self.job.output, part, self.job.settings, calibration.image_shape, facts)
+
+    def _row(self, part: Part, named: NamedFrame, writer: PartWriter) -> dict[str, Any]:
         """What the table and the record say of a frame, its output written."""
         row: dict[str, Any] = dict.fromkeys(COLUMNS, "")
         row |= {"sequence": part.sequence, "frame": named.name, "index": named.index}
-        error, write, facts = named.error, None, {}
+        error, prepared, facts = named.error, None, {}
         if named.frame is not None:
             if not part.images:
                 row |= {"time_s": named.frame.time_s, "wall_time_ns": named.frame.wall_time_ns}
             try:
                 result = self._result(part, named.frame)
-                write, facts = writer_of(result, self.job.settings), facts_of(result)
+                prepared, facts = writer.prepared(result), facts_of(result)
             except GelformError as problem:
                 error = str(problem)
             except Exception as problem:  # one frame that meets a bug must not end a run of a million
                 error = f"bug of gelform: {type(problem).__name__}: {problem}"
-        if write is None:
-            return {**row, "error": " ".join(error.split())}
-        name = (Path(FRAMES) / part.sequence / f"{named.name}.{self.job.settings.form}").as_posix()
-        path = self.job.output / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-        size, digest = size_and_digest(path)
-        return {**row, **facts, "output": name, "bytes": size, "sha256": digest}
+        row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts
+        return row | writer.add(named.name, named.index, prepared)
 
     def _result(self, part: Part, frame: Frame) -> Reconstruction:
         image = image_of_calibration(frame, self.job.calibration)

@@ -27,6 +27,7 @@ class Part:
     images : names of its images; empty for a video or a recording
     names : what each image's output is called, without its ending
     first : the first images of the sequence, where they make its background
+    total : frames of the whole sequence; 0 where they are not counted yet
     """
 
     number: int
@@ -36,6 +37,12 @@ class Part:
     images: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     first: tuple[str, ...] = ()
+    total: int = 0
+
+    @property
+    def frames(self) -> int:
+        """How many there are in the part; 0 where they are not counted yet."""
+        return len(self.images)
 
     def input_digest(self) -> str:
         """SHA-256 of its files' names and sizes: another one means that a file was replaced, and the part is done again."""
@@ -65,8 +72,8 @@ def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> l
     parts: list[Part] = []
     for sequence in listing.sequences:
         for start, images, names in _pieces(sequence, part_frames):
-            first = sequence.images[:background_frames]
-            parts.append(Part(len(parts), sequence.name, sequence.path, start, images, names, first))
+            first, total = sequence.images[:background_frames], len(sequence.images)
+            parts.append(Part(len(parts), sequence.name, sequence.path, start, images, names, first, total))
     return parts
 
 

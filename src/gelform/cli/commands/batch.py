@@ -14,7 +14,7 @@ import typer
 
 from gelform.cli.console import print_json, say
 from gelform.cli.failures import MISTAKE
-from gelform.cli.options import Background, CalibrationFile, Json, Quiet
+from gelform.cli.options import Background, CalibrationFile, Json, Quiet, one_of
 
 if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary
@@ -43,7 +43,11 @@ def batch(
             metavar="N", min=0, help="Average the first N frames of each sequence as its background."
         ),
     ] = 0,
-    form: Annotated[str, typer.Option("--format", help="npz, or png: depth in 16 bits.")] = "npz",
+    form: Annotated[str, typer.Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5.")] = "npz",
+    dtype: Annotated[
+        str | None, typer.Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
+    ] = None,
+    table: Annotated[str, typer.Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto",
     keep: Annotated[
         str,
         typer.Option(help="Maps: depth,known,depth_sigma,gradients,confidence,contact; all: whole results."),
@@ -71,7 +75,7 @@ def batch(
     """Reconstruct every frame of a data set; the same command goes on where it was left.
 
     INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), or a pattern. DIR gets
-    frames/<sequence>/<frame>.npz, frames.csv with one row per frame, and manifest.json. A frame that cannot be
+    frames/<sequence>/<frame>.npz, a table with one row per frame, and manifest.json. A frame that cannot be
     read or is of another size is a row with its error; the others are done, and the exit status is 1.
 
     \b
@@ -82,7 +86,8 @@ def batch(
     """
     from gelform.batch import run_batch
 
-    settings = _settings(form, keep, solver, sigma, background_frames)
+    settings = _settings(form, keep, solver, sigma, background_frames, dtype)
+    table = one_of(table, ("auto", "parquet", "csv"), "--table")
     with _progress(quiet or as_json) as progress:
         summary = run_batch(
             source,
@@ -95,6 +100,7 @@ def batch(
             max_errors=max_errors,
             overwrite=overwrite,
             retry_errors=retry_errors,
+            table=table,
             progress=progress,
         )
     if as_json:
@@ -104,12 +110,14 @@ def batch(
         raise typer.Exit(MISTAKE)
 
 
-def _settings(form: str, keep: str, solver: str, sigma: bool, background_frames: int) -> BatchSettings:
+def _settings(
+    form: str, keep: str, solver: str, sigma: bool, background_frames: int, dtype: str | None
+) -> BatchSettings:
     from gelform.batch import BatchSettings
 
     maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))
     try:
-        return BatchSettings(form, maps, solver, sigma, background_frames)
+        return BatchSettings(form, maps, solver, sigma, background_frames, dtype=dtype or "")
     except ValueError as problem:
         raise typer.BadParameter(str(problem)) from problem
 
@@ -154,6 +162,6 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
             f"is kept in {output / 'parts'} with the reasons."
         )
     elif summary.complete:
-        say(f"Complete: {output / 'frames.csv'} has a row for each frame.", quiet)
+        say(f"Complete: {output / summary.table} has a row for each frame.", quiet)
     else:
-        say(f"This shard is done; {output / 'frames.csv'} is written when the last one is.", quiet)
+        say("This shard is done; the table is written when the last one is.", quiet)

@@ -1,0 +1,30 @@
+"""What is written once all parts are done: the form's own file of everything, and the table; seen again by `verify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gelform.batch.manifest import Manifest
+from gelform.batch.outputs.writers import finish_output, finished_problem
+from gelform.batch.records import files_of
+from gelform.batch.table import TABLES, table_is_whole, tables_there, write_table
+
+
+def finish(output: Path, manifest: Manifest, table: str, *, again: bool) -> None:
+    """Write what is not there yet, all of it where parts were done in this run (`again`)."""
+    form, parts = manifest.settings["form"], manifest.parts
+    if again or finished_problem(output, form, files_of(output, parts)):
+        finish_output(output, form, files_of(output, parts))
+    if again or not (output / TABLES[table]).exists():
+        write_table(output, parts, table)
+
+
+def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
+    """Files of it that are missing, or do not say what the parts say."""
+    form, parts = manifest.settings["form"], manifest.parts
+    wrong = finished_problem(output, form, files_of(output, parts))
+    tables = tables_there(output)
+    bad = [output / TABLES[one] for one in tables if not table_is_whole(output, parts, one)]
+    if not tables:
+        bad.append(output / TABLES["csv"])
+    return [path for path in (wrong, *bad) if path is not None]

@@ -1,0 +1,112 @@
+"""HDF5: one file per part, and one that shows each sequence as a whole.
+
+`frames/<sequence>/<first frame>.h5` has a dataset per map, one compressed chunk per frame. `frames.h5`, written when all
+parts are done, has a group per sequence whose datasets are virtual: they point into the parts' files.
+"""
+
+from __future__ import annotations
+
+import io
+from contextlib import ExitStack
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
+from gelform.batch.outputs.places import FRAMES, Maps, OutputFile, Place, output_file
+from gelform.errors import DataError
+from gelform.npz_files import written_file
+from gelform.reconstruction import Reconstruction
+
+INDEX = "frames.h5"
+COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # what every reader of HDF5 has
+
+
+class Hdf5Files:
+    """Writes a part's file frame by frame; it takes its name when the part is done."""
+
+    def __init__(self, place: Place) -> None:
+        self._h5py = h5py_module()
+        self.files: list[OutputFile] = []
+        self._place = place
+        self._path = place.folder / f"{place.part.start:08d}.h5"
+        self._blank = blank_maps(place.settings, place.shape)
+        self._open = ExitStack()
+        self._count = 0
+
+    def prepared(self, result: Reconstruction) -> Maps:
+        """The maps."""
+        return maps_of(result, self._place.settings)
+
+    def add(self, name: str, index: int, prepared: Maps | None) -> dict[str, Any]:
+        """Write a frame's maps; NaN, False or level 0 where it has an error."""
+        for map_name, values in (prepared or self._blank).items():
+            dataset = self._file[map_name]
+            if self._count == len(dataset):  # of a video, whose frames were not counted
+                dataset.resize(self._count + 1, axis=0)
+            dataset[self._count] = values
+        self._count += 1
+        return {} if prepared is None else {"output": self._place.name_of(self._path)}
+
+    def __enter__(self) -> Hdf5Files:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        handle = self._open.enter_context(written_file(self._path, overwrite=True))
+        self._file = self._open.enter_context(self._h5py.File(handle, "w"))
+        for name, blank in self._blank.items():
+            dataset = self._file.create_dataset(
+                name,
+                shape=(self._place.part.frames, *blank.shape),
+                maxshape=(None, *blank.shape),
+                chunks=(1, *blank.shape),
+                dtype=blank.dtype,
+                fillvalue=blank.flat[0],
+                **COMPRESSION,
+            )
+            dataset.attrs.update({**attributes_of(name, self._place.settings), **self._place.facts})
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._open.__exit__(*error)  # a full disk becomes a DataError of `written_file`
+        if error[0] is None:
+            self.files.append(output_file(self._place.output, self._path))
+
+
+def hdf5_index(output: Path, files: list[str]) -> bytes:
+    """The file of all sequences: virtual datasets, which name the parts' files relative to it."""
+    h5py, content = h5py_module(), io.BytesIO()
+    sequences: dict[str, list[str]] = {}
+    for name in files:
+        sequences.setdefault(PurePosixPath(name).parent.relative_to(FRAMES).as_posix(), []).append(name)
+    with h5py.File(content, "w") as file:
+        for sequence, parts in sequences.items():
+            _add_sequence(h5py, file.require_group("/" if sequence == "." else sequence), output, parts)
+    return content.getvalue()
+
+
+def _add_sequence(h5py: Any, group: Any, output: Path, files: list[str]) -> None:
+    lengths, kinds = [], {}
+    for name in files:
+        with h5py.File(output / name, "r") as part:
+            kinds = {one: (d.shape, d.dtype, d.fillvalue, dict(d.attrs)) for one, d in part.items()}
+            lengths.append(max((len(dataset) for dataset in part.values()), default=0))
+    for one, (shape, dtype, fill, attributes) in kinds.items():
+        layout, begin = h5py.VirtualLayout((sum(lengths), *shape[1:]), dtype), 0
+        layout.dcpl.set_obj_track_times(False)  # the same bytes at any time
+        for name, length in zip(files, lengths):
+            layout[begin : begin + length] = h5py.VirtualSource(name, one, (length, *shape[1:]))
+            begin += length
+        group.create_virtual_dataset(one, layout, fillvalue=fill).attrs.update(attributes)
+
+
+def h5py_module() -> Any:
+    """h5py.
+
+    Raises
+    ------
+    DataError
+        The extra is not installed.
+    """
+    try:
+        import h5py
+    except ImportError as missing:
+        raise DataError('HDF5 needs the extra hdf5: pip install "gelform[hdf5]".') from missing
+    return h5py

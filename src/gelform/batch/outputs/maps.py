@@ -1,0 +1,76 @@
+"""The maps of a result that a batch keeps, as they are written; what the table says of a result."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.batch.settings import BatchSettings
+from gelform.errors import DataError
+from gelform.exporters.quantised import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
+from gelform.reconstruction import Reconstruction
+
+# keep -> (name in files, dtype, unit)
+MAPS: dict[str, tuple[str, str, str]] = {
+    "depth": ("depth_mm", "float32", "mm"),
+    "known": ("known", "bool", ""),
+    "depth_sigma": ("depth_sigma_mm", "float32", "mm"),
+    "gradients": ("gradients", "float32", "mm/mm"),
+    "confidence": ("confidence", "float32", ""),
+    "contact": ("contact", "bool", ""),
+}
+LEVELS = {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
+
+
+def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArray[Any]]:
+    """The kept maps (H, W) or (H, W, 2) by their names in files; depth as uint16 levels where the settings say so.
+
+    Raises
+    ------
+    DataError
+        Depth beyond 16 bits, or a map that this calibration does not give.
+    """
+    if settings.dtype == "uint16":
+        return {"depth_mm": levels_from_depth(result.depth_mm, result.known)}
+    return {MAPS[name][0]: _map(result, MAPS[name][0]) for name in settings.keep}
+
+
+def blank_maps(settings: BatchSettings, shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
+    """The maps of a frame that could not be done: NaN, False, or level 0, which means unknown."""
+    if settings.dtype == "uint16":
+        return {"depth_mm": np.full(shape, UNKNOWN, dtype=np.uint16)}
+    blank = {}
+    for name, dtype, _ in map(MAPS.__getitem__, settings.keep):
+        full = (*shape, 2) if name == "gradients" else shape
+        blank[name] = np.full(full, False if dtype == "bool" else np.nan, dtype=dtype)
+    return blank
+
+
+def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
+    """Unit of a map, and how levels are turned to mm: scale_factor x level + add_offset, the names of the CF conventions."""
+    if settings.dtype == "uint16":
+        return dict(LEVELS)
+    return {"unit": next(unit for one, _, unit in MAPS.values() if one == name)}
+
+
+def facts_of(result: Reconstruction) -> dict[str, Any]:
+    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, findings' names."""
+    deepest_y, deepest_x = np.unravel_index(int(np.argmax(result.depth_mm)), result.depth_mm.shape)
+    return {
+        "deepest_mm": result.peak_mm,
+        "deepest_x_px": int(deepest_x),
+        "deepest_y_px": int(deepest_y),
+        "contact_mm2": float(sum(one.area_mm2 or 0.0 for one in result.contacts)),
+        "volume_mm3": float(sum(one.volume_mm3 or 0.0 for one in result.contacts)),
+        "contacts": len(result.contacts),
+        "health": " ".join(dict.fromkeys(finding.name for finding in result.health)),
+    }
+
+
+def _map(result: Reconstruction, name: str) -> NDArray[Any]:
+    values = getattr(result, name)
+    if values is None:
+        raise DataError(f"This calibration gives no {name}. Leave it out of --keep.")
+    return np.asarray(values)

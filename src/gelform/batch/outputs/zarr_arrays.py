@@ -1,0 +1,164 @@
+"""Zarr: one array per map and sequence, one shard file per run of frames, one compressed chunk per frame.
+
+The folder `frames/` is a Zarr version 3 group; sequences are groups below it. A shard ("sharding_indexed" of the Zarr
+specification, version 3) is the compressed frames one after the other, then (offset, size) of each as little-endian
+uint64 and a CRC-32C of those. Shards are written here and not by zarr itself: each is one file that appears whole, its
+bytes depend on the frames alone, and zarr's own way took several times as long per frame (`benchmarks/batch.py`).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
+from gelform.batch.outputs.places import FRAMES, OutputFile, Place
+from gelform.errors import DataError
+from gelform.reconstruction import Reconstruction
+
+MOST_SHARD_FRAMES = 64
+MISSING = 2**64 - 1  # offset and size of a chunk that is not there: the array's fill value
+FILL = {"f": "NaN", "b": False, "u": 0}
+BLOSC: dict[str, Any] = {"cname": "lz4", "clevel": 1, "shuffle": "bitshuffle", "blocksize": 0}
+NODE = "zarr.json"
+
+
+class ZarrArrays:
+    """Writes frames/<sequence>/<map>/c/<shard>/..., a shard whenever it is full; so memory does not grow with a video."""
+
+    def __init__(self, place: Place) -> None:
+        check_zarr()
+        self.files: list[OutputFile] = []
+        self._place = place
+        self._length = shard_frames(place.settings.part_frames)
+        self._chunks: dict[str, list[bytes]] = {}
+        self._blank = blank_maps(place.settings, place.shape)
+        self._count = place.part.start
+
+    def prepared(self, result: Reconstruction) -> dict[str, bytes]:
+        """Each map as a compressed chunk."""
+        return {name: _compressed(values) for name, values in maps_of(result, self._place.settings).items()}
+
+    def add(self, name: str, index: int, prepared: dict[str, bytes] | None) -> dict[str, Any]:
+        """Take a frame; an error is a missing chunk, which reads as NaN, False or level 0."""
+        for one in self._blank:
+            self._chunks.setdefault(one, []).append(b"" if prepared is None else prepared[one])
+        self._count += 1
+        if self._count % self._length == 0:
+            self._write_shards()
+        return {} if prepared is None else {"output": self._place.name_of(self._place.folder)}
+
+    def _write_shards(self) -> None:
+        number = (self._count - 1) // self._length
+        for name, chunks in self._chunks.items():
+            zeros = "/0" * self._blank[name].ndim
+            path = self._place.folder / name / f"c/{number}{zeros}"
+            if not any(chunks):
+                path.unlink(missing_ok=True)  # of frames that could be read when the part was done before
+            else:
+                self.files.append(self._place.write(path, shard_bytes(chunks, self._length)))
+        self._chunks = {}
+
+    def __enter__(self) -> ZarrArrays:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            return
+        if self._chunks:
+            self._write_shards()
+        self._write_nodes()
+
+    def _write_nodes(self) -> None:
+        """Metadata of the arrays and of the groups above; the same bytes by every part of a sequence."""
+        place, frames = self._place, self._place.part.total or self._count
+        for name, blank in self._blank.items():
+            attributes = {**attributes_of(name, place.settings), **place.facts}
+            node = _array_node(blank, frames, self._length, attributes)
+            self.files.append(place.write(place.folder / name / NODE, _json(node)))
+        group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
+        for above in (place.part.sequence, *map(str, PurePosixPath(place.part.sequence).parents)):
+            self.files.append(place.write(place.output / FRAMES / above / NODE, group))
+
+
+def check_zarr() -> None:
+    """Refuse to begin without what writes Zarr.
+
+    Raises
+    ------
+    DataError
+        The extra is not installed.
+    """
+    try:
+        import google_crc32c
+        import numcodecs.blosc
+    except ImportError as missing:
+        raise DataError('Writing Zarr needs the extra zarr: pip install "gelform[zarr]".') from missing
+    numcodecs.blosc.use_threads = False  # the same bytes, and no threads beside the workers
+    assert google_crc32c
+
+
+def shard_frames(part_frames: int) -> int:
+    """Frames in a shard: the most, up to 64, that divide a part, so that no shard belongs to two parts."""
+    return max(n for n in range(1, MOST_SHARD_FRAMES + 1) if part_frames % n == 0)
+
+
+def shard_bytes(chunks: list[bytes], length: int) -> bytes:
+    """A shard of so many places; empty chunks, and those after the last, are missing."""
+    import google_crc32c
+
+    index = np.full((length, 2), MISSING, dtype="<u8")
+    offset = 0
+    for k, chunk in enumerate(chunks):
+        if chunk:
+            index[k] = offset, len(chunk)
+            offset += len(chunk)
+    told = index.tobytes()
+    return b"".join([*chunks, told, google_crc32c.value(told).to_bytes(4, "little")])
+
+
+def _compressed(values: NDArray[Any]) -> bytes:
+    from numcodecs import blosc
+
+    flat = np.ascontiguousarray(values).reshape(-1)
+    flat = (
+        flat.view(np.uint8)
+        if flat.dtype == np.bool_
+        else flat.astype(flat.dtype.newbyteorder("<"), copy=False)
+    )
+    content = blosc.compress(
+        flat, BLOSC["cname"].encode(), BLOSC["clevel"], blosc.BITSHUFFLE, typesize=flat.dtype.itemsize
+    )
+    return bytes(content)
+
+
+def _array_node(blank: NDArray[Any], frames: int, length: int, attributes: dict[str, Any]) -> dict[str, Any]:
+    shape = list(blank.shape)
+    order = {"name": "bytes", "configuration": {"endian": "little"}}
+    blosc = {"name": "blosc", "configuration": {**BLOSC, "typesize": blank.dtype.itemsize}}
+    sharding = {
+        "chunk_shape": [1, *shape],
+        "codecs": [order, blosc],
+        "index_codecs": [order, {"name": "crc32c"}],
+        "index_location": "end",
+    }
+    return {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": [frames, *shape],
+        "data_type": blank.dtype.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [length, *shape]}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": FILL[blank.dtype.kind],
+        "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
+        "dimension_names": ["frame", "y", "x", "axis"][: len(shape) + 1],
+        "attributes": attributes,
+    }
+
+
+def _json(content: dict[str, Any]) -> bytes:
+    return (json.dumps(content, indent=1) + "\n").encode()

@@ -1,0 +1,50 @@
+"""A part of five frames, the third of which has an error, written in any form."""
+
+import pytest
+
+import gelform
+from gelform.batch.inputs.plan import Part
+from gelform.batch.outputs.places import Place
+from gelform.batch.outputs.writers import WRITERS
+from gelform.batch.settings import BatchSettings
+from hostile.small_gel import MM_PER_PX, SHAPE
+
+COUNT = 5
+
+
+@pytest.fixture(scope="session")
+def results(cal, images):
+    """Of touches; the third could not be done."""
+    reconstruct = gelform.Reconstructor(cal)
+    done = [reconstruct.from_image(image) for image in (*images, images[0])]
+    return [*done[:2], None, *done[3:]]
+
+
+@pytest.fixture
+def written(results, tmp_path):
+    """Writes them; gives the writer and the rows."""
+
+    def write(
+        form,
+        *,
+        sequence="day/a",
+        part_frames=COUNT,
+        counted=True,
+        interrupted=False,
+        folder=tmp_path,
+        **settings,
+    ):
+        images = tuple(map(str, range(COUNT))) if counted else ()
+        part = Part(0, sequence, tmp_path, images=images, names=images, total=len(images))
+        facts = {"mm_per_px": MM_PER_PX, "calibration_digest": "abc"}
+        place = Place(folder, part, BatchSettings(form, part_frames=part_frames, **settings), SHAPE, facts)
+        with WRITERS[form](place) as writer:
+            rows = [
+                writer.add(str(k), k, None if result is None else writer.prepared(result))
+                for k, result in enumerate(results)
+            ]
+            if interrupted:
+                raise KeyboardInterrupt
+        return writer, rows
+
+    return write

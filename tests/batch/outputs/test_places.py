@@ -1,0 +1,21 @@
+"""What is recorded of a file is what is there."""
+
+import hashlib
+
+import pytest
+
+from gelform.batch.inputs.plan import Part
+from gelform.batch.outputs.places import OutputFile, Place, output_file
+from gelform.batch.settings import BatchSettings
+from gelform.errors import DataError
+
+
+def test_a_file_as_written(tmp_path):
+    place = Place(tmp_path, Part(0, "a/b", tmp_path), BatchSettings(), (1, 1), {})
+    content = b"abc" * (1 << 20)
+    file = place.write(place.folder / "x", content)
+    assert file == OutputFile("frames/a/b/x", len(content), hashlib.sha256(content).hexdigest())
+    assert output_file(tmp_path, tmp_path / file.path) == file
+    (tmp_path / "frames/a/b/y").mkdir()
+    with pytest.raises(DataError, match="got the folder"):
+        place.write(place.folder / "y", b"")
