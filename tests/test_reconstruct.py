@@ -319,3 +319,23 @@ def test_another_state_of_the_same_gel(calibration, simulated):
     assert before.background is calibration.background
     assert before.own_background
     assert not before.with_background(brighter).own_background
+
+
+def test_a_helper_changes_no_byte(calibration, press):
+    """The depth's standard deviation worked out in another thread, beside the depth."""
+    alone = gelform.Reconstructor(calibration)
+    with ThreadPoolExecutor(1) as helper:
+        started = []
+
+        def start(work):
+            started.append(work)
+            return helper.submit(work).result
+
+        helped = alone.with_helper(start)
+        both = [
+            one.from_image(press.image) for one in (alone, helped, helped.with_background(alone.background))
+        ]
+    assert len(started) == 2
+    for result in both[1:]:
+        np.testing.assert_array_equal(result.depth_sigma_mm, both[0].depth_sigma_mm)
+        np.testing.assert_array_equal(result.depth_mm, both[0].depth_mm)

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.checks import check_image
 
 
 @dataclass(frozen=True)
@@ -39,3 +41,16 @@ def pixels_digest(pixels: NDArray[Any]) -> str:
     The same picture in another dtype has another digest.
     """
     return hashlib.sha256(repr(pixels.shape).encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
+
+
+def check_viewed_image(
+    shape: tuple[int, int], frame_shape: tuple[int, int] | None, image: ArrayLike, name: str = "image"
+) -> NDArray[Any]:
+    """An RGB image of that shape, as `check_image`; where it has the shape of a frame, the message says so."""
+    try:
+        return check_image(image, shape=shape, name=name)
+    except ValueError as problem:
+        if getattr(image, "shape", ())[:2] != frame_shape or frame_shape == shape:
+            raise
+        hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
+        raise ValueError(f"{problem} {hint}") from None

@@ -9,7 +9,6 @@ from functools import partial
 from os import PathLike
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,7 +17,6 @@ from gelform.background.change import PreparedBackground
 from gelform.background.check import Finding, background_digest, check_own_background
 from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.checks import check_image
 from gelform.color_models.seam import gradients_from_pending
 from gelform.confidence import (
     Explanation,
@@ -32,7 +30,7 @@ from gelform.confidence.limits import prepared_causes, well_trained
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
 from gelform.depth_sigma.sigma import DepthSigma
-from gelform.frames import Frame
+from gelform.frames import Frame, check_viewed_image
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFlow, MarkerFollower
@@ -45,6 +43,7 @@ from gelform.view import image_from_frame
 USUAL_WIDTH_MM = 20.0
 USUAL_SIGMA = 0.05
 BYTES_PER_PX = 80  # of all that a frame allocates
+Work = Callable[[], NDArray[np.float32]]
 
 
 class _Read(NamedTuple):
@@ -107,6 +106,7 @@ class Reconstructor:
         self.solver = checked_solver(solver)
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
+        self._checked = partial(check_viewed_image, calibration.image_shape, calibration.view.frame_shape)
         if background is not None:
             today = self._checked(background, "background")
             check_untouched_image(today, calibration.background)
@@ -136,6 +136,7 @@ class Reconstructor:
         shape, settings = calibration.image_shape, calibration.settings
         self._limit = DepthLimit.of(shape, self._pitch, settings.get("gel_thickness_mm"))
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
+        self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
         keep_freed_memory(BYTES_PER_PX * shape[0] * shape[1])
 
@@ -145,6 +146,12 @@ class Reconstructor:
         other.background, other.own_background = background, False
         other._untouched_image = PreparedBackground(background, self.calibration.change)
         other._model = self.calibration.color_model.prepare(background, self.calibration.image_shape)
+        return other
+
+    def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
+        """The same, with `depth_sigma_mm` worked out beside the depth: `start(work)` begins it, what it gave ends it."""
+        other = copy(self)
+        other._start = start
         return other
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
@@ -182,7 +189,7 @@ class Reconstructor:
             The background is clearly not of this image, or the image is BGR.
         """
         with self._pool.one() as change:
-            read = self._read(self._checked(image, "image"), change, markers)
+            read = self._read(self._checked(image), change, markers)
             albedo = self._albedo_source(change)
         faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
         solution, depth_sigma = self._integrate(observed, read.confidence, read.untouched, observed_sigma)
@@ -190,9 +197,8 @@ class Reconstructor:
         if depth_sigma is not None:
             np.minimum(depth_sigma, self._limit.ignorance_mm, out=depth_sigma)
         faults.widen(depth_sigma, self._limit.ignorance_mm)
-        scaled = self.calibration.mm_per_px is not None
         return Reconstruction(
-            depth=depth_mm if scaled else depth_mm / np.float32(self._pitch),
+            depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=slopes_of_solution(depth_mm, (self._pitch, self._pitch)),
             gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
@@ -216,7 +222,7 @@ class Reconstructor:
 
         Of the same sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
         """
-        image = self._checked(image, "image")
+        image = self._checked(image)
         change = np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change)
         seen = self._causes.seen(
@@ -277,24 +283,17 @@ class Reconstructor:
         how: dict[str, Any] = {"zero": untouched}
         if takes_weights(self.solver):
             how = {"weights": confidence, "anchor": self._anchor(gradients, untouched)}
+        sigma_of: Work | None = None
+        if self._depth_sigma is not None and gradients_sigma is not None:
+            sigma_of = self._start(partial(self._depth_sigma, gradients_sigma, **how))
         solution = integrate(gradients, mm_per_px=self._pitch, solver=self.solver, **how)
-        if self._depth_sigma is None or gradients_sigma is None:
+        if sigma_of is None:
             return solution, None
-        sigma = self._depth_sigma(gradients_sigma, **how)
-        return solution, cv2.magnitude(sigma, self._gain_sigma * solution.depth_mm)
+        # Not by cv2.magnitude, which rounds by the address of an array.
+        in_proportion = self._gain_sigma * solution.depth_mm
+        return solution, np.sqrt(np.square(sigma_of()) + np.square(in_proportion))
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; color models that know none give none."""
         albedo_from_color = getattr(self._model, "albedo_from_color", None)
         return None if albedo_from_color is None else partial(albedo_from_color, change.copy())
-
-    def _checked(self, image: ArrayLike, name: str) -> NDArray[Any]:
-        """An RGB image of the calibrated size; where it is a frame, the message says so."""
-        try:
-            return check_image(image, shape=self.calibration.image_shape, name=name)
-        except ValueError as problem:
-            shape, frame_shape = getattr(image, "shape", ())[:2], self.calibration.view.frame_shape
-            if shape != frame_shape or shape == self.calibration.image_shape:
-                raise
-            hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
-            raise ValueError(f"{problem} {hint}") from None

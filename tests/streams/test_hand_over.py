@@ -64,3 +64,26 @@ def test_the_error_comes_after_the_last_value():
     with pytest.raises(ValueError, match="broken"):
         values.newest(after=0)
     assert values.ended
+
+
+def test_a_value_that_is_being_made_is_waited_for():
+    """What lies here gets older while the new one is made: a reader gets the new one."""
+    values, found = HandOver(), []
+    values.put(0, "old")
+    values.expect(1)
+    reader = Thread(target=lambda: found.append(values.newest(timeout_s=5)), daemon=True)
+    reader.start()
+    reader.join(0.05)
+    assert found == []
+    values.put(1, "new")
+    reader.join(5)
+    assert found == ["new"]
+
+
+def test_of_a_value_that_does_not_come_the_older_one_is_given():
+    values = HandOver()
+    values.put(0, "old")
+    values.expect(1)
+    assert values.newest(timeout_s=0) == values.newest(timeout_s=0.02) == "old"
+    values.end()
+    assert values.newest() == "old"

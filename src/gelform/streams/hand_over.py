@@ -20,10 +20,15 @@ class HandOver(Generic[Value]):
         self._every = every
         self._changed = Condition()
         self._value: Value | None = None
-        self._number = -1
+        self._number = self._expected = -1
         self._read = True
         self._ended = False
         self._error: BaseException | None = None
+
+    def expect(self, number: int) -> None:
+        """Say that the value of this number is being made: who asks now gets it, instead of an older one."""
+        with self._changed:
+            self._expected = number
 
     def put(self, number: int, value: Value) -> None:
         """Make this the newest value; numbers grow from 0."""
@@ -36,13 +41,17 @@ class HandOver(Generic[Value]):
     def newest(self, after: int = -1, timeout_s: float | None = None) -> Value | None:
         """The newest value, whose number is larger than `after`; None at the end, or when the time is over.
 
+        Where a newer one was being made when it was asked for, it is waited for: a value that has lain here gets older,
+        and is given only where the time is over before the newer one came.
+
         Raises
         ------
         BaseException
             What ended the thread that puts values, once there is no value left that the reader has not had.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._number > after or self._ended, timeout_s)
+            least = max(after + 1, self._expected)
+            self._changed.wait_for(lambda: self._number >= least or self._ended, timeout_s)
             if self._number > after:
                 self._read = True
                 self._changed.notify_all()

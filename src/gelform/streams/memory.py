@@ -15,7 +15,7 @@ from gelform.markers import MarkerTracker
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 from gelform.streams.evidence import Evidence
-from gelform.streams.health import Examination, Frozen, light_findings
+from gelform.streams.health import FROZEN, Examination, Frozen, light_findings
 from gelform.streams.rest import BackgroundDrift
 from gelform.streams.smoothing import Smoothing
 from gelform.streams.unusable import result_from_image, unknown_by_now
@@ -70,11 +70,26 @@ class Memory:
         return result_from_image(self.reconstruct, image, self._markers.update(image))
 
     def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
-        """The result with what the sequence adds to it; learns from both."""
+        """`remembered`, then `learn`: for who needs no result sooner than that."""
+        result = self.remembered(image, result)
+        self.learn(image, result)
+        return result
+
+    def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
+        """The result with what the sequence adds to it: findings, and smoothing."""
         frozen = self._frozen(image, result.time_s or 0.0)
         result = replace(result, health=(*result.health, *frozen, *self._findings))
         if frozen:
             return unknown_by_now(self.reconstruct, result)
+        return result if self._smoothing is None else self._smoothing(result)
+
+    def learn(self, image: NDArray[Any], result: Reconstruction) -> None:
+        """Learn for the frames to come from a remembered result; takes some ms once a second.
+
+        May run in another thread than the frames, which then are a frame or two ahead of what was learned.
+        """
+        if any(finding.name == FROZEN for finding in result.health):
+            return
         background = self._drift(image, result)
         if background is not None:
             self.reconstruct = self.reconstruct.with_background(background)
@@ -82,7 +97,6 @@ class Memory:
         if self._drift.evidence is not self._examined:
             self._examined = self._drift.evidence
             self._examine(self._examine_evidence)
-        return result if self._smoothing is None else self._smoothing(result)
 
     @property
     def _findings(self) -> tuple[Finding, ...]:

@@ -1,10 +1,11 @@
-"""The threads of a stream: reconstruct takes the newest frame, remember takes the newest result."""
+"""The threads of a stream: one turns the newest frame into a result, one learns from results, one examines the sensor."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from threading import Event, Thread
 from typing import Any
@@ -44,14 +45,16 @@ class StreamFrame:
 
 
 class Pipeline:
-    """Frames to results on two threads of their own, until the feed ends or the pipeline is closed.
+    """Frames to results on threads of their own, until the feed ends or the pipeline is closed.
 
-    An exception in a stage ends the pipeline and reaches whoever reads `results`.
+    A result is given out before anything is learned from it. A recording is learned from frame by frame in one thread,
+    so that it gives the same results each time. An exception in a stage ends the pipeline and reaches whoever reads
+    `results`.
 
     Parameters
     ----------
     feed : of frames, running; closed with the pipeline
-    memory : what the sequence has taught so far; it is called on one thread alone
+    memory : what the sequence has taught so far; its Reconstructor gets a helper thread
     """
 
     def __init__(self, feed: Feed, memory: Memory) -> None:
@@ -60,19 +63,20 @@ class Pipeline:
         self.meter = Meter()
         self.results: HandOver[StreamFrame] = HandOver(every=feed.every)
         self.recent: deque[StreamFrame] = deque(maxlen=KEPT)
-        self._reconstructed: HandOver[StreamFrame] = HandOver(every=feed.every)
-        self._stop = Event()
-        self._threads = [
-            Thread(target=self._stage, args=(work, out), name=f"gelform {name}", daemon=True)
-            for name, work, out in (
-                ("reconstruct", self._reconstruct, self._reconstructed),
-                ("remember", self._remember, self.results),
-                ("examine", self._examine, self.results),
-            )
-        ]
+        self._to_learn: HandOver[StreamFrame] = HandOver()
         self._checks: HandOver[Callable[[], None]] = HandOver()
         self._checks_asked = 0
-        memory.examine_by(self._ask)
+        self._stop = Event()
+        self._helper = ThreadPoolExecutor(1, "gelform sigma")
+        memory.reconstruct = memory.reconstruct.with_helper(lambda work: self._helper.submit(work).result)
+        stages = {"reconstruct": self._reconstruct}
+        if not feed.every:
+            memory.examine_by(self._ask)
+            stages |= {"learn": self._learn, "examine": self._examine}
+        self._threads = [
+            Thread(target=self._stage, args=(work,), name=f"gelform {name}", daemon=True)
+            for name, work in stages.items()
+        ]
 
     def start(self) -> None:
         """Start the threads; OpenCV's own are turned off, for the whole process: there is one thread per stage."""
@@ -96,74 +100,91 @@ class Pipeline:
 
         Of a recording, whose frames have no age, the newest.
         """
-        deadline, index = time.monotonic() + max_age_s, -1
+        deadline = time.monotonic() + max_age_s
+        seen = self.results.newest(-1, 0)
+        if seen is not None and (left_s := self._left_s(seen, max_age_s)) >= 0:
+            return self.results.newest(
+                -1, left_s / 2
+            )  # the one that is being made, or this one while it is young
         while True:
-            left_s = max(0.0, deadline - time.monotonic())
-            seen = self.results.newest(index, left_s)
-            if seen is None or self.feed.every or time.monotonic() - seen.time_s <= max_age_s:
+            index = -1 if seen is None else seen.index
+            seen = self.results.newest(index, max(0.0, deadline - time.monotonic()))
+            if seen is None or self._left_s(seen, max_age_s) >= 0:
                 return seen
-            index = seen.index
+
+    def _left_s(self, seen: StreamFrame, max_age_s: float) -> float:
+        """How long a result stays younger than that, s; negative where it is older."""
+        return 0.0 if self.feed.every else max_age_s - (time.monotonic() - seen.time_s)
 
     def close(self) -> None:
         """Stop the threads and give the source back; every wait is bounded."""
         self._stop.set()
-        self._reconstructed.end()
-        self.results.end()
-        self._checks.end()
+        for hand_over in (self._to_learn, self.results, self._checks):
+            hand_over.end()
         self.feed.close()
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join(JOIN_S)
+        self._helper.shutdown()
 
-    def _stage(self, work: Callable[[HandOver[StreamFrame]], None], out: HandOver[StreamFrame]) -> None:
-        """Run a stage; however it ends, the next one hears of it."""
+    def _stage(self, work: Callable[[], None]) -> None:
+        """Run a stage; when it ends or fails, so do the others."""
         try:
-            work(out)
+            work()
         except BaseException as problem:
-            out.end(problem)
+            self.results.end(problem)
         else:
-            out.end()
-        if out is self.results:
-            self._checks.end()
+            self.results.end()
+        self._to_learn.end()
+        self._checks.end()
 
-    def _reconstruct(self, out: HandOver[StreamFrame]) -> None:
+    def _reconstruct(self) -> None:
         index = -1
-        while not self._stop.is_set():
+        while not (self._stop.is_set() or self.results.ended):
             frame = self.feed.next(index)
             if frame is not None:
                 index = frame.index
-                out.put(index, self._reconstructed_from(frame))
+                self._give(frame)
             elif self.feed.state == "ended":
                 return
 
-    def _reconstructed_from(self, frame: Frame) -> StreamFrame:
+    def _give(self, frame: Frame) -> None:
+        """Make a frame's result and put it where readers are."""
         if not self.feed.every:
+            self.results.expect(frame.index)
             self.meter.add("wait", time.monotonic() - frame.time_s)
+        seen = self._reconstructed_from(frame)
+        if self.feed.every:
+            self.memory.learn(seen.image, seen.result)
+        self.recent.append(seen)
+        self.meter.given(seen.index, seen.time_s)
+        self.results.put(seen.index, seen)
+        self._to_learn.put(seen.index, seen)
+
+    def _reconstructed_from(self, frame: Frame) -> StreamFrame:
         with self.meter.timed("view"):
             image = self.memory.image_from_frame(frame)
         with self.meter.timed("reconstruct"):
             result = self.memory.result_from_image(image)
         stamped = replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
-        return StreamFrame(image, stamped, frame.index, frame.time_s, frame)
+        with self.meter.timed("remember"):
+            remembered = self.memory.remembered(image, stamped)
+        return StreamFrame(image, remembered, frame.index, frame.time_s, frame)
+
+    def _learn(self) -> None:
+        index = -1
+        while (seen := self._to_learn.newest(index)) is not None:
+            index = seen.index
+            with self.meter.timed("learn"):
+                self.memory.learn(seen.image, seen.result)
 
     def _ask(self, check: Callable[[], None]) -> None:
         """Have a check made by its own thread: the newest one, where they come too fast."""
         self._checks.put(self._checks_asked, check)
         self._checks_asked += 1
 
-    def _examine(self, out: HandOver[StreamFrame]) -> None:
+    def _examine(self) -> None:
         number = -1
         while (check := self._checks.newest(number)) is not None:
             number += 1
             check()
-
-    def _remember(self, out: HandOver[StreamFrame]) -> None:
-        index = -1
-        while (seen := self._reconstructed.newest(index)) is not None:
-            index = seen.index
-            with self.meter.timed("remember"):
-                result = self.memory(seen.image, seen.result)
-            remembered = replace(seen, result=result)
-            self.recent.append(remembered)
-            self.meter.given(index, seen.time_s)
-            out.put(index, remembered)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gelform.background.check import Finding
 
+FROZEN = "frozen"
 FROZEN_S, FROZEN_FRAMES = 0.25, 3  # videos repeat a frame now and then; noise makes no two images alike
 ROWS_APART = 16
 
@@ -33,7 +34,7 @@ class Frozen:
         message = (
             f"The camera has given the same image for {for_s:.1f} s: it hangs. Depth is that of the image."
         )
-        return (Finding("frozen", message, for_s),)
+        return (Finding(FROZEN, message, for_s),)
 
 
 def _equal(image: NDArray[Any], other: NDArray[Any]) -> bool:
