@@ -43,7 +43,14 @@ RELATED = {  # files of tests that hold what a module does beside its own
     "native/gradients/slopes.c": ("tests/test_depth.py",),
     "native/checks/finite.c": ("tests/test_checks.py",),
 }
-ROOMS = ("background", "confidence", "depth_sigma", "color_models", "color_models/_shared")
+ROOMS = (
+    "background",
+    "confidence",
+    "confidence/causes",
+    "depth_sigma",
+    "color_models",
+    "color_models/_shared",
+)
 ROOMS += ("calibration/selection", "calibration/circles", "contact", "contacts", "markers")
 FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth", "contact", "markers")
 

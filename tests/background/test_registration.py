@@ -33,7 +33,9 @@ def noisy(image, seed):
     return np.clip(image + np.random.default_rng(seed).normal(0, 1.0, image.shape), 0, 255)
 
 
-TEXTURED = PreparedRegistration(noisy(gel(0.03), 100))
+@pytest.fixture(scope="module")
+def textured():
+    return PreparedRegistration(noisy(gel(0.03), 100))
 
 
 @pytest.mark.parametrize(
@@ -46,19 +48,19 @@ TEXTURED = PreparedRegistration(noisy(gel(0.03), 100))
         ((1, 0), -0.8, -0.003),
     ],
 )
-def test_motion_where_there_is_texture(shift, turn_deg, stretch):
-    found = TEXTURED(noisy(moved(gel(0.03), shift, turn_deg, stretch), 1))
+def test_motion_where_there_is_texture(textured, shift, turn_deg, stretch):
+    found = textured(noisy(moved(gel(0.03), shift, turn_deg, stretch), 1))
     assert np.abs(found.shift_px - shift).max() < 0.03
     assert found.turn_deg == pytest.approx(turn_deg, abs=0.02)
     assert found.stretch == pytest.approx(stretch, abs=4e-4)
     assert (found.shift_sigma_px < 0.05).all()
 
 
-def test_errors_are_as_large_as_said():
+def test_errors_are_as_large_as_said(textured):
     ratios = []
     for seed in range(12):
         shift = np.random.default_rng(seed).uniform(-2, 2, 2)
-        found = TEXTURED(noisy(moved(gel(0.03), shift), seed))
+        found = textured(noisy(moved(gel(0.03), shift), seed))
         ratios.extend((found.shift_px - shift) / found.shift_sigma_px)
     assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 2.0
 
@@ -66,30 +68,31 @@ def test_errors_are_as_large_as_said():
 @pytest.mark.parametrize("shift", [(0, 0), (1.5, -1.0)])
 def test_a_smooth_gel_tells_nothing(shift):
     found = registration_from_image(noisy(moved(gel(0.0), shift), 1), noisy(gel(0.0), 100))
-    assert found.shift_sigma_px.max() > 2
+    assert 2 < found.shift_sigma_px.max() <= 5
     assert found.moved_px() == 0
 
 
-def test_a_touch_and_room_light_are_no_motion():
+def test_a_touch_and_room_light_are_no_motion(textured):
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     ball = np.exp(-((x - 120) ** 2 + (y - 60) ** 2) / 20**2)
     pressed = gel(0.03) * (1.05 + 0.5 * ball * np.sin((x - 120) / 15))[..., None] + 4
-    found = TEXTURED(noisy(pressed, 1))
+    found = textured(noisy(pressed, 1))
     assert np.abs(found.shift_px).max() < 0.05
     assert 0.3 < found.untouched < 0.8
-    assert TEXTURED(noisy(pressed, 1), ball > 0.01).untouched < found.untouched
+    assert textured(noisy(pressed, 1), ball > 0.01).untouched < found.untouched
 
 
-def test_all_touched_is_unknown():
-    found = TEXTURED(noisy(gel(0.03), 1), np.ones(SHAPE, dtype=bool))
+def test_all_touched_is_unknown(textured):
+    found = textured(noisy(gel(0.03), 1), np.ones(SHAPE, dtype=bool))
     assert found.untouched == 0
     assert found.shift_sigma_px.tolist() == [5, 5]
     assert found.shift_px.tolist() == [0, 0]
     assert found.moved_px() == 0
 
 
-def test_certain_motion_is_shorter_than_the_motion():
-    found = TEXTURED(noisy(moved(gel(0.03), (3, 4)), 1))
+@pytest.mark.parametrize("shift", [(3, 4), (-3, -4)])
+def test_certain_motion_is_shorter_than_the_motion(textured, shift):
+    found = textured(noisy(moved(gel(0.03), shift), 1))
     assert 4.5 < found.moved_px() < 5
 
 

@@ -12,11 +12,6 @@ from gelform.calibration.selection.folds import make_folds
 from gelform.frames import pixels_digest
 
 
-@pytest.fixture(scope="module")
-def prepared(presses):
-    return prepare(presses)
-
-
 def grouped(presses, among):
     return groups_alike(presses, find_contacts(presses), among)
 

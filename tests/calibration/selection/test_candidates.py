@@ -1,15 +1,21 @@
 """Candidates: what a color model's class says is what is tried, in the order of complexity."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from gelform.calibration.selection.candidates import (
+    DEFAULT_ZONE,
+    ZONES,
     Start,
     candidates_for,
     candidates_from,
     color_model_names,
     zone_judge,
 )
-from gelform.color_models import COLOR_MODELS, Variant
+from gelform.color_models import COLOR_MODELS, HierarchicalModel, Variant
+from made.color_samples import ball_samples, lambertian_change
 
 
 def described(color_model, presses):
@@ -84,3 +90,23 @@ def test_another_units_model_is_followed_less_and_less():
     assert ridges == sorted(ridges, reverse=True)
     assert {c.start for c in candidates_from(start)} == {start}
     assert {c.zone for c in candidates_from(start)} == {0.7}
+
+
+def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
+    """Slopes of which the other unit's model reads half: followed closely, and not at all."""
+    samples = ball_samples(lambertian_change)
+    whole = HierarchicalModel.fit(samples)
+    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest", 0.7)
+    held = replace(candidates_from(start)[0], settings=(("ridge", 1e6),)).fit_samples(samples)
+    np.testing.assert_allclose(held.nodes, start.model.nodes, atol=1e-3)
+    alone = candidates_for("hierarchical", 6)[0].fit_samples(samples)
+    ratio = np.vdot(alone.nodes, whole.nodes) / np.vdot(whole.nodes, whole.nodes)
+    assert ratio == pytest.approx(1, abs=0.05)
+
+
+def test_zones_are_parts_of_the_contact_and_a_fine_polynomial_judges_them():
+    assert list(ZONES) == sorted(ZONES)
+    assert DEFAULT_ZONE in ZONES
+    assert ZONES[0] > 0.5
+    assert ZONES[-1] < 1
+    assert zone_judge(100) == zone_judge(18) != zone_judge(17)

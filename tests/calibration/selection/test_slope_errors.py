@@ -6,7 +6,17 @@ from scipy.ndimage import gaussian_filter
 
 import gelform
 from gelform.ball import ball_center, ball_gradients
-from gelform.calibration.selection.slope_errors import LAGS, _lag_products, correlation_from_products, gain_of
+from gelform.calibration.circles.find import ContactCircle, magnitude
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.selection.folds import Fold
+from gelform.calibration.selection.slope_errors import (
+    LAGS,
+    _lag_products,
+    correlation_from_products,
+    gain_of,
+    press_residuals,
+    slope_sigma_from_folds,
+)
 
 
 @pytest.mark.parametrize(("length", "share"), [(4.0, 0.8), (8.0, 0.5), (6.0, 1.0)])
@@ -54,3 +64,51 @@ def test_gain_of_a_press():
     seen = 0.93 * truth
     truth[3, 4] = np.nan
     assert gain_of(seen, truth) == pytest.approx(0.93)
+
+
+class Reader:
+    """A model that reads the slopes that lie in the color change 7 % too gentle, with white errors of 0.03."""
+
+    def gradients_at(self, change, x_px, y_px):
+        noise = np.random.default_rng(len(x_px)).normal(0, 0.03, (len(x_px), 2))
+        return 0.93 * np.asarray(change)[:, :2] + noise
+
+
+def press_at(x_px, y_px, shape=(120, 160)):
+    """A press whose color change is its slopes, and the contact's circle."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    contact = ContactCircle(x_px, y_px, 18.0, 1.0, 9.0)
+    inside = np.hypot(x - x_px, y - y_px) < 18
+    slopes = np.where(inside[..., None], ball_gradients(x, y, (x_px, y_px), 40.0), 0)
+    change = np.concatenate([slopes, 0 * slopes[..., :1]], axis=-1).astype(np.float32)
+    return PreparedPress("one", change, magnitude(change), 40.0), contact
+
+
+def test_the_law_is_that_of_the_errors_that_were_made():
+    """Of two folds: a model of all presses has seen twice as many, and its errors are taken for smaller by a root of 2."""
+    places = [(30, 30), (80, 60), (130, 90), (40, 85), (120, 35), (75, 95)]
+    presses, found = zip(*(press_at(*place) for place in places))
+    folds = [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
+    sigma = slope_sigma_from_folds([Reader(), Reader()], folds, presses, found)
+    assert sigma.gain_sigma == pytest.approx(0.07 / np.sqrt(2), rel=0.1)
+    assert sigma.rest == pytest.approx(0.03, rel=0.1)
+    gentle = sigma.of(np.array([0.1]), np.array([0.5]), np.array([0.5]))
+    assert gentle == pytest.approx(0.03 / np.sqrt(2), rel=0.25)
+    assert sigma.correlated_share < 0.5
+
+
+def test_columns_are_thinned_and_stay_in_place():
+    press, contact = press_at(60, 70)
+    residuals = press_residuals(press, contact, Reader())
+    slopes, errors, x, y, number = residuals.columns((120, 160), 4)
+    assert 600 < len(slopes) <= 2 * 2000
+    assert set(number) == {4}
+    true = np.linalg.norm(
+        press.color_change[np.rint(y * 120 - 0.5).astype(int), np.rint(x * 160 - 0.5).astype(int)], axis=1
+    )
+    assert np.abs(slopes - 0.93 * true).mean() < 0.05
+    assert errors.shape == (len(slopes), 2)
+    away = np.hypot(x * 160 - 60.5, y * 120 - 70.5)
+    assert 15 < away.max() < 16
+    assert np.abs(np.median(residuals.untouched, axis=0)).max() < 1e-9
+    assert len(residuals.untouched) > 500

@@ -45,3 +45,7 @@ def test_presses_of_a_fold_do_not_count_without_it(made_up):
     assert trial.size_ratio(without_fold=0) == np.mean(3.0 + np.array([i for i in range(20) if i % 5])) / (
         np.mean(1.0 + np.array([i for i in range(20) if i % 5]))
     )
+
+
+def test_without_a_size_left_out_nothing_is_said_against_a_model(made_up):
+    assert made_up("m", lambda i: 1.0).size_ratio() == 1
