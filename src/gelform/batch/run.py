@@ -79,6 +79,7 @@ def run_batch(
     overwrite: bool = False,
     retry_errors: bool = False,
     table: str = "auto",
+    dataset: str = "",
     progress: Callable[[BatchSummary], Any] = lambda _: None,
 ) -> BatchSummary:
     """Reconstruct every frame of a data set into an output folder; the same call goes on where it was left.
@@ -96,6 +97,7 @@ def run_batch(
     overwrite : begin anew where the output was begun with something else
     retry_errors : do parts again that have frames with errors
     table : "parquet", "csv", or "auto": Parquet where pyarrow is installed
+    dataset : where the frames are in HDF5, Zarr or LeRobot (see `listing_of`)
     progress : called with the BatchSummary after each part
 
     Raises
@@ -122,7 +124,8 @@ def run_batch(
         )
     if background is not None and settings.background_frames:
         raise DataError("Expected --background or --background-frames, got both. Leave one out.")
-    listing = listing_of(source, leave_out=[Path(background)] if background is not None else [])
+    hidden = [] if background is None else [Path(background)]
+    listing = listing_of(source, leave_out=hidden, dataset=dataset)
     check_apart(listing, output)
     plan = plan_of(listing, settings.part_frames, settings.background_frames)
     parts = shard_of(plan, shard)

@@ -24,7 +24,6 @@ from gelform.batch.settings import BatchSettings
 from gelform.batch.table import COLUMNS
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
-from gelform.frames import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 
@@ -82,10 +81,10 @@ class Worker:
         row |= {"sequence": part.sequence, "frame": named.name, "index": named.index}
         error, prepared, facts = named.error, None, {}
         if named.frame is not None:
-            if not part.images:
+            if named.timed:
                 row |= {"time_s": named.frame.time_s, "wall_time_ns": named.frame.wall_time_ns}
             try:
-                result = self._result(part, named.frame)
+                result = self._result(part, named)
                 prepared, facts = writer.prepared(result), facts_of(result)
             except GelformError as problem:
                 error = str(problem)
@@ -94,12 +93,15 @@ class Worker:
         row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts
         return row | writer.add(named.name, named.index, prepared)
 
-    def _result(self, part: Part, frame: Frame) -> Reconstruction:
+    def _result(self, part: Part, named: NamedFrame) -> Reconstruction:
+        frame = named.frame
+        assert frame is not None
         image = image_of_calibration(frame, self.job.calibration)
         result = self._prepared(part).from_image(image)
-        if part.images:
-            return replace(result, index=frame.index)
-        return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+        result = replace(result, index=frame.index)
+        return (
+            replace(result, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns) if named.timed else result
+        )
 
     def _prepared(self, part: Part) -> Reconstructor:
         """The Reconstructor of a part's sequence; where its background was refused, refused again."""

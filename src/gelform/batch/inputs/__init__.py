@@ -1,8 +1,9 @@
 """What a batch works on: sequences of frames, listed, parted and read."""
 
-from gelform.batch.inputs.listing import Listing, Sequence, listing_of
+from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import NamedFrame, frames_of_part
+from gelform.batch.inputs.sequences import Sequence
 
 __all__ = [
     "Listing",

@@ -5,11 +5,15 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
-import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from gelform.batch.inputs.containers import ContainerError
+from gelform.batch.inputs.hdf5_datasets import HDF5_SUFFIXES, hdf5_sequences
+from gelform.batch.inputs.lerobot_set import is_lerobot_set, lerobot_sequences
+from gelform.batch.inputs.sequences import Sequence, natural
+from gelform.batch.inputs.zarr_datasets import is_zarr, zarr_sequences
 from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.sensors.files import IMAGE_SUFFIXES
@@ -17,22 +21,6 @@ from gelform.sensors.recordings.image_folder import is_recorded_folder
 from gelform.sensors.video_files import VIDEO_SUFFIXES, is_video
 
 FILM_SUFFIXES = (*VIDEO_SUFFIXES, ".mcap")
-
-
-@dataclass(frozen=True)
-class Sequence:
-    """Frames that belong together: the images of one folder, a video, or a recording.
-
-    Attributes
-    ----------
-    name : its path below the input, with /; empty for the input's own folder
-    path : the folder of its images, the video, or the recording
-    images : names of the images in natural order; empty for a video or a recording, whose frames are not counted yet
-    """
-
-    name: str
-    path: Path
-    images: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,18 +43,23 @@ class Listing:
         """SHA-256 of all names: another one means that files came, went or were renamed."""
         sha = hashlib.sha256()
         for sequence in self.sequences:
-            sha.update(os.fsencode("\0".join(("", sequence.name, *sequence.images)) + "\n"))
+            inside = (sequence.dataset, str(sequence.offset), str(sequence.count)) if sequence.dataset else ()
+            sha.update(os.fsencode("\0".join(("", sequence.name, *sequence.images, *inside)) + "\n"))
         return sha.hexdigest()
 
 
-def listing_of(source: str | os.PathLike[str], *, leave_out: Collection[Path] = ()) -> Listing:
+def listing_of(
+    source: str | os.PathLike[str], *, leave_out: Collection[Path] = (), dataset: str = ""
+) -> Listing:
     """List what a batch is to work on.
 
     Parameters
     ----------
     source : a folder (with all folders below it), a video, a recording, an image, or a pattern such as "day*/*.png",
-        where ** stands for any number of folders
+        where ** stands for any number of folders; an HDF5 file, a Zarr store, a LeRobot data set (version 3.0)
     leave_out : files that are no frames of it, such as the background
+    dataset : which of HDF5's or Zarr's datasets, or LeRobot's cameras; * stands for one name ("data/*/obs/gelsight").
+        Where it is given, the HDF5 files and Zarr stores in a folder are read and nothing else
 
     Hidden files, and what is neither image, video nor recording, are passed over; folders that are links are not
     entered.
@@ -77,26 +70,76 @@ def listing_of(source: str | os.PathLike[str], *, leave_out: Collection[Path] = 
         There is no such thing, it cannot be read, or holds no frames.
     """
     path, hidden = check_path(source), {os.path.realpath(one) for one in leave_out}
+    if is_lerobot_set(path):
+        return Listing(path, tuple(lerobot_sequences(path, dataset)), searched=True)
+    if path.exists() and is_container(path):
+        return Listing(path.parent, tuple(_in_container(path, path.name, dataset)))
     if path.is_dir():
-        listing = Listing(path, tuple(_in_tree(path, hidden)), searched=True)
+        tree = _containers_in_tree(path, dataset) if dataset else _in_tree(path, hidden)
+        listing = Listing(path, tuple(tree), searched=True)
         what = f"the folder {path}"
     elif path.exists():
         listing, what = _of_files([path], hidden), f"the file {path}"
     elif glob.has_magic(str(path)):
         found = [Path(one) for one in glob.glob(str(path), recursive=True)]
-        listing, what = _of_files(found, hidden), f"the pattern {path}"
+        listing, what = _of_found(found, hidden, dataset), f"the pattern {path}"
         listing = replace(listing, searched="**" in path.parts)
     else:
         raise DataError(f"No file or folder {path}. Check the path; put a pattern in quotes.")
     if not listing.sequences:
         suffixes = ", ".join((*IMAGE_SUFFIXES, *FILM_SUFFIXES))
-        raise DataError(f"Expected images, videos or recordings ({suffixes}) in {what}, got none.")
+        if dataset:
+            raise DataError(
+                f"Expected HDF5 files or Zarr stores in {what} for --dataset {dataset}, got none."
+            )
+        raise DataError(
+            f"Expected images, videos or recordings ({suffixes}) in {what}, got none. Of HDF5 files and Zarr stores, "
+            "say with --dataset which dataset."
+        )
     return listing
 
 
-def natural(name: str) -> tuple[list[str | int], str]:
-    """Sorts image2 before image10."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
+def is_container(path: Path) -> bool:
+    """Whether a path is an HDF5 file or a Zarr store, which hold frames at a path inside."""
+    return path.suffix.lower() in HDF5_SUFFIXES or is_zarr(path)
+
+
+def _in_container(path: Path, name: str, dataset: str) -> list[Sequence]:
+    return (zarr_sequences if is_zarr(path) else hdf5_sequences)(path, name, dataset)
+
+
+def _among_others(path: Path, name: str, dataset: str) -> list[Sequence]:
+    """The same; of several, one that cannot be read is a sequence whose only row says why."""
+    try:
+        return _in_container(path, name, dataset)
+    except ContainerError:
+        return [Sequence(name, path, dataset=dataset)]
+
+
+def _containers_in_tree(root: Path, dataset: str) -> Iterator[Sequence]:
+    folders = [root]
+    while folders:
+        folder = folders.pop()
+        files, inside = _entries(folder)
+        here = [folder / one for one in sorted((*files, *inside), key=natural) if is_container(folder / one)]
+        for path in here:
+            yield from _among_others(path, path.relative_to(root).as_posix(), dataset)
+        below = [folder / one for one in sorted(inside, key=natural, reverse=True)]
+        folders += [one for one in below if one not in here]
+
+
+def _of_found(found: list[Path], hidden: set[str], dataset: str) -> Listing:
+    """What a pattern matched."""
+    if not dataset:
+        return _of_files(found, hidden)
+    paths = sorted(
+        (path for path in map(_absolute, found) if is_container(path)), key=lambda p: natural(str(p))
+    )
+    if not paths:
+        return Listing(Path(), ())
+    root = Path(os.path.commonpath([path.parent for path in paths]))
+    named = [(path, path.relative_to(root).as_posix()) for path in paths]
+    return Listing(root, tuple(one for path, name in named for one in _among_others(path, name, dataset)))
 
 
 def _in_tree(root: Path, hidden: set[str]) -> Iterator[Sequence]:

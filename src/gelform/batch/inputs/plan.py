@@ -9,8 +9,11 @@ from collections.abc import Iterator
 from collections.abc import Sequence as Several
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from gelform.batch.inputs.listing import Listing, Sequence
+from gelform.batch.inputs.listing import Listing
+from gelform.batch.inputs.sequences import Sequence
+from gelform.batch.inputs.zarr_datasets import NODES
 from gelform.errors import DataError
 
 
@@ -28,6 +31,8 @@ class Part:
     names : what each image's output is called, without its ending
     first : the first images of the sequence, where they make its background
     total : frames of the whole sequence; 0 where they are not counted yet
+    dataset, offset : where the sequence is in a larger file (see `Sequence`); empty for images, videos and recordings
+    count : frames of such a part
     """
 
     number: int
@@ -38,11 +43,14 @@ class Part:
     names: tuple[str, ...] = ()
     first: tuple[str, ...] = ()
     total: int = 0
+    dataset: str = ""
+    offset: int = 0
+    count: int = 0
 
     @property
     def frames(self) -> int:
         """How many there are in the part; 0 where they are not counted yet."""
-        return len(self.images)
+        return len(self.images) or self.count
 
     def input_digest(self) -> str:
         """SHA-256 of its files' names and sizes: another one means that a file was replaced, and the part is done again."""
@@ -53,11 +61,16 @@ class Part:
             except OSError:
                 size = -1  # reading it says why
             sha.update(os.fsencode(f"\n{path.name} {size}"))
+        sha.update(
+            os.fsencode(f"\n{self.dataset} {self.offset} {self.start} {self.count}") if self.dataset else b""
+        )
         return sha.hexdigest()
 
     def _files(self) -> list[Path]:
         if self.images:
             return [self.path / one for one in (*self.first, *self.images)]
+        if self.dataset and self.path.is_dir():
+            return [self.path / self.dataset / name for name in NODES]
         return sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
 
 
@@ -71,9 +84,12 @@ def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> l
     """
     parts: list[Part] = []
     for sequence in listing.sequences:
-        for start, images, names in _pieces(sequence, part_frames):
-            first, total = sequence.images[:background_frames], len(sequence.images)
-            parts.append(Part(len(parts), sequence.name, sequence.path, start, images, names, first, total))
+        pieces = _ranges if sequence.dataset else _pieces
+        for piece in pieces(sequence, part_frames):
+            where: dict[str, Any] = {"number": len(parts), "sequence": sequence.name, "path": sequence.path}
+            first = sequence.images[:background_frames]
+            total = len(sequence.images) or sequence.count
+            parts.append(Part(**where, **piece, first=first, total=total))
     return parts
 
 
@@ -91,13 +107,24 @@ def shard_of(parts: Several[Part], shard: tuple[int, int]) -> list[Part]:
     return list(parts[number - 1 :: count])
 
 
-def _pieces(sequence: Sequence, part_frames: int) -> Iterator[tuple[int, tuple[str, ...], tuple[str, ...]]]:
-    """(start, images, names); a name is the stem, where no other image of the sequence has the same."""
+def _pieces(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
+    """Of images, or all of a film; a name is the stem, where no other image of the sequence has the same."""
     if not sequence.images:
-        yield 0, (), ()
+        yield {}
     stems = [os.path.splitext(one)[0] for one in sequence.images]
     counts = Counter(stems)
     names = [one if counts[stem] > 1 else stem for one, stem in zip(sequence.images, stems)]
     for start in range(0, len(names), part_frames):
         stop = start + part_frames
-        yield start, sequence.images[start:stop], tuple(names[start:stop])
+        yield {
+            "start": start,
+            "images": sequence.images[start:stop],
+            "names": tuple(names[start:stop]),
+        }
+
+
+def _ranges(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
+    """Of a dataset; one that cannot be read is one part, which says why."""
+    inside = {"dataset": sequence.dataset, "offset": sequence.offset}
+    for start in range(0, max(1, sequence.count), part_frames):
+        yield {**inside, "start": start, "count": min(part_frames, sequence.count - start)}

@@ -11,9 +11,9 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from gelform.batch.extras import needed
 from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
 from gelform.batch.outputs.places import FRAMES, Maps, OutputFile, Place, output_file
-from gelform.errors import DataError
 from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
@@ -25,7 +25,7 @@ class Hdf5Files:
     """Writes a part's file frame by frame; it takes its name when the part is done."""
 
     def __init__(self, place: Place) -> None:
-        self._h5py = h5py_module()
+        self._h5py = needed("h5py", "hdf5", "HDF5")
         self.files: list[OutputFile] = []
         self._place = place
         self._path = place.folder / f"{place.part.start:08d}.h5"
@@ -72,7 +72,7 @@ class Hdf5Files:
 
 def hdf5_index(output: Path, files: list[str]) -> bytes:
     """The file of all sequences: virtual datasets, which name the parts' files relative to it."""
-    h5py, content = h5py_module(), io.BytesIO()
+    h5py, content = needed("h5py", "hdf5", "HDF5"), io.BytesIO()
     sequences: dict[str, list[str]] = {}
     for name in files:
         sequences.setdefault(PurePosixPath(name).parent.relative_to(FRAMES).as_posix(), []).append(name)
@@ -95,18 +95,3 @@ def _add_sequence(h5py: Any, group: Any, output: Path, files: list[str]) -> None
             layout[begin : begin + length] = h5py.VirtualSource(name, one, (length, *shape[1:]))
             begin += length
         group.create_virtual_dataset(one, layout, fillvalue=fill).attrs.update(attributes)
-
-
-def h5py_module() -> Any:
-    """h5py.
-
-    Raises
-    ------
-    DataError
-        The extra is not installed.
-    """
-    try:
-        import h5py
-    except ImportError as missing:
-        raise DataError('HDF5 needs the extra hdf5: pip install "gelform[hdf5]".') from missing
-    return h5py

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.batch.extras import needed
 from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
 from gelform.batch.outputs.places import FRAMES, OutputFile, Place
-from gelform.errors import DataError
 from gelform.reconstruction import Reconstruction
 
 MOST_SHARD_FRAMES = 64
@@ -31,7 +31,9 @@ class ZarrArrays:
     """Writes frames/<sequence>/<map>/c/<shard>/..., a shard whenever it is full; so memory does not grow with a video."""
 
     def __init__(self, place: Place) -> None:
-        check_zarr()
+        blosc = needed("numcodecs.blosc", "zarr", "Zarr")
+        needed("google_crc32c", "zarr", "Zarr")
+        blosc.use_threads = False  # the same bytes, and no threads beside the workers
         self.files: list[OutputFile] = []
         self._place = place
         self._length = shard_frames(place.settings.part_frames)
@@ -83,23 +85,6 @@ class ZarrArrays:
         group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
         for above in (place.part.sequence, *map(str, PurePosixPath(place.part.sequence).parents)):
             self.files.append(place.write(place.output / FRAMES / above / NODE, group))
-
-
-def check_zarr() -> None:
-    """Refuse to begin without what writes Zarr.
-
-    Raises
-    ------
-    DataError
-        The extra is not installed.
-    """
-    try:
-        import google_crc32c
-        import numcodecs.blosc
-    except ImportError as missing:
-        raise DataError('Writing Zarr needs the extra zarr: pip install "gelform[zarr]".') from missing
-    numcodecs.blosc.use_threads = False  # the same bytes, and no threads beside the workers
-    assert google_crc32c
 
 
 def shard_frames(part_frames: int) -> int:

@@ -32,10 +32,16 @@ def _shard(text: str) -> tuple[int, int]:
 def batch(
     source: Annotated[
         str,
-        typer.Argument(metavar="INPUT", help="Folder, video, recording, or a pattern in quotes."),
+        typer.Argument(
+            metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
+        ),
     ],
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
+    dataset: Annotated[
+        str,
+        typer.Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name."),
+    ] = "",
     background: Background = None,
     background_frames: Annotated[
         int,
@@ -74,7 +80,8 @@ def batch(
 ) -> None:
     """Reconstruct every frame of a data set; the same command goes on where it was left.
 
-    INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), or a pattern. DIR gets
+    INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
+    LeRobot data set, or a pattern. DIR gets
     frames/<sequence>/<frame>.npz, a table with one row per frame, and manifest.json. A frame that cannot be
     read or is of another size is a row with its error; the others are done, and the exit status is 1.
 
@@ -82,6 +89,7 @@ def batch(
     Examples:
       gelform batch sessions/ -c cal.npz -o depth --workers 4
       gelform batch "day*/*.mp4" -c cal.npz -o depth --background-frames 10 --format png
+      gelform batch demos.hdf5 --dataset "data/*/obs/gelsight" -c cal.npz -o depth --format zarr --dtype uint16
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
     from gelform.batch import run_batch
@@ -101,6 +109,7 @@ def batch(
             overwrite=overwrite,
             retry_errors=retry_errors,
             table=table,
+            dataset=dataset,
             progress=progress,
         )
     if as_json:

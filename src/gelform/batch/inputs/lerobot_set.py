@@ -1,0 +1,139 @@
+"""Frames of a LeRobot data set (version 3.0): episodes one after the other in mp4 files, listed in Parquet."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.batch.extras import needed
+from gelform.batch.inputs.containers import matching
+from gelform.batch.inputs.sequences import Sequence
+from gelform.errors import DataError
+
+INFO, EPISODES, VERSION = "meta/info.json", "meta/episodes", "v3.0"
+
+
+def is_lerobot_set(path: Path) -> bool:
+    """Whether a folder is a LeRobot data set of any version."""
+    return (path / INFO).is_file()
+
+
+def lerobot_info(root: Path) -> dict[str, Any]:
+    """What `meta/info.json` says.
+
+    Raises
+    ------
+    DataError
+        It cannot be read, or is of another version.
+    """
+    try:
+        info: dict[str, Any] = json.loads((root / INFO).read_bytes())
+        version, _ = info["codebase_version"], info["features"]
+    except (OSError, ValueError, KeyError, TypeError) as problem:
+        raise DataError(f"{root / INFO} cannot be read as LeRobot's: {problem!r}.") from problem
+    if version != VERSION:
+        raise DataError(
+            f"Expected a LeRobot data set of version {VERSION}, got {version} in {root}. LeRobot's own script "
+            "convert_dataset_v21_to_v30 makes one of it."
+        )
+    return info
+
+
+def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
+    """Rows of `meta/episodes`, in the order of the episodes.
+
+    Raises
+    ------
+    DataError
+        pyarrow is not installed; the tables cannot be read or lack a column.
+    """
+    parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
+    pyarrow = needed("pyarrow", "lerobot", "LeRobot")
+    rows: list[dict[str, Any]] = []
+    try:
+        for path in sorted((root / EPISODES).glob("*/*.parquet")):
+            rows += parquet.read_table(path, columns=columns).to_pylist()
+    except (pyarrow.ArrowException, OSError, KeyError) as problem:
+        raise DataError(f"Cannot read the episodes of {root}: {problem}.") from problem
+    if not rows or set(rows[0]) != set(columns):
+        lacking = sorted(set(columns) - set(rows[0] if rows else ()))
+        raise DataError(f"Expected {', '.join(lacking)} in {root / EPISODES}, got none.")
+    return sorted(rows, key=lambda row: row["episode_index"])
+
+
+def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
+    """A sequence for each episode of the camera that is meant.
+
+    Raises
+    ------
+    DataError
+        The data set cannot be read; no video of that name: those that there are, are listed.
+    """
+    info = lerobot_info(root)
+    videos = {
+        key: (tuple(feature["shape"]), "video")
+        for key, feature in info["features"].items()
+        if feature.get("dtype") == "video" and not (feature.get("info") or {}).get("is_depth_map")
+    }
+    sequences = []
+    for key in matching(root, videos, wanted):
+        chunk, file, begin = (
+            f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")
+        )
+        for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
+            video = info["video_path"].format(video_key=key, chunk_index=row[chunk], file_index=row[file])
+            name = f"{key}/episode_{row['episode_index']:06d}"
+            offset = round(row[begin] * info["fps"])
+            sequences.append(Sequence(name, root / video, dataset=key, offset=offset, count=row["length"]))
+    return sequences
+
+
+def compression_of(root: Path, key: str) -> str:
+    """Codec, pixels and quality of a camera's video in words, such as "av1 yuv420p crf 30"; empty where it has no loss."""
+    feature = lerobot_info(root)["features"].get(key, {})
+    told = {name.removeprefix("video."): value for name, value in (feature.get("info") or {}).items()}
+    codec, pixels = str(told.get("codec", "unknown codec")), str(told.get("pix_fmt", "unknown pixels"))
+    crf = told.get("crf")
+    if codec == "ffv1" or (codec in ("h264", "hevc") and crf == 0 and pixels in ("gbrp", "rgb24")):
+        return ""
+    return f"{codec} {pixels}" + ("" if crf is None else f" crf {crf}")
+
+
+def video_frames(
+    path: Path, offset: int, start: int, count: int
+) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Frames of an episode that begins at the frame `offset` of a video: seconds since then, and image (H, W, 3).
+
+    Decoding begins at the key frame before the frame `start` of the episode.
+
+    Raises
+    ------
+    DataError
+        av is not installed; the video cannot be read, or ends before.
+    """
+    av = needed("av", "lerobot", "LeRobot")
+    done = 0
+    try:
+        with av.open(str(path)) as file:
+            stream = file.streams.video[0]
+            rate, base = float(stream.average_rate), float(stream.time_base)
+            zero_s = offset / rate + (stream.start_time or 0) * base
+            begin_s = zero_s + start / rate
+            file.seek(max(0, int((begin_s - 0.5 / rate) / base)), stream=stream)
+            for frame in file.decode(stream):
+                if frame.time is None or frame.time < begin_s - 0.5 / rate:
+                    continue
+                yield frame.time - zero_s, frame.to_ndarray(format="rgb24")
+                done += 1
+                if done == count:
+                    return
+    except (av.FFmpegError, IndexError) as problem:
+        raise DataError(f"Cannot read {path}: {problem}.") from problem
+    raise DataError(
+        f"Expected {offset + start + count} frames in {path}, got {offset + start + done}. It is cut off."
+    )
