@@ -7,6 +7,8 @@ import pytest
 
 from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.calibration.circles.find import (
+    _parabola_offset,
+    _signal,
     contact_radius,
     find_contact,
     magnitude,
@@ -62,6 +64,30 @@ def test_radius_is_where_a_disc_ends():
     assert contact_radius(disc, 70.4, 61.7) == pytest.approx(24, abs=0.5)
     np.testing.assert_allclose(ring_mean(disc, 70.4, 61.7)[1:22], 1)
     np.testing.assert_allclose(ring_mean(disc, 70.4, 61.7)[27:], 0)
+
+
+def test_the_rim_near_a_known_radius_is_taken():
+    """Two rims, the outer one steeper: of the whole the outer, near 20 px the inner."""
+    y, x = np.mgrid[:120, :160]
+    away = np.hypot(x - 70.4, y - 61.7)
+    discs = (away < 22).astype(np.float32) + 2 * (away < 45)
+    assert contact_radius(discs, 70.4, 61.7) == pytest.approx(45, abs=0.5)
+    assert contact_radius(discs, 70.4, 61.7, near_px=20) == pytest.approx(22, abs=0.5)
+
+
+def test_the_signal_of_a_circle_that_leaves_nothing_beside_it():
+    size = np.ones((40, 60), np.float32)
+    assert _signal(size, 30, 20, 40.0) == np.inf
+    assert _signal(size, 300, 20, 10.0) == 0
+    size[15:25, 25:35] = 5
+    assert _signal(size, 29.5, 19.5, 5.0) == pytest.approx(5)
+
+
+def test_the_offset_is_the_vertex_of_a_parabola():
+    at = np.arange(9)
+    assert _parabola_offset((at - 4.3) ** 2, 4) == pytest.approx(0.3)
+    assert _parabola_offset((at - 4.3) ** 2, 0) == 0
+    assert _parabola_offset(0.0 * at, 4) == 0
 
 
 def test_magnitude_is_the_length():

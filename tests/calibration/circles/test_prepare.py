@@ -28,10 +28,19 @@ def test_the_change_is_that_of_the_path(few):
     rest = PreparedBackground(few.background, settings)
     exposure, _ = rest.compare(few.presses[0].image)
     np.testing.assert_array_equal(change, rest.change(few.presses[0].image, exposure))
+    calls = []
+    (one,) = prepare(few.subset([0]), progress=lambda *call: calls.append(call[:2]))
+    assert calls == [(1, 1)]
+    assert one.ball_radius_px == few.presses[0].ball_diameter_mm / 2 / few.mm_per_px
+    np.testing.assert_array_equal(one.color_change, change)
+    np.testing.assert_allclose(
+        one.size, np.linalg.norm(change - np.median(change, (0, 1)), axis=-1), atol=1e-6
+    )
     assert clear is None, "a gel without markers has no pixel to leave out"
 
 
 def test_the_blur_grows_with_the_image(few):
+    assert change_settings(few).blur_px == pytest.approx(1.25 * few.image_shape[0] / 240)
     taller = replace(few, background=np.repeat(np.repeat(few.background, 2, 0), 2, 1))
     assert change_settings(taller).blur_px == pytest.approx(2 * change_settings(few).blur_px)
 
@@ -55,7 +64,8 @@ def test_a_circle_for_each_press_and_progress_for_each(few):
 def test_nothing_is_divided_by_a_background_of_0(few):
     black = few.background.copy()
     black[0, 0] = 0
-    assert set(prepared_by_offset(replace(few, background=black), prepare(few), [0.0])) == {USUAL_OFFSET}
+    spotted = replace(few, background=black)
+    assert set(prepared_by_offset(spotted, prepare(few), [0.0, 0.5])) == {USUAL_OFFSET, 0.5}
 
 
 def test_the_press_that_is_of_another_sensor_is_named(few):
