@@ -33,6 +33,22 @@ EXPORT int dct_right_side(const float *gradients, float *right, float scale_x, f
   return OK;
 }
 
+enum { WIDEST_PRODUCT = 128 };
+
+// Multiply every row by a table in place, as a cosine transform of few columns is done soonest.
+EXPORT int dct_product(float *rows, const float *table, ptrdiff_t h, ptrdiff_t stride, ptrdiff_t w) {
+  float before[WIDEST_PRODUCT];
+  if (w > WIDEST_PRODUCT || w > stride) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < h; i++) {
+    float *restrict row = rows + i * stride;
+    memcpy(before, row, w * sizeof *row);
+    memset(row, 0, w * sizeof *row);
+    for (ptrdiff_t n = 0; n < w; n++)
+      for (ptrdiff_t k = 0; k < w; k++) row[k] += before[n] * table[n * w + k];
+  }
+  return OK;
+}
+
 // Column 0 has eigenvalue 0: sum the right side twice, in double, and remove the mean.
 static void solve_constants(float *v, ptrdiff_t stride, ptrdiff_t h) {
   double flux = 0, value = 0, total = 0;

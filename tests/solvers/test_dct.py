@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from functools import partial
+
 import numpy as np
 import pytest
-from scipy.fft import dctn, idctn
+from scipy.fft import dct as scipy_dct
+from scipy.fft import dctn, idct, idctn
 
 from gelform.depth import depth_from_gradients
 from gelform.solvers import dct
@@ -156,6 +161,17 @@ def swept(spectrum, pivots, splits, end):
     return out
 
 
+def transformed_rows(rows, table, transform):
+    out = rows.copy()
+    out[:, : len(table)] = transform(rows[:, : len(table)].astype(np.float64), axis=-1)
+    return out
+
+
+def test_a_product_wider_than_its_work_array_is_refused():
+    with pytest.raises(ValueError, match="do not fit"):
+        dct._product(np.zeros((2, 200), np.float32), np.zeros((200, 200), np.float32))
+
+
 @pytest.mark.parametrize("pad", [0, 5])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (6, 1), (2, 2), (9, 40), (33, 47)])
 def test_kernels_agree_with_numpy(shape, pad):
@@ -163,4 +179,17 @@ def test_kernels_agree_with_numpy(shape, pad):
     gradients = rng.standard_normal((*shape, 2)).astype(np.float32)
     work = rng.standard_normal((shape[0], shape[1] + pad)).astype(np.float32)
     assert_kernel_agrees(dct._right_side, right_side, gradients, work, 0.7, 0.3)
+    for which, transform in enumerate([scipy_dct, idct]):
+        transformed = partial(transformed_rows, transform=transform)
+        assert_kernel_agrees(dct._product, transformed, work, dct._cosines(shape[1])[which])
     assert_kernel_agrees(dct._sweep, swept, work, *dct._elimination(shape, (0.05, 0.08)))
+
+
+def test_few_columns_take_no_transform_of_scipy():
+    """Importing it would take half of a first frame's time."""
+    code = (
+        "import numpy, sys; from gelform.solvers.dct import DctSolver;"
+        "DctSolver((60, 80), (1.0, 1.0))(numpy.ones((60, 80, 2)));"
+        "sys.exit('scipy.fft' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

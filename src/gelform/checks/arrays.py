@@ -22,7 +22,7 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
     ValueError
         Rows of different lengths, or masked values: what is unknown is said by a mask of its own.
     """
-    if np.ma.is_masked(values):
+    if type(values) is not np.ndarray and np.ma.is_masked(values):  # numpy.ma takes 20 ms to import
         raise ValueError(
             f"Expected {name} without masked values. Give numbers everywhere and say where with mask=."
         )

@@ -9,7 +9,6 @@ SIAM Review 41, 1999), leaves one tridiagonal system per column, which is elimin
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -25,10 +24,13 @@ from gelform.solvers.seam import Solution, Weights
 # A row stride of a large power of two maps a whole column onto a few cache lines.
 ALIASING_BYTES = 1024
 STRIDE_PAD = 16
+# Up to this width a row is transformed by a matrix product: as quick, and scipy.fft takes 0.3 s to import.
+PRODUCT_WIDTH = 128
 
 _right_side = Kernel(
     "dct_right_side", "f32[h,w,2] gradients, out f32[h,stride] right, f32 scale_x, f32 scale_y"
 )
+_product = Kernel("dct_product", "out f32[h,stride] rows, f32[w,w] table")
 _sweep = Kernel("dct_sweep", "out f32[h,stride] spectrum, f32[rows,w] pivots, i64[h] splits, f32[w] end")
 
 
@@ -50,6 +52,7 @@ class DctSolver:
         self.mm_per_px = mm_per_px
         self._pivots, self._splits, self._last = _elimination(shape, mm_per_px)
         self._stride = _row_stride(shape[1])
+        self._tables = _cosines(shape[1]) if shape[1] <= PRODUCT_WIDTH else None
         self._pool = Pool(lambda: np.empty((shape[0], self._stride), dtype=np.float32))
 
     def __call__(
@@ -85,14 +88,17 @@ class DctSolver:
     def _solve(self, frame: NDArray[np.float32], work: NDArray[np.float32]) -> None:
         """Depth of a frame, in the first columns of a work array (H, stride)."""
         self._write_right_side(frame, work)
-        self._transform(scipy.fft.dct, work)
+        self._transform(work, 0)
         _sweep(work, self._pivots, self._splits, self._last)
-        self._transform(scipy.fft.idct, work)
+        self._transform(work, 1)
 
-    def _transform(self, transform: Callable[..., NDArray[Any]], work: NDArray[np.float32]) -> None:
-        """Transform the rows of a work array in place."""
+    def _transform(self, work: NDArray[np.float32], inverse: int) -> None:
+        """Transform the rows of a work array in place; `inverse` is 0 or 1."""
+        if self._tables is not None:
+            _product(work, self._tables[inverse])
+            return
         rows = work[:, : self.shape[1]]
-        done = transform(rows, axis=-1, overwrite_x=True)
+        done = (scipy.fft.idct if inverse else scipy.fft.dct)(rows, axis=-1, overwrite_x=True)
         if not np.may_share_memory(done, rows):
             rows[...] = done
 
@@ -120,6 +126,15 @@ def _all_known(shape: tuple[int, int]) -> NDArray[np.bool_]:
     known = np.ones(shape, dtype=bool)
     known.flags.writeable = False
     return known
+
+
+@lru_cache(maxsize=16)
+def _cosines(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What a row (width) is multiplied by for its DCT-II, not normalised, and for the inverse."""
+    forward = 2 * np.cos(np.pi * np.outer(np.arange(width) + 0.5, np.arange(width)) / width)
+    inverse = forward.T / (2 * width)
+    inverse[0] /= 2
+    return forward.astype(np.float32), np.ascontiguousarray(inverse, dtype=np.float32)
 
 
 def _row_stride(width: int) -> int:
