@@ -80,7 +80,7 @@ def test_a_stream_that_is_forgotten_ends(calibration, at_rest):
 def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
     odd = [at_rest[0], at_rest[0][:-2]]  # another size: no frame of this sensor's
     with gelform.stream(ImageSource(odd), calibration) as stream:
-        with pytest.raises(ValueError, match="132"):
+        with pytest.raises(ValueError, match=r"frames of 132x176 px.*got 130x176. Set the camera's width"):
             for _result in stream:
                 pass
         with pytest.raises(ValueError, match="132"):
@@ -153,3 +153,30 @@ def test_a_frame_that_is_not_of_this_gel_is_a_finding(calibration, at_rest):
     assert not odd.known.any() or odd.depth_sigma_mm.min() > 0.5
     assert after.known.all()
     assert before.known.all()
+
+
+def half_grey(image):
+    grey = image.copy()
+    grey[image.shape[0] // 2 :] = 128
+    return grey
+
+
+@pytest.mark.parametrize(
+    ("spoil", "name"),
+    [
+        (np.zeros_like, "dark"),
+        (lambda image: np.full_like(image, 255), "saturated"),
+        (half_grey, "torn"),
+        (lambda image: image, "frozen"),
+    ],
+)
+def test_a_frame_that_shows_nothing_is_a_result_with_the_reason(calibration, at_rest, spoil, name):
+    """Eight at 10 Hz, so that one which hangs is seen to."""
+    source = ImageSource([spoil(at_rest[0])], live=False, count=8, rate_hz=10.0)
+    last = list(gelform.stream(source, calibration))[-1]
+    assert name in [finding.name for finding in last.health]
+    assert np.isfinite(last.depth_mm).all()
+    assert np.isfinite(last.depth_sigma_mm).all()
+    unknown = ~last.known
+    assert unknown.mean() > 0.3
+    assert last.depth_sigma_mm[unknown].min() > 0.5

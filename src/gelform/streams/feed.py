@@ -22,7 +22,7 @@ class Feed(Protocol):
     ----------
     every : whether each frame is given, instead of the newest one
     state, reason : "starting", "running", "reconnecting" or "ended"; why, in a sentence
-    settings : of the camera, read back
+    serial, settings : of the camera, read back
     """
 
     every: bool
@@ -32,6 +32,9 @@ class Feed(Protocol):
 
     @property
     def reason(self) -> str: ...
+
+    @property
+    def serial(self) -> str | None: ...
 
     @property
     def settings(self) -> dict[str, Any]: ...
@@ -71,6 +74,10 @@ class NewestFrames:
         return self._grabber.reason
 
     @property
+    def serial(self) -> str | None:
+        return self._grabber.serial
+
+    @property
     def settings(self) -> dict[str, Any]:
         return dict(self._grabber.settings)
 
@@ -89,6 +96,7 @@ class EveryFrame:
 
     def __init__(self, source: Source) -> None:
         self._source = source
+        self.serial = source.serial
         self._frames = iter(source)
         self.state, self.reason = "running", ""
 

@@ -28,7 +28,7 @@ class Memory:
     ----------
     reconstruct : of the sensor, with the untouched image that the sequence starts from
     smoothing : time constant of the smoothing, s, or None
-    findings : of the whole sequence, such as a camera that is set otherwise than calibrated
+    standing : gives the findings on the source at this moment, such as a camera that is set otherwise than calibrated
 
     Attributes
     ----------
@@ -40,13 +40,13 @@ class Memory:
         reconstruct: Reconstructor,
         *,
         smoothing: float | None = None,
-        findings: tuple[Finding, ...] = (),
+        standing: Callable[[], tuple[Finding, ...]] = tuple,
     ) -> None:
         self.reconstruct = reconstruct
         self._examine: Callable[[Callable[[], None]], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: Evidence | None = None
-        self._standing = findings
+        self._standing = standing
         self._light: tuple[Finding, ...] = ()
         self._examined_findings: tuple[Finding, ...] = ()
         self._markers = MarkerTracker(reconstruct.markers)
@@ -63,7 +63,14 @@ class Memory:
 
     def image_from_frame(self, frame: Frame) -> NDArray[Any]:
         """The calibration's view of a frame; ValueError where it is of another size."""
-        return view.image_from_frame(frame.image, self.reconstruct.calibration.view)
+        calibration = self.reconstruct.calibration
+        expected, came = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
+        if came != expected:
+            raise ValueError(
+                f"Expected frames of {expected[0]}x{expected[1]} px (height x width) as at the calibration, got "
+                f"{came[0]}x{came[1]}. Set the camera's width and height as they were then, or calibrate with these frames."
+            )
+        return view.image_from_frame(frame.image, calibration.view)
 
     def result_from_image(self, image: NDArray[Any]) -> Reconstruction:
         """Reconstruct an image as the sequence is understood now; its marker dots are followed from image to image."""
@@ -100,7 +107,7 @@ class Memory:
 
     @property
     def _findings(self) -> tuple[Finding, ...]:
-        return (*self._standing, *self._light, *self._examined_findings)
+        return (*self._standing(), *self._light, *self._examined_findings)
 
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:

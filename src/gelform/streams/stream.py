@@ -14,7 +14,7 @@ from gelform.errors import StaleError
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 from gelform.streams.feed import SourceLike, feed_from_source
-from gelform.streams.health.settings import settings_findings
+from gelform.streams.health.settings import CameraCheck
 from gelform.streams.memory import Memory
 from gelform.streams.pipeline import Pipeline, StreamFrame
 from gelform.streams.smoothing import Smoothing
@@ -61,8 +61,9 @@ def stream(
     if smoothing is not None:
         Smoothing(smoothing)  # refused before a device is opened
     feed = feed_from_source(source)
-    findings = settings_findings(reconstruct.calibration, feed.settings)
-    return Stream(Pipeline(feed, Memory(reconstruct, smoothing=smoothing, findings=findings)))
+    check = CameraCheck(reconstruct.calibration)
+    memory = Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.serial, feed.settings))
+    return Stream(Pipeline(feed, memory))
 
 
 class Stream:

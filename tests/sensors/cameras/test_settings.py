@@ -5,6 +5,7 @@ import pytest
 
 from gelform.errors import SensorError
 from gelform.sensors.cameras.settings import (
+    calibrated_settings,
     check_settings,
     controls_of,
     set_controls,
@@ -61,3 +62,15 @@ def test_a_mismatch_names_both_values():
     used = {"exposure": 80.0, "gain": 3.001, "fps": 60.0, "fourcc": "MJPG"}
     assert settings_mismatch(calibrated, used) == {"exposure": (100.0, 80.0), "fourcc": ("YUYV", "MJPG")}
     assert settings_mismatch({}, used) == {}
+
+
+def test_a_calibrations_settings_can_be_asked_for_again():
+    kept = {"width": 320, "height": 240, "fourcc": "YUYV", "fps": 59.94, "reduced": 1, "gain": 3.0}
+    by_hand = {"exposure": 50.0, "auto_exposure": 1.0, "white_balance": 4600.0, "auto_white_balance": 0.0}
+    asked = calibrated_settings({**kept, **by_hand, "led_level": 15.0})
+    assert check_settings(asked) == {
+        "width": 320, "height": 240, "fourcc": "YUYV", "gain": 3.0,
+        "exposure": 50.0, "white_balance": 4600.0, "led_level": 15.0,
+    }  # fmt: skip
+    automatic = calibrated_settings({**by_hand, "auto_exposure": 3.0, "auto_white_balance": 1.0})
+    assert automatic == {}

@@ -8,7 +8,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "access": ["check_access", "udev_rule"],
         "camera": ["Camera", "chosen_camera", "listed_cameras"],
         "modes": ["modes_of"],
-        "settings": ["settings_mismatch"],
+        "settings": ["calibrated_settings", "settings_mismatch"],
         "survey": ["Survey", "survey_of"],
         "sysfs": ["cameras_in_sysfs"],
         "there": ["camera_named", "cameras_there"],

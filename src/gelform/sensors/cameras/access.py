@@ -10,6 +10,7 @@ from gelform.errors import SensorError
 from gelform.sensors.cameras.camera import Camera
 
 RULE_FILE = "/etc/udev/rules.d/60-gelform.rules"
+NAMED = 4  # programs in a message
 
 
 def udev_rule(usb_id: str | None) -> str:
@@ -37,6 +38,7 @@ def check_access(camera: Camera) -> None:
 def in_use(camera: Camera) -> SensorError:
     """The error for a camera that opens but gives no frames: somebody else has them."""
     holders = programs_that_hold(camera.path)
+    holders = holders[:NAMED] + ["others"] * (len(holders) > NAMED)
     who = f"by {', '.join(holders)}" if holders else "by another program"
     return SensorError(
         f"{camera.described()} is in use {who}, or has no picture format that OpenCV reads. Close the other program; one "

@@ -107,6 +107,23 @@ def settings_mismatch(calibrated: Settings, used: Settings) -> dict[str, tuple[A
     }
 
 
+def calibrated_settings(calibrated: Settings) -> dict[str, float | str]:
+    """What `open_source(settings=...)` sets a camera to, so that it is as in a calibration.
+
+    Parameters
+    ----------
+    calibrated : kept in the calibration, `calibration.settings.get("camera", {})`
+
+    Exposure and white balance are left out where they were automatic: to set them would switch that off.
+    """
+    by_hand = {
+        name: automatic is None or calibrated.get(automatic, OFF[automatic]) == OFF[automatic]
+        for name, (_, automatic) in CONTROLS.items()
+    }
+    names = [name for name in SETTABLE if name != "fps" and by_hand.get(name, True)]
+    return {name: calibrated[name] for name in names if name in calibrated}
+
+
 def _set(capture: Capture, which: int, value: float, setting: str, name: str) -> None:
     accepted = capture.set(which, value)
     found = float(capture.get(which))

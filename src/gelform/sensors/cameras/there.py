@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import stat
 import sys
 from pathlib import Path
 
 import cv2
 
-from gelform.sensors.cameras.camera import Camera, chosen_camera
+from gelform.errors import SensorError
+from gelform.sensors.cameras.camera import Camera, chosen_camera, listed_cameras
 from gelform.sensors.cameras.sysfs import cameras_in_sysfs
 
+VIDEO4LINUX = 81  # major number of the kernel's video devices (Documentation/admin-guide/devices.txt)
 LOOKED_AT = 4  # numbers, where the system has no list
 
 
@@ -39,5 +43,16 @@ def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
     path = Path(spec)
     if spec.startswith("/dev/") and path.exists():
         real = str(path.resolve())
-        return next((camera for camera in there if camera.path == real), Camera(spec, real))
+        listed = next((camera for camera in there if camera.path == real), None)
+        if listed is None and not _is_video_device(path):
+            raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
+        return listed or Camera(spec, real)
     return chosen_camera(spec, there)
+
+
+def _is_video_device(path: Path) -> bool:
+    """Whether the kernel calls it one; where it cannot be asked, opening it will tell."""
+    if not sys.platform.startswith("linux"):
+        return True
+    status = path.stat()
+    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == VIDEO4LINUX

@@ -1,4 +1,4 @@
-"""A camera that is set otherwise than it was calibrated with."""
+"""A camera that is another one than the calibration's, or set otherwise."""
 
 from __future__ import annotations
 
@@ -9,11 +9,40 @@ from gelform.calibration_file import Calibration
 from gelform.sensors import settings_mismatch
 
 
-def settings_findings(calibration: Calibration, used: dict[str, Any]) -> tuple[Finding, ...]:
-    """`settings_mismatch` of a source's settings, as they were read back; figure: how many are not as calibrated."""
-    different = settings_mismatch(calibration.settings.get("camera", {}), used)
-    if not different:
-        return ()
-    said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
-    message = f"The camera is set otherwise than when it was calibrated: {said}. Set it as then, or calibrate again."
-    return (Finding("settings_mismatch", message, float(len(different))),)
+class CameraCheck:
+    """Compares a camera with the calibration's; again whenever it says something else: one that was unplugged forgets."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._serial = calibration.serial
+        self._settings = calibration.settings.get("camera", {})
+        self._seen: tuple[str | None, dict[str, Any]] | None = None
+        self._findings: tuple[Finding, ...] = ()
+
+    def __call__(self, serial: str | None, settings: dict[str, Any]) -> tuple[Finding, ...]:
+        """`other_camera` and `settings_mismatch`; figures: 1, and how many settings are not as calibrated.
+
+        Parameters
+        ----------
+        serial, settings : of the source, as they were read back; what is not known is not compared
+        """
+        if self._seen != (serial, settings):
+            self._seen = serial, settings
+            self._findings = (*self._of_serial(serial), *self._of_settings(settings))
+        return self._findings
+
+    def _of_serial(self, serial: str | None) -> tuple[Finding, ...]:
+        if not serial or not self._serial or serial == self._serial:
+            return ()
+        message = (
+            f"The camera's serial is {serial}, the calibration is of {self._serial}. Colours differ from unit to unit: take "
+            "that unit's calibration, or calibrate this one."
+        )
+        return (Finding("other_camera", message, 1.0),)
+
+    def _of_settings(self, settings: dict[str, Any]) -> tuple[Finding, ...]:
+        different = settings_mismatch(self._settings, settings)
+        if not different:
+            return ()
+        said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
+        message = f"The camera is set otherwise than when it was calibrated: {said}. Set it as then, or calibrate again."
+        return (Finding("settings_mismatch", message, float(len(different))),)
