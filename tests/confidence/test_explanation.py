@@ -29,7 +29,11 @@ def test_shares_add_up_and_the_law_is_what_is_left():
 
 
 def test_a_speck_is_not_named():
-    assert explained(markers=patch(np.s_[10:13, 10:13])).findings == ()
+    """Of under 12 pixels that hang together."""
+    eleven = patch(np.s_[10:13, 10:14])
+    eleven[10, 10] = False
+    assert explained(markers=eleven).findings == ()
+    assert [f.name for f in explained(markers=patch(np.s_[10:13, 10:14])).findings] == ["marker"]
     assert explained().findings == ()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.background.change import ChangeSettings
-from gelform.confidence.limits import prepared_causes
+from gelform.confidence.limits import prepared_causes, well_trained
 
 
 def test_the_figures_of_a_calibration(calibration):
@@ -30,5 +30,11 @@ def test_what_is_not_known():
     background[:10, :10] = 1
     causes = prepared_causes(background, ChangeSettings(), clean=0.04, levels=None, gamut=None, forward=None)
     assert causes.limits.noise is None
+    assert causes.limits.worth == 1
     assert causes.limits.levels == np.inf
     assert causes.limits.outside.sum() == 100
+
+
+def test_the_forward_response_of_few_presses_is_not_asked(calibration):
+    assert well_trained(calibration.forward, 11) is None
+    assert well_trained(calibration.forward, 12) is calibration.forward

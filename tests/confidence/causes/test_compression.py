@@ -46,6 +46,15 @@ def test_blocks_of_a_jpeg_wherever_it_is_cut(cut):
     assert levels[1] == 0
 
 
+def test_blocks_that_are_rounded_apart_add_their_deviation():
+    """Each block of 8 pixels is off by 2 levels RMS; the noise in it is the usual 1.5."""
+    _, rest = noisy(0.0)
+    rng = np.random.default_rng(3)
+    off = np.kron(rng.normal(0, 2, (15, 22, 3)), np.ones((8, 8, 1)))[:120, :170]
+    image = np.clip(np.rint(rest + off + rng.normal(0, 1.5, rest.shape)), 0, 255).astype(np.uint8)
+    assert compression.added_levels(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
+
+
 def test_noise_becomes_slope_by_gain_and_worth():
     np.testing.assert_allclose(compression.sigma(seen(added_levels=2.0)), 1.5 * 2.0 * 0.01, rtol=1e-6)
 
