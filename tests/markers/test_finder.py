@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.markers.finder import MarkerFinder, evenness, is_grid, markers_from_image
+from gelform.markers.finder import MarkerFinder, _level, evenness, is_grid, markers_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
 
@@ -190,3 +190,25 @@ def test_evenness_of_random_points_and_grids():
     assert max(random) < 1.3
     y, x = np.mgrid[0:100:10, 0:150:10]
     assert evenness(np.stack([x.ravel(), y.ravel()], axis=1)) == pytest.approx(2)
+
+
+def spots(shape, size, pitch):
+    """A lit gel with dark rectangles of (height, width) px on a square grid, all of them whole."""
+    image = np.full((*shape, 3), [110.0, 140.0, 125.0])
+    for y in range(pitch, shape[0] - size[0] - 4, pitch):
+        for x in range(pitch, shape[1] - size[1] - 4, pitch):
+            image[y : y + size[0], x : x + size[1]] *= 0.4
+    return image.astype(np.uint8)
+
+
+@pytest.mark.parametrize(("size", "found"), [((5, 5), 18), ((4, 8), 18), ((14, 26), 0)])
+def test_dots_are_small_and_compact_whichever_way_the_image_lies(size, found):
+    """A dot may be twice as long as wide, but no larger than 0.15 of the image's shorter side."""
+    image = spots((120, 210), size, 29)
+    for turned in (image, image.transpose(1, 0, 2).copy()):
+        assert len(markers_from_image(turned)) == found
+
+
+def test_the_level_is_the_mean_of_the_channels():
+    assert (_level(np.full((4, 5, 3), [10, 20, 60], dtype=np.uint8)) == 30).all()
+    assert (_level(np.full((4, 5, 3), [10.0, 20.0, 60.4])) == 30).all()

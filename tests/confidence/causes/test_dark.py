@@ -1,6 +1,7 @@
 """Dark: what is at the lower end says nothing, but where no light reaches at rest either, or another channel saturates."""
 
 import numpy as np
+import pytest
 
 from gelform.confidence.causes import dark, saturated
 from made.seen_frames import SHAPE, limits, patch, seen
@@ -30,11 +31,12 @@ def test_a_pixel_is_saturated_or_dark_not_both():
     assert dark.sigma(frame)[20, 30] == 0
 
 
-def test_a_lost_part_is_dark_where_it_was():
+@pytest.mark.parametrize(("level", "expected"), [(7, True), (16, True), (17, False)])
+def test_a_lost_part_is_dark_where_it_was(level, expected):
     came = np.full((*SHAPE, 3), 100, np.uint8)
-    came[:, 30:] = 7
+    came[:, 30:] = level
     lost = patch(np.s_[:, 48:])
-    assert np.array_equal(dark.sigma(seen(lost=lost, lost_pixels=came)) > 0, lost)
+    assert np.array_equal(dark.sigma(seen(lost=lost, lost_pixels=came)) > 0, lost & expected)
 
 
 def test_a_black_marker_is_a_marker():

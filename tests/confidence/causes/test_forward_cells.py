@@ -27,3 +27,14 @@ def test_a_response_that_is_the_same_everywhere_is_exact():
     y, x = (axis.ravel() for axis in np.mgrid[:20, :40])
     exact = forward.color_from_gradients(gradients.reshape(-1, 2), x, y).reshape(20, 40, 3)
     np.testing.assert_allclose(explained_change(coefficients_of_cells(forward), gradients), exact, atol=1e-5)
+
+
+def test_over_a_cell_a_response_that_is_linear_in_the_place_is_exact_in_the_mean():
+    """Its coefficients are those at the cell's middle."""
+    forward = ForwardResponse(np.random.default_rng(1).normal(0, 1, (6, 3)), (1,), (24, 48), np.full(3, 0.02))
+    gradients = np.full((24, 48, 2), 0.3, dtype=np.float32)
+    y, x = (axis.ravel() for axis in np.mgrid[:24, :48])
+    exact = forward.color_from_gradients(gradients.reshape(-1, 2), x, y)
+    found = explained_change(coefficients_of_cells(forward), gradients)
+    means = [values.reshape(3, 8, 3, 16, 3).mean(axis=(1, 3)) for values in (found, exact)]
+    np.testing.assert_allclose(means[0], means[1], atol=1e-5)

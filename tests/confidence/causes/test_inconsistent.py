@@ -16,6 +16,8 @@ def test_what_the_channels_do_not_have_in_common():
     assert found[patch()] == pytest.approx(3 * 1.5 * (size - 3.7 * NOISE), rel=1e-5)
     assert not found[~patch()].any()
     assert not specular.sigma(frame).any()
+    for light in (0.2, -0.2):
+        assert not inconsistent.sigma(seen(residual=np.full((40, 72, 3), light, np.float32))).any()
 
 
 def test_torn_parts_say_nothing():
