@@ -26,10 +26,10 @@ KILLS = 2 if FACTOR < 5 else 20
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="kills processes, mounts a tmpfs")
 DRIVER = """
 import sys
-from gelform.batch import BatchSettings, run_batch
+from gelform.batch import BatchSettings, Engine, run_batch
 if __name__ == "__main__":
     source, calibration, output, workers = sys.argv[1:]
-    run_batch(source, calibration, output, BatchSettings(part_frames={part_frames}), workers=int(workers))
+    run_batch(source, calibration, output, BatchSettings(part_frames={part_frames}), engine=Engine("pool", int(workers)))
 """
 
 

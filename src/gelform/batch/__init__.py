@@ -1,5 +1,6 @@
 """Data sets: every frame of a folder tree, of videos and recordings to depth, resumable, on several processes."""
 
+from gelform.batch.engines import Engine
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.sequences import Sequence
 from gelform.batch.run import BatchSummary, run_batch
@@ -10,6 +11,7 @@ __all__ = [
     "KEPT",
     "BatchSettings",
     "BatchSummary",
+    "Engine",
     "Listing",
     "Problem",
     "Sequence",

@@ -13,6 +13,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from gelform.background.check import background_digest
+from gelform.batch.engines.engine import Engine
 from gelform.batch.finish import finish
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import Part, plan_of, shard_of
@@ -20,7 +21,6 @@ from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
 from gelform.batch.locks import only_run
 from gelform.batch.manifest import Manifest, begin
 from gelform.batch.outputs.places import FRAMES
-from gelform.batch.processes import done_parts
 from gelform.batch.records import (
     PARTS,
     outputs_there,
@@ -74,7 +74,7 @@ def run_batch(
     *,
     background: str | os.PathLike[str] | None = None,
     shard: tuple[int, int] = (1, 1),
-    workers: int = 1,
+    engine: Engine | None = None,
     max_errors: int = MAX_ERRORS,
     overwrite: bool = False,
     retry_errors: bool = False,
@@ -92,7 +92,7 @@ def run_batch(
     settings : BatchSettings; the defaults without
     background : an image or a folder of the untouched gel, for all sequences
     shard : (i, N): only every N-th part, from the i-th; shards may run at once
-    workers : processes
+    engine : what does the parts; this process without
     max_errors : frames with errors; more end the run
     overwrite : begin anew where the output was begun with something else
     retry_errors : do parts again that have frames with errors
@@ -113,7 +113,7 @@ def run_batch(
         check_path(output),
         as_calibration(calibration),
     )
-    table = table_form(table)
+    table, engine = table_form(table), engine or Engine()
     if calibration.mm_per_px is None:
         raise DataError(
             "This calibration has no scale, so there is no depth in mm. Import it again with --mm-per-px F."
@@ -127,7 +127,7 @@ def run_batch(
     hidden = [] if background is None else [Path(background)]
     listing = listing_of(source, leave_out=hidden, dataset=dataset)
     check_apart(listing, output)
-    plan = plan_of(listing, settings.part_frames, settings.background_frames)
+    plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
     parts = shard_of(plan, shard)
     rest = _background(background, calibration)
     _check_size(plan, calibration)
@@ -142,7 +142,7 @@ def run_batch(
         if alone:
             _clean(output, todo, settings.form)
         job = Job(calibration, rest, output, settings)
-        _do(job, todo, workers, max_errors, summary, progress)
+        _do(job, todo, engine, max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
             finish(output, manifest, table, again=bool(todo))
             summary.complete = True
@@ -241,12 +241,12 @@ def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
 def _do(
     job: Job,
     todo: Sequence[Part],
-    workers: int,
+    engine: Engine,
     max_errors: int,
     summary: BatchSummary,
     progress: Callable[[BatchSummary], Any],
 ) -> None:
-    with closing(done_parts(job, todo, min(workers, max(1, len(todo))))) as done:
+    with closing(engine.done(job, todo)) as done:
         for _, frames, errors in done:
             summary.parts_done += 1
             summary.frames += frames

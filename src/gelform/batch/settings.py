@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from gelform.solvers import SOLVERS
 
 KEPT = ("depth", "known", "depth_sigma", "gradients", "confidence", "contact")
-FORMATS = ("npz", "png", "zarr", "hdf5")
+FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1")
 DTYPES = ("float32", "uint16")
-LEVELS_ALONE = ("png",)  # which hold nothing but depth in 16 bits
+LEVELS_ALONE = ("png", "ffv1")  # which hold nothing but depth in 16 bits
+WHOLE_SEQUENCES = ("ffv1",)  # which are one file and so one part
 MOST_BACKGROUND_FRAMES = 200
 
 
@@ -20,10 +22,11 @@ class BatchSettings:
 
     Attributes
     ----------
-    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames
+    form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "ffv1", a video of 16 bits per
+        sequence
     keep : maps among KEPT; ("all",), npz alone: the whole result, which `gelform.load_result` reads
-    dtype : of what is kept; "uint16" is depth alone, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png, never
-        in npz
+    dtype : of what is kept; "uint16" is depth alone, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png and ffv1,
+        never in npz
     solver : as of a `Reconstructor`
     depth_sigma : whether depth's standard deviation is worked out, which also decides where contact is; without it a
         frame takes a quarter less time
@@ -80,6 +83,11 @@ class BatchSettings:
             raise ValueError(
                 f"Expected depth alone in 16 bits, got {', '.join(self.keep)}. Write float32 as npz, zarr or hdf5."
             )
+
+    @property
+    def frames_in_a_part(self) -> int:
+        """The most images in a part; those of a whole sequence where that is one file."""
+        return sys.maxsize if self.form in WHOLE_SEQUENCES else self.part_frames
 
     def facts(self) -> dict[str, Any]:
         """The settings as JSON has them."""

@@ -6,7 +6,7 @@ from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.settings import FORMATS
 
-NEEDS = {"zarr": "numcodecs", "hdf5": "h5py"}
+NEEDS = {"zarr": "numcodecs", "hdf5": "h5py", "ffv1": "av"}
 
 
 def settings_of(form):

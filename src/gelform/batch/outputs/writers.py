@@ -7,6 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
+from gelform.batch.outputs.depth_video import DepthVideo
 from gelform.batch.outputs.frame_files import FrameFiles
 from gelform.batch.outputs.hdf5_files import INDEX, Hdf5Files, hdf5_index
 from gelform.batch.outputs.places import OutputFile, Place
@@ -47,6 +48,7 @@ WRITERS: dict[str, Callable[[Place], PartWriter]] = {
     "png": FrameFiles,
     "zarr": ZarrArrays,
     "hdf5": Hdf5Files,
+    "ffv1": DepthVideo,
 }
 FINISHED: dict[str, tuple[str, Callable[[Path, list[str]], bytes]]] = {"hdf5": (INDEX, hdf5_index)}
 

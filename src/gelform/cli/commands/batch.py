@@ -17,7 +17,7 @@ from gelform.cli.failures import MISTAKE
 from gelform.cli.options import Background, CalibrationFile, Json, Quiet, one_of
 
 if TYPE_CHECKING:
-    from gelform.batch import BatchSettings, BatchSummary
+    from gelform.batch import BatchSettings, BatchSummary, Engine
 
 LINE_EVERY_S = 30.0  # where standard error is a file
 
@@ -49,7 +49,9 @@ def batch(
             metavar="N", min=0, help="Average the first N frames of each sequence as its background."
         ),
     ] = 0,
-    form: Annotated[str, typer.Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5.")] = "npz",
+    form: Annotated[
+        str, typer.Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1.")
+    ] = "npz",
     dtype: Annotated[
         str | None, typer.Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
     ] = None,
@@ -62,7 +64,11 @@ def batch(
     sigma: Annotated[
         bool, typer.Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
     ] = True,
-    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes; of Ray, CPUs.")] = 1,
+    engine: Annotated[str, typer.Option(help="pool: processes of this machine; ray.")] = "pool",
+    address: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a Ray cluster that runs, such as auto.")
+    ] = None,
     shard: Annotated[
         Any, typer.Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
     ] = "1/1",
@@ -104,7 +110,7 @@ def batch(
             settings,
             background=background,
             shard=shard,
-            workers=workers,
+            engine=_engine(engine, workers, address),
             max_errors=max_errors,
             overwrite=overwrite,
             retry_errors=retry_errors,
@@ -117,6 +123,15 @@ def batch(
     _report(summary, output, max_errors, quiet or as_json)
     if summary.errors:
         raise typer.Exit(MISTAKE)
+
+
+def _engine(name: str, workers: int, address: str | None) -> Engine:
+    from gelform.batch import Engine
+
+    try:
+        return Engine(name, workers, address)
+    except ValueError as problem:
+        raise typer.BadParameter(str(problem)) from problem
 
 
 def _settings(

@@ -25,10 +25,15 @@ class WorkerLostError(GelformError):
     """A worker process was killed; what it had finished is kept."""
 
 
-def done_parts(job: Job, parts: Sequence[Part], workers: int) -> Generator[tuple[Part, int, int], None, None]:
-    """Do parts; gives each with its number of frames and of errors as it is done.
+def done_parts(
+    job: Job, parts: Sequence[Part], workers: int, address: str | None = None
+) -> Generator[tuple[Part, int, int], None, None]:
+    """Do parts here, or in several processes of this machine (see `DoneParts`).
 
-    Closing the iterator ends the work between two frames; parts that are not done leave no record.
+    Parameters
+    ----------
+    workers : processes; 1: this one
+    address : not used, this machine has none
 
     Raises
     ------

@@ -5,9 +5,9 @@ import signal
 
 import pytest
 
+from gelform.batch.engines.processes import WorkerLostError, done_parts
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
-from gelform.batch.processes import WorkerLostError, done_parts
 from gelform.batch.records import read_record
 from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Job
