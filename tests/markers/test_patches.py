@@ -53,8 +53,8 @@ def test_the_kernel_is_the_written_method():
     image = logs_from_image(image_of_dots(np.add(REST, [1.3, -0.6]), noise=1.0, seed=1))
     count = len(REST)
     assert_kernel_agrees(
-        patches._follow_patches, reference, image, own._corners, own._weight, own._basis, own._triangle,
-        np.zeros((count, 2), np.float32), np.zeros((count, 4), np.float32), own._side, 3, 1.0,
+        patches._follow_patches, reference, image, own.corners_px, own.weights, own._basis, own._triangle,
+        np.zeros((count, 2), np.float32), np.zeros((count, 4), np.float32), own.side_px, 3, 1.0,
         tolerance=1e-3,
     )  # fmt: skip
 

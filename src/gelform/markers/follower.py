@@ -19,6 +19,7 @@ from gelform.markers.finder import MarkerFinder
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.neighbours import MOST_ASTRAY, Neighbours
 from gelform.markers.patches import Patches, logs_from_image
+from gelform.markers.stretched import StretchedPatches
 
 ROUNDS = 8
 AGAIN = 0.3  # of the spacing: as far as a dot that memory has lost may be from where its neighbours say it is
@@ -60,6 +61,7 @@ class MarkerFollower:
         self._neighbours = Neighbours(self._all)
         logs = logs_from_image(image)
         self._patches = Patches(logs, self.rest_px, radius)
+        self._stretched = StretchedPatches(logs, self._patches)
         self._candidates = CandidateFinder(logs, self.rest_px, radius)
         self._dark, self._owner = self._pixels_of_dots()
 
@@ -155,11 +157,44 @@ class MarkerFollower:
             if taken.sum() <= seen.sum():
                 break
             shift[taken], sigma[todo], seen = trial[taken], again.sigma_px, taken
-        if seen.any() and not seen.all():
+        if not seen.any():
+            return expected.copy(), seen, sigma
+        for starts in (expected, self._at_darkest(logs, shift, seen)):
+            shift, seen, sigma = self._with_stretched(logs, starts, shift, seen, sigma)
+        if not seen.all():
             shift[~seen] = self._predicted(shift, seen)
-        elif not seen.any():
-            shift = expected.copy()
         return shift, seen, sigma
+
+    def _with_stretched(
+        self, logs: NDArray[np.float32], starts: NDArray[Any], shift: Any, seen: Any, sigma: Any
+    ) -> tuple[Any, Any, Any]:
+        """Shifts, which dots are seen and their sigma, the lost ones sought with an affine map from `starts` (N, 2)."""
+        todo = np.nonzero(~seen & self._patches.inside(self.rest_px + starts))[0]
+        if not len(todo):
+            return shift, seen, sigma
+        guess = shift.copy()
+        guess[~seen] = self._predicted(shift, seen)
+        found = self._stretched(logs, starts[todo], todo)
+        trial, taken = shift.copy(), seen.copy()
+        trial[todo] = found.shift_px
+        taken[todo] = found.ok & (
+            np.linalg.norm(found.shift_px - guess[todo], axis=1) < AGAIN * self.spacing_px
+        )
+        taken = self._agreeing(trial, taken) | seen
+        new = sigma.copy()
+        new[todo] = found.sigma_px
+        return np.where(taken[:, None], trial, shift), taken, np.where(seen, sigma, new)
+
+    def _at_darkest(self, logs: NDArray[np.float32], shift: Any, seen: Any) -> NDArray[np.float64]:
+        """Shifts (N, 2) to start from: for lost dots the candidate nearest to where their neighbours say they are."""
+        guess = shift.copy()
+        todo = np.nonzero(~seen)[0]
+        if not len(todo):
+            return guess
+        guess[todo] = self._predicted(shift, seen)
+        taken = shift[seen] + self.rest_px[seen]
+        guess[todo] = self._at_candidates(guess, todo, taken, self._candidates(logs), AGAIN * self.spacing_px)
+        return guess
 
     def _at_candidates(
         self,

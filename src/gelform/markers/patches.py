@@ -61,14 +61,14 @@ class Patches:
     def __init__(self, logs: NDArray[np.float32], centers_px: NDArray[Any], radius_px: float) -> None:
         height, width = self._shape = logs.shape
         half = int(min(np.ceil(SIDE_RADII * radius_px + 1), (MOST_SIDE - 1) // 2, (min(logs.shape) - 1) // 2))
-        self._side, self._longest = 2 * half + 1, 0.6 * radius_px
+        self.side_px, self._longest = 2 * half + 1, 0.6 * radius_px
         self.radius_px = radius_px
-        most = np.array([width, height]) - self._side
-        self._corners = np.clip(np.rint(centers_px) - half, 0, most).astype(np.int32)
-        self._centers = np.asarray(centers_px, dtype=np.float32)
-        count = len(self._corners)
-        self._weight = np.empty((count, self._side**2), dtype=np.float32)
-        self._basis = np.empty((count, BASIS, self._side**2), dtype=np.float32)
+        most = np.array([width, height]) - self.side_px
+        self.corners_px = np.clip(np.rint(centers_px) - half, 0, most).astype(np.int32)
+        self.centers_px = np.asarray(centers_px, dtype=np.float32)
+        count = len(self.corners_px)
+        self.weights = np.empty((count, self.side_px**2), dtype=np.float32)
+        self._basis = np.empty((count, BASIS, self.side_px**2), dtype=np.float32)
         self._triangle = np.empty((count, 3, 3), dtype=np.float32)
         self._spread, self._freedom = np.empty(count), np.empty(count)
         self._prepare(logs.astype(np.float64))
@@ -77,18 +77,18 @@ class Patches:
         self, logs: NDArray[np.float32], start_px: NDArray[Any], of: NDArray[np.intp] | None = None
     ) -> Followed:
         """Seek dots in an image's logs from shifts (N, 2); `of` picks dots by number, all by default."""
-        chosen = np.arange(len(self._corners)) if of is None else of
+        chosen = np.arange(len(self.corners_px)) if of is None else of
         shift = np.array(start_px, dtype=np.float32, order="C")
         fit = np.zeros((len(chosen), 4), dtype=np.float32)
-        parts = (self._corners, self._weight, self._basis, self._triangle)
+        parts = (self.corners_px, self.weights, self._basis, self._triangle)
         picked = parts if of is None else tuple(part[chosen] for part in parts)
-        _follow_patches(logs, *picked, shift, fit, self._side, STEPS, self._longest)
+        _follow_patches(logs, *picked, shift, fit, self.side_px, STEPS, self._longest)
         strength, left, own, last = fit.T
         noise = np.sqrt(left / self._freedom[chosen])
         sigma = (noise / np.maximum(strength, 0.1) * self._spread[chosen]).astype(np.float32)
         ok = (strength > STRENGTH[0]) & (strength < STRENGTH[1]) & (last < LAST_STEP_PX)
         ok &= left < MOST_LEFT * (left + own)
-        ok &= self.inside(self._centers[chosen] + shift)
+        ok &= self.inside(self.centers_px[chosen] + shift)
         return Followed(shift, ok, sigma)
 
     def inside(self, places: NDArray[Any]) -> NDArray[np.bool_]:
@@ -100,7 +100,7 @@ class Patches:
 
     def _prepare(self, logs: NDArray[np.float64]) -> None:
         """Each dot's weights and orthonormal basis: quadratic light, then the patch and its derivatives."""
-        half = self._side // 2
+        half = self.side_px // 2
         down, across = np.asarray(np.gradient(logs))
         y, x = np.mgrid[-half : half + 1, -half : half + 1] / max(half, 1)
         away = half * np.hypot(x, y).ravel()
@@ -108,14 +108,14 @@ class Patches:
             1 + np.exp((away - 1.6 * self.radius_px) / (0.3 * self.radius_px))
         )  # of other dots that come near
         light = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
-        for i, (left, top) in enumerate(self._corners):
-            at = slice(top, top + self._side), slice(left, left + self._side)
+        for i, (left, top) in enumerate(self.corners_px):
+            at = slice(top, top + self.side_px), slice(left, left + self.side_px)
             weight = taper * np.exp(logs[at]).ravel()  # the noise of a logarithm falls with the level
             weight /= weight.mean()
             columns = np.column_stack([light, *(part[at].ravel() for part in (logs, across, down))])
             basis, triangle = np.linalg.qr(columns * weight[:, None])
             sign = np.sign(np.diag(triangle))
-            self._weight[i], self._basis[i] = weight, (basis * sign).T
+            self.weights[i], self._basis[i] = weight, (basis * sign).T
             self._triangle[i] = (triangle * sign[:, None])[6:, 6:]
             noise = (
                 basis * taper[:, None] ** 2
