@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.ball import ball_center, ball_gradients, fit_sphere
+from gelform.ball import ball_center, ball_gradients, fit_sphere, followed_radius
 
 MM_PER_PX = 0.06
 BALL_MM = 3.0
@@ -64,3 +64,11 @@ def test_sphere_fit_recovers_the_ball():
     fit = fit_sphere(depth, inside, mm_per_px=MM_PER_PX, radius_mm=2.0)
     assert fit.radius_mm == pytest.approx(BALL_MM, rel=1e-3)
     np.testing.assert_allclose(fit.center_mm[:2], (80.3 * MM_PER_PX, 59.6 * MM_PER_PX), atol=1e-3)
+
+
+def test_the_gel_follows_the_visible_circle_unless_that_is_as_wide_as_the_ball():
+    assert followed_radius(60.0, 100.0) == 60
+    assert followed_radius(96.0, 100.0) == 96
+    assert followed_radius(97.0, 100.0) == followed_radius(150.0, 100.0) == 75
+    steepest = np.linalg.norm(ball_gradients(0.8 * 75, 0.0, (0, 0), 100.0))
+    assert steepest == pytest.approx(0.75)

@@ -76,6 +76,21 @@ def test_a_flat_rim_is_left_out_of_the_inner_part():
     assert errors.normal_inner_deg < 0.3 < 1 < errors.normal_free_deg
 
 
+def test_a_deep_press_is_scored_where_the_gel_follows_the_ball():
+    """A visible circle wider than the ball: slopes beyond 0.75 of its radius are not the ball's and count for nothing."""
+    depth, gradients, _ = pressed_ball(contact_px=40.0)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    beyond = np.hypot(x - 80.3, y - 59.6) > 0.75 * BALL_MM / MM_PER_PX
+    errors = press_errors(
+        depth,
+        np.where(beyond[..., None], 0, gradients),
+        circle_px=(80.3, 59.6, 55.0),
+        ball_radius_mm=BALL_MM,
+        mm_per_px=MM_PER_PX,
+    )
+    assert max(errors.normal_deg, errors.normal_inner_deg, errors.normal_free_deg) < 0.01
+
+
 def test_wrong_circle_costs_the_label_but_not_the_free_centre():
     depth, gradients, _ = pressed_ball()
     errors = press_errors(

@@ -13,6 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_mm_per_px
 
 STEEPEST_FRACTION = 0.97  # of the radius: beyond it the slopes of a ball are held
+# Of the radius, where the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
+FOLLOWED_FRACTION = 0.75
+
+
+def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
+    """Radius, px, up to which the gel of a press follows the ball.
+
+    It is the visible circle's, unless that is as wide as the ball or wider: then the gel stands off the ball inside
+    of it, and 0.75 of the ball's radius is what it certainly follows.
+    """
+    if contact_radius_px < STEEPEST_FRACTION * ball_radius_px:
+        return contact_radius_px
+    return FOLLOWED_FRACTION * ball_radius_px
 
 
 def ball_gradients(
@@ -56,7 +69,7 @@ def ball_center(
         ball = ball_gradients(x_px, y_px, (center[0], center[1]), radius_px)
         residual = gradients - ball
         weight = np.repeat(1 / np.sqrt(1 + np.sum(residual**2, axis=-1) / scale**2), 2)
-        jacobian = _center_jacobian(ball, radius_px).reshape(-1, 2)
+        jacobian = center_jacobian(ball, radius_px).reshape(-1, 2)
         weighted = jacobian * weight[:, None]
         move = np.linalg.solve(weighted.T @ jacobian + 1e-12 * np.eye(2), weighted.T @ residual.ravel())
         center += np.clip(move, -0.2 * radius_px, 0.2 * radius_px)
@@ -65,8 +78,11 @@ def ball_center(
     return float(center[0]), float(center[1])
 
 
-def _center_jacobian(ball: NDArray[np.float64], radius_px: float) -> NDArray[np.float64]:
-    """Derivative (N, 2, 2) of a ball's slopes by its centre: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`."""
+def center_jacobian(ball: NDArray[np.float64], radius_px: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivative (N, 2, 2) of a ball's slopes by its centre: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`.
+
+    One radius, or one for each pixel (N,).
+    """
     p, q = ball[:, 0], ball[:, 1]
     length = np.sqrt(1 + p * p + q * q) / radius_px
     jacobian = np.empty((len(ball), 2, 2))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere
+from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere, followed_radius
 from gelform.checks import check_gradients, check_map, check_numbers, check_positive, check_within
 
 INNER = (
@@ -62,6 +62,8 @@ def score_slopes(
 class PressErrors:
     """Errors of one reconstructed ball press against the ball; no scale is fitted.
 
+    Where the visible circle is as wide as the ball, the contact is what the gel certainly follows (`followed_radius`).
+
     Attributes
     ----------
     normal_deg : mean angle to the ball's normals inside the contact, 3 px (at 240 rows) inside its rim
@@ -71,7 +73,7 @@ class PressErrors:
     cap_um : standard deviation of depth minus the ball's cap there (offset free, scale not)
     cap_free_um : the same with a free centre, fitted to the slopes of the depth map
     radius_percent : (R_fit - R)/R of a sphere fitted to the depth, signed
-    off_contact_um : RMS of depth beyond 2.5 contact radii; NaN where the frame ends before
+    off_contact_um : RMS of depth beyond 2.5 radii of the visible circle; NaN where the frame ends before
     """
 
     normal_deg: float
@@ -118,7 +120,8 @@ def press_errors(
     ball_px = check_within(ball_radius_mm, "ball_radius_mm", 1e-3, 1e4) / mm_per_px
     inset = 3 * min(height, width) / 240
     rho = np.hypot(x - cx, y - cy)
-    reach = min(contact - inset, STEEPEST_FRACTION * ball_px)
+    followed = followed_radius(contact, ball_px)
+    reach = min(followed - inset, STEEPEST_FRACTION * ball_px)
     inside = rho < reach
     if np.count_nonzero(inside) < 10:
         raise ValueError(f"Expected a contact of at least 10 px inside the frame, got a circle {circle_px}.")
@@ -147,7 +150,7 @@ def press_errors(
     return PressErrors(
         normal_deg=normal((cx, cy), inside),
         normal_free_deg=normal(free[0], inside_free[0]),
-        normal_inner_deg=normal(free[0], from_free[0] < min(INNER * contact, reach)),
+        normal_inner_deg=normal(free[0], from_free[0] < min(INNER * followed, reach)),
         cap_um=cap((cx, cy), inside),
         cap_free_um=cap(free[1], inside_free[1]),
         radius_percent=100 * (sphere.radius_mm - ball_radius_mm) / ball_radius_mm,

@@ -137,7 +137,7 @@ def _check_enough(presses: Presses, refined: Refined, folds: int) -> None:
     raise CalibrationError(
         f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        "Press a ball of known diameter firmly at many places, one image each, not deeper than half its radius. "
+        "Press a ball of known diameter firmly at many places, one image each, best not deeper than half its radius. "
         + " ".join(
             coverage_notes([refined.contacts[i].circle_px for i in refined.accepted], presses.image_shape)
         )

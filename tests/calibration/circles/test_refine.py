@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.ball import ball_gradients
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.prepare import prepare
@@ -16,8 +17,12 @@ from gelform.calibration.circles.refine import (
     refine,
     refining_degrees,
     why_impossible,
+    why_too_wide,
 )
+from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.selection.folds import make_folds, unlike_the_others
+from gelform.simulate import LAYOUTS, Ball, simulate_press
+from gelform.simulate.background import simulate_background
 
 
 def errors_px(contacts, simulated):
@@ -103,6 +108,46 @@ def test_what_does_not_fit_is_three_times_as_far_off_as_usual():
         assert below is None
         assert f"limit {limit:.2f}" in above
     assert ["1.50 times" in str(one) for one in misfit_reasons([(0.1, 1.4), (0.1, 1.5)])] == [False, True]
+
+
+@pytest.fixture(scope="module")
+def deep():
+    """Presses 0.8-1.3 ball radii deep in a gel that is drawn down far around: the visible circle is wider than the ball."""
+    sensor = replace(LAYOUTS["homemade"], shape=(120, 160), mm_per_px=0.11, relaxation_mm=1.2)
+    rng = np.random.default_rng(5)
+    centers = [(x, y) for y in (-3.8, 0.3, 4.1) for x in (-6.1, -2.2, 2.3, 6.4)]
+    made = [
+        simulate_press(sensor, Ball(2.0), depth_mm=2 * rng.uniform(0.8, 1.3), center_mm=c, rng=rng)
+        for c in centers
+    ]
+    rest = simulate_background(sensor, rng).astype(np.float32)
+    change = [color_change_from_image(one.image, rest, ChangeSettings(blur_px=0.6)) for one in made]
+    sizes = [np.linalg.norm(c - np.median(c, axis=(0, 1)), axis=-1).astype(np.float32) for c in change]
+    prepared = [PreparedPress(str(k), c, s, 2.0 / 0.11) for k, (c, s) in enumerate(zip(change, sizes))]
+    return made, prepared, [find_contact(c) for c in change]
+
+
+def test_deep_presses_are_used_and_their_centres_come_back(deep):
+    made, prepared, found = deep
+    wide = np.array([c.radius_px for c in found]) / prepared[0].ball_radius_px
+    assert np.median(wide) > 1.1
+    truth = np.array([p.center_px for p in made])
+    refined = refine(prepared, found)
+    before, after = (
+        np.hypot(*(np.array([(c.x_px, c.y_px) for c in cs]) - truth).T) for cs in (found, refined.contacts)
+    )
+    assert len(refined.accepted) >= len(made) - 1
+    assert np.median(after) < 0.6 * np.median(before)
+    assert after.max() < 0.5 * before.max()
+
+
+def test_deep_presses_of_another_ball_than_stated_are_refused(deep):
+    """Half of the true ball: the gel is steepest far outside of it, which no press of such a ball can be."""
+    _, prepared, found = deep
+    smaller = [replace(press, ball_radius_px=press.ball_radius_px / 2) for press in prepared]
+    reasons = why_too_wide(smaller, found)
+    assert all("ball diameter or mm_per_px is wrong" in reason for reason in reasons)
+    assert not any(why_too_wide(prepared, found))
 
 
 def test_few_presses_carry_few_terms():

@@ -94,6 +94,12 @@ def contact_radius(
     return peak + _parabola_offset(slope, peak)
 
 
+def steepest_radius(size: NDArray[np.float32], contact: ContactCircle) -> float:
+    """Radius, px, at which the ring mean of |change| is largest, out to the visible circle: the gel is steepest there."""
+    rings = gaussian_filter1d(ring_mean(size, contact.x_px, contact.y_px), 2 * scale_of(size.shape))
+    return float(np.argmax(rings[: max(1, round(contact.radius_px))]))
+
+
 def moved(contact: ContactCircle, size: NDArray[np.float32], x_px: float, y_px: float) -> ContactCircle:
     """The contact with another centre, its radius measured anew about it."""
     radius = contact_radius(size, x_px, y_px, contact.radius_px)

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_center
-from gelform.calibration.circles.find import ContactCircle, moved, scale_of, why_no_contact
+from gelform.ball import ball_center, followed_radius
+from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
+from gelform.calibration.circles.joint import joint_moves
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
 from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel
 from gelform.progress import Progress, no_progress
@@ -28,6 +29,9 @@ MAX_MOVE_PX = 8.0
 MAX_RESIDUAL = 0.25
 RESIDUAL_OVER_MEDIAN = 3.0
 START_RIDGE = 1e-2
+JOINT_ROUNDS = 5
+JOINT_DEGREES = (1,)
+STEEPEST_RING = 0.95
 GAIN_RANGE = (0.7, 1.45)
 
 
@@ -76,11 +80,13 @@ def refine(
     start : what another unit of the same sensor taught
     """
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
+    reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
     for i, reason in (excluded or {}).items():
         reasons[i] = reason
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
     whole = [i for i in candidates if _is_whole(presses[i], found[i])]
     contacts, fit_on = list(found), whole if len(whole) >= MIN_WHOLE else candidates
+    contacts = _jointly_centered(presses, contacts, fit_on)
     model: ColorModel | None = None
     for round_ in range(ROUNDS if len(candidates) > 1 else 0):
         model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
@@ -98,6 +104,32 @@ def refine(
             reasons[i] = reason
             contacts[i] = found[i]
     return Refined(tuple(contacts), tuple(reasons), model)
+
+
+def _jointly_centered(
+    presses: Sequence[PreparedPress], contacts: list[ContactCircle], fit_on: Sequence[int]
+) -> list[ContactCircle]:
+    """The contacts, moved with a first model of all where most presses are deep: those are found 2-10 px off.
+
+    Usual presses are found within 1-2 px, which alternating keeps, while the stiff model would move them.
+    """
+    deep = [is_deep(presses[i], contacts[i]) for i in fit_on]
+    if len(fit_on) < MIN_WHOLE or np.mean(deep) < 0.5:
+        return contacts
+    chosen = [presses[i] for i in fit_on]
+    for _ in range(JOINT_ROUNDS):
+        moves = joint_moves(
+            chosen, [contacts[i] for i in fit_on], REFINING_ZONE, JOINT_DEGREES, total=REFINING_SAMPLES
+        )
+        for i, (dx, dy) in zip(fit_on, moves):
+            x, y = contacts[i].x_px + float(dx), contacts[i].y_px + float(dy)
+            contacts[i] = moved(contacts[i], presses[i].size, x, y)
+    return contacts
+
+
+def is_deep(press: PreparedPress, contact: ContactCircle) -> bool:
+    """Whether the visible circle is as wide as the ball, or wider: the gel stands off the ball inside of it."""
+    return followed_radius(contact.radius_px, press.ball_radius_px) < contact.radius_px
 
 
 def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
@@ -123,14 +155,28 @@ def fit_model(
 def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
     """The reason why a circle found in one image cannot be a press of this ball, or None."""
     reason = why_no_contact(contact)
-    if reason is None and contact.radius_px >= STEEPEST_FRACTION * press.ball_radius_px:
-        reason = (
-            f"contact radius {contact.radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or "
-            "more: pressed too deep, or ball diameter or mm_per_px is wrong"
-        )
     if reason is None and len(press.pixels(contact, REFINING_ZONE)[0]) < 30:
         reason = "contact lies outside the frame"
     return reason
+
+
+def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> list[str | None]:
+    """For each press the reason why its visible circle is too wide for the stated ball, or None.
+
+    A circle as wide as the ball or wider is that of a deep press, which draws the gel down around the ball. The gel is
+    steepest where it leaves the ball then, which is nearer to the centre than 0.95 of the ball's radius. If it is
+    steepest further out in half of such presses, the ball is larger than stated, and all of them are refused.
+    """
+    deep = [i for i, (press, contact) in enumerate(zip(presses, found)) if is_deep(press, contact)]
+    steepest = {i: steepest_radius(presses[i].size, found[i]) / presses[i].ball_radius_px for i in deep}
+    all_ = bool(deep) and float(np.median(list(steepest.values()))) >= STEEPEST_RING
+    return [
+        f"contact radius {found[i].radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or more, and the "
+        f"gel is steepest {steepest[i]:.2f} ball radii from its centre: ball diameter or mm_per_px is wrong"
+        if i in steepest and (all_ or steepest[i] >= STEEPEST_RING)
+        else None
+        for i, press in enumerate(presses)
+    ]
 
 
 def recentered(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_gradients
+from gelform.ball import ball_gradients, followed_radius
 from gelform.calibration.circles.find import ContactCircle
 from gelform.color_models import ColorModel, Samples
 
@@ -45,8 +45,8 @@ class PreparedPress:
     def pixels(
         self, contact: ContactCircle, zone: float, count: int | None = None
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns of about `count` pixels inside `zone` of the contact radius, on a regular lattice."""
-        radius = min(zone * contact.radius_px, STEEPEST_FRACTION * self.ball_radius_px)
+        """Rows and columns of about `count` pixels inside `zone` of the followed radius, on a regular lattice."""
+        radius = zone * followed_radius(contact.radius_px, self.ball_radius_px)
         height, width = self.size.shape
         top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
         left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.ball import followed_radius
 from gelform.calibration.coverage import DIRECTIONS, coverage_from_circles, press_next, square_tiles
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.held_out import HeldOutSample
@@ -92,7 +93,7 @@ def report_content(
         "figures": _figures(report.presses, rng),
         "calibration": _facts(presses, calibration),
         "background": _background(calibration),
-        "coverage": _coverage(report, shape, zone),
+        "coverage": _coverage(report, shape, zone, calibration.known_mm_per_px),
         "gain": {
             "zone": zone,
             "contact": gain_curve(samples, rng),
@@ -160,9 +161,13 @@ def _background(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _coverage(report: CalibrationReport, shape: tuple[int, int], zone: float) -> dict[str, Any]:
+def _coverage(
+    report: CalibrationReport, shape: tuple[int, int], zone: float, mm_per_px: float
+) -> dict[str, Any]:
     """How many presses show each slope direction in each tile, and where to press next."""
-    circles = [(r.center_x_px, r.center_y_px, r.contact_radius_px) for r in report.presses if r.accepted]
+    used = [row for row in report.presses if row.accepted]
+    followed = [followed_radius(r.contact_radius_px, r.ball_diameter_mm / 2 / mm_per_px) for r in used]
+    circles = [(r.center_x_px, r.center_y_px, radius) for r, radius in zip(used, followed)]
     rows, columns = square_tiles(shape)
     coverage = coverage_from_circles(circles, shape, tiles=(rows, columns), zone=zone)
     errors = square_error_by_direction(report.samples, shape, (rows, columns))

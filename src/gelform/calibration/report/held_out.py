@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
+from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import PreparedPress
@@ -43,7 +43,7 @@ class HeldOutSample:
     Attributes
     ----------
     index : of the press in its folder
-    circle_px : (centre x, centre y, contact radius), px
+    circle_px : (centre x, centre y, contact radius), px; of a press too deep for that, the radius that the gel follows
     x_px, y_px : (N,) float32, inside the contact, 3 px (at 240 rows) inside its rim
     true_gradients, gradients : (N, 2) float32, the ball's slopes there and those that were reconstructed
     cap_error_um : (h, w) float32, depth minus the ball's cap in the contact's box, mean 0, NaN outside it;
@@ -179,7 +179,7 @@ def _slope_errors(
     x, y, radius = circle_px
     height, width = result.shape
     rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
-    inside = np.hypot(cols - x, rows - y) < ZONE * radius
+    inside = np.hypot(cols - x, rows - y) < ZONE * followed_radius(radius, ball_radius_px)
     rows, cols = rows[inside], cols[inside]
     assert result.observed_gradients is not None
     maps = result.observed_gradients, result.gradients
@@ -230,7 +230,8 @@ def sample_of(
     """
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
-    reach = min(circle_px[2] - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
+    followed = followed_radius(circle_px[2], ball_px)
+    reach = min(followed - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
     y, x = np.mgrid[:height, :width]
     start = circle_px[:2]
     inside = np.hypot(x - start[0], y - start[1]) < reach
@@ -238,7 +239,7 @@ def sample_of(
     rows, cols = _thinned(np.hypot(x - center[0], y - center[1]) < reach, max_pixels)
     return HeldOutSample(
         index,
-        (*center, circle_px[2]),
+        (*center, followed),
         cols.astype(np.float32),
         rows.astype(np.float32),
         ball_gradients(cols, rows, center, ball_px).astype(np.float32),
