@@ -22,3 +22,11 @@ def test_one_lit_channel_is_light():
     background[..., 2] = 30
     assert outside.outside_of_gel(background) is None
     assert not outside.sigma(seen()).any()
+
+
+def test_unlit_is_up_to_8_levels_over_25_pixels():
+    background = np.full((*SHAPE, 3), 9, np.float32)
+    background[5:10, 5:10] = 8
+    assert np.array_equal(outside.outside_of_gel(background), patch(np.s_[5:10, 5:10]))
+    background[5, 5] = 9
+    assert outside.outside_of_gel(background) is None
