@@ -143,7 +143,7 @@ class Trial:
             if self.native and not kernels(self.folder).changed(self.file):
                 return True  # the compiler notices
             return not passes(
-                self.folder, [test.name for test in tests], 20 + 4 * sum(test.seconds for test in tests)
+                self.folder, [test.name for test in tests], 60 + 4 * sum(test.seconds for test in tests)
             )
         finally:
             self.file.write_text(self.source, encoding="utf-8")
