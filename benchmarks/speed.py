@@ -96,7 +96,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     untouched, deviation, confidence = trusted(reference)
     unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # gradients have lost theirs above
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
-    hold = anchor(gradients, untouched)
+    hold = anchor(gradients, untouched, confidence)
     how = {"weights": confidence, "anchor": hold}
     depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **how)
     both = np.broadcast_to(deviation[..., None], gradients.shape)
@@ -105,8 +105,10 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         mm_per_px=pitch,
         correlation_px=calibration.slope_sigma.correlation_px,
         correlated_share=calibration.slope_sigma.correlated_share,
+        rest_correlated_share=calibration.slope_sigma.rest_correlated_share,
+        rest_correlation_px=calibration.slope_sigma.rest_correlation_px,
     )
-    known = depth_sigma(both, **how)
+    known = depth_sigma(both, **how, rest=untouched)
     touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)
     return {
         "exposure, background check": lambda: prepared.compare(image),
@@ -117,14 +119,14 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             change, gradients, threshold
         ),
         "untouched, gamut, sigma, confidence": lambda: trusted(unbiased),
-        "anchor at rest": lambda: anchor(gradients, untouched),
+        "anchor at rest": lambda: anchor(gradients, untouched, confidence),
         "depth (dct), curl": lambda: (
             gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
         ),
         "depth (weighted, anchored), curl": lambda: (
             gelform.integrate(gradients, mm_per_px=pitch, **how).curl_rms
         ),
-        "sigma of depth": lambda: depth_sigma(both, **how),
+        "sigma of depth": lambda: depth_sigma(both, **how, rest=untouched),
         "slopes of the depth and their sigma": lambda: (
             slopes_of_solution(depth, (pitch, pitch)),
             solved_sigma(both, 1.0),

@@ -128,3 +128,18 @@ def test_any_shape(shape):
     anchor = RestAnchor(shape, PITCH, CLEAN)(gradients, np.ones(shape, dtype=bool))
     assert anchor.shape == shape
     assert np.isfinite(anchor).all()
+
+
+def test_spots_that_are_not_trusted_leave_it_as_it_is():
+    """A mirrored light would tilt the coarse depth, and untouched gel far from it would count as pressed."""
+    gradients = np.zeros((*SHAPE, 2), np.float32)
+    plain = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, np.ones(SHAPE, dtype=bool))
+    confidence, untouched = np.ones(SHAPE, np.float32), np.ones(SHAPE, dtype=bool)
+    spot = np.s_[SHAPE[0] // 3 : SHAPE[0] // 2, SHAPE[1] // 3 : SHAPE[1] // 2]
+    gradients[spot], confidence[spot], untouched[spot] = 3.0, 1e-6, False
+    anchor = RestAnchor(SHAPE, PITCH, CLEAN)
+    assert np.median(anchor(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
+    found = anchor(gradients, untouched, confidence)
+    far = np.hypot(*(np.indices(SHAPE) - np.array([50, 66])[:, None, None])) > 45  # gel beside it is held less
+    assert found[far] == pytest.approx(plain[far], rel=0.01)
+    assert not found[spot].any()

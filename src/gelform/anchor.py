@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.gradients import fill_unknown
 from gelform.medians import medians_where
 from gelform.solvers.dct import DctSolver
 
@@ -25,6 +26,8 @@ FACE_MM = 0.02
 REACH_MM = 1.0
 COARSER = 4
 UNTOUCHED_SHARE, TOUCHED_SHARE = 0.9, 0.5
+# Mean confidence of coarse pixels: from which on all slopes count alike, and up to which they count for nothing.
+TRUSTED, LEAST_TRUST = 0.5, 0.05
 
 
 class RestAnchor:
@@ -45,15 +48,23 @@ class RestAnchor:
         self._coarse_mm = mm_per_px * (shape[0] / rows + shape[1] / columns) / 2
         self._solver = DctSolver(self._coarse, (mm_per_px * shape[1] / columns, mm_per_px * shape[0] / rows))
 
-    def __call__(self, gradients: NDArray[np.float32], untouched: NDArray[np.bool_]) -> NDArray[np.float32]:
+    def __call__(
+        self,
+        gradients: NDArray[np.float32],
+        untouched: NDArray[np.bool_],
+        confidence: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
         """Anchor (H, W) of slopes (H, W, 2) without bias, 0 where the gel was touched or pressed flat.
+
+        The coarse depth takes slopes by their confidence (H, W): a spot of light or dirt would otherwise tilt it over
+        the whole frame, and untouched gel would count as pressed.
 
         Untouched pixels hold with `(clean mm_per_px / REST_SIGMA_MM)^2`, times the weight of a robust loss,
         `(1 + (z/PRESSED_MM)^2)^-2`, of their coarse depth z (S. Geman and D. McClure, Bull. Int. Statist.
         Inst. 52, 1987), and times `1 - exp(-(d/REACH_MM)^2)`, d their distance from touched gel.
         """
         rows, columns = self._coarse
-        slopes = cv2.resize(gradients, (columns, rows), interpolation=cv2.INTER_AREA)
+        slopes = self._coarse_slopes(gradients, confidence)
         share = cv2.resize(untouched.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
         depth = self._solver(slopes.reshape(rows, columns, 2)).depth_mm
         share = share.reshape(rows, columns)
@@ -73,6 +84,21 @@ class RestAnchor:
         distance = cv2.distanceTransform((~touched).view(np.uint8), cv2.DIST_L2, 3).reshape(self._coarse)
         far: NDArray[np.float32] = -np.expm1(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
         return far
+
+    def _coarse_slopes(
+        self, gradients: NDArray[np.float32], confidence: NDArray[np.float32] | None
+    ) -> NDArray[np.float32]:
+        """Means of the slopes, by confidence where some are not trusted; the rest filled from their neighbours."""
+        size = self._coarse[::-1]
+        trust = None if confidence is None else cv2.resize(confidence, size, interpolation=cv2.INTER_AREA)
+        if confidence is None or trust is None or trust.min() >= TRUSTED:
+            return np.asarray(cv2.resize(gradients, size, interpolation=cv2.INTER_AREA))
+        slopes = cv2.resize(gradients * confidence[..., None], size, interpolation=cv2.INTER_AREA)
+        slopes = slopes.reshape(*self._coarse, 2) / np.maximum(trust, np.float32(1e-12)).reshape(
+            *self._coarse, 1
+        )
+        known = (trust >= LEAST_TRUST).reshape(self._coarse)
+        return fill_unknown(slopes, known) if known.any() else slopes
 
 
 def _faces(rest: NDArray[np.bool_], depth: NDArray[np.float32]) -> NDArray[np.bool_]:

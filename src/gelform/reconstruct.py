@@ -266,6 +266,8 @@ class Reconstructor:
             mm_per_px=self._pitch,
             correlation_px=known.correlation_px,
             correlated_share=known.correlated_share,
+            rest_correlated_share=known.rest_correlated_share,
+            rest_correlation_px=known.rest_correlation_px,
         )
 
     def _integrate(
@@ -282,10 +284,10 @@ class Reconstructor:
         """
         how: dict[str, Any] = {"zero": untouched}
         if takes_weights(self.solver):
-            how = {"weights": confidence, "anchor": self._anchor(gradients, untouched)}
+            how = {"weights": confidence, "anchor": self._anchor(gradients, untouched, confidence)}
         sigma_of: Work | None = None
         if self._depth_sigma is not None and gradients_sigma is not None:
-            sigma_of = self._start(partial(self._depth_sigma, gradients_sigma, **how))
+            sigma_of = self._start(partial(self._depth_sigma, gradients_sigma, **how, rest=untouched))
         solution = integrate(gradients, mm_per_px=self._pitch, solver=self.solver, **how)
         if sigma_of is None:
             return solution, None

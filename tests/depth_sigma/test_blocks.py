@@ -106,8 +106,9 @@ def test_blocks_of_equal_pixels():
     mask[1:10, 3:19] = True
     sigma = np.full((11, 22, 1), 0.05, dtype=np.float32)
     one = blocks.Blocks(
-        sigma, np.ones((11, 22), np.float32), mask, None, np.ones_like(mask), np.float32(FLOOR), 4
-    )
+        sigma, np.ones((11, 22), np.float32), mask, None, np.ones_like(mask), np.float32(FLOOR), 4,
+        (np.ones((1, 1, 1), np.float32),) * 2,
+    )  # fmt: skip
     padded = np.zeros((12, 28), dtype=bool)
     padded[:11, :22] = mask
     count = padded.reshape(3, 4, 7, 4).sum(axis=(1, 3))

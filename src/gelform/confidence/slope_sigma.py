@@ -25,6 +25,7 @@ _RANGES = (
     ("correlated_share", 0, 1),
     ("gain_sigma", 0, 10),
     ("solved_factor", 1e-3, 1e3),
+    ("rest_correlation_px", 0, 1e4),
 )
 
 
@@ -67,6 +68,9 @@ class SlopeSigma:
         many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : share of the variance that is correlated; the rest is white
+    rest_correlation_px, rest_correlated_share : the same of untouched gel, where noise is left that the color change's
+        blur correlates over a pixel or two: over the first the errors fall to exp(-1/2), but for the second, 0-1,
+        which is correlated over `correlation_px`; None: as in a contact, in calibrations that do not hold it
     """
 
     rest: float
@@ -78,10 +82,14 @@ class SlopeSigma:
     gain_sigma: float = 0.0
     solved_factor: float = 1.0
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
+    rest_correlation_px: float = 0.0
+    rest_correlated_share: float | None = None
 
     def __post_init__(self) -> None:
         for name, low, high in _RANGES:
             check_within(getattr(self, name), name, low, high)
+        if self.rest_correlated_share is not None:
+            check_within(self.rest_correlated_share, "rest_correlated_share", 0, 1)
         slopes, sigmas, place = (check_values(getattr(self, n), n) for n in ("slopes", "sigmas", "place"))
         if not (
             slopes.ndim == 1

@@ -46,7 +46,8 @@ class Blocks:
     mask : (h, w) bool; anchored : bool; problem : its couplings
     region : (h, w), pixels that are zero pixels, inside the mask
     white, common : (h, w, 2)
-        Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones.
+        Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones; `parts`
+        are the factors by which that of a pixel is either.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class Blocks:
         region: NDArray[np.bool_],
         floor: np.float32,
         block: int,
+        parts: tuple[NDArray[np.float32], NDArray[np.float32]],
     ) -> None:
         shape = block_rows_and_columns(mask.shape, block)
         slopes = sigma.shape[2]
@@ -81,17 +83,21 @@ class Blocks:
         uneven[uneven == 0] = 1
         by_slope = sums[FIRST:].reshape(slopes, PER_SLOPE, *shape).transpose(1, 2, 3, 0)
         moved, square = np.ascontiguousarray(by_slope)
-        self.common = moved / total[..., None]
+        self._usual = moved / total[..., None]
         self.white = np.sqrt(square) * (uneven / total)[..., None]
         if slopes == 1:
-            self.white, self.common = (np.repeat(v, 2, axis=-1) for v in (self.white, self.common))
+            self.white, self._usual = (np.repeat(v, 2, axis=-1) for v in (self.white, self._usual))
+        self.white *= parts[0]
+        self.common = self._usual * parts[1]
         known = (weight >= FLOOR * weight.max()) | ~self.mask
-        if not known.all():
+        self._known = None if known.all() else known
+        if self._known is not None:
             self.common = fill_unknown(self.common, known)  # as the slopes are
 
     def share_in_median(self) -> NDArray[np.float32]:
         """How much each slope (h, w, 2) counts in the zero pixels' median: as likely as it is near 0."""
-        density = self.region[..., None] / np.maximum(self.common, 1e-30) * (self.common > 0)
+        usual = self._usual if self._known is None else fill_unknown(self._usual, self._known)
+        density = self.region[..., None] / np.maximum(usual, 1e-30) * (usual > 0)
         return np.asarray(density / density.sum(axis=(0, 1)), dtype=np.float32)
 
 

@@ -18,13 +18,19 @@ TRIAL = 32
 
 @lru_cache(maxsize=8)
 def variance_of_white(
-    shape: tuple[int, int], pitch: tuple[float, float]
+    shape: tuple[int, int], pitch: tuple[float, float], length: float = 0.0
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Variance (H, W) of zero-mean depth per unit variance of white errors of p, and of q."""
+    """Variance (H, W) of zero-mean depth per unit variance of white errors of p, and of q.
+
+    With a length, in pixels, of errors of correlation exp(-d^2/(2 length^2)), far from the border.
+    """
     modes = [_modes(n) for n in shape]
     eigen, gain = zip(*(_eigenvalues(n, h) for n, h in zip(shape, pitch[::-1])))
     square = (eigen[0][:, None] + eigen[1]) ** 2
     square[0, 0] = np.inf
+    if length > 0:
+        spectrum = [_extent(length) * np.exp(-0.5 * (length * np.pi * np.arange(n) / n) ** 2) for n in shape]
+        square /= spectrum[0][:, None] * spectrum[1]
     return modes[0].T @ (gain[1] / square) @ modes[1], modes[0].T @ (gain[0][:, None] / square) @ modes[1]
 
 
@@ -35,13 +41,35 @@ def variance_within_blocks(aspect: float, block: int) -> tuple[float, float]:
     That of pixels minus that of blocks, in the middle of a uniform frame; `aspect` is the pitch along x over
     that along y, `block` the pixels across a block. (Of correlated errors blocks miss next to nothing.)
     """
-    pitch = np.sqrt(aspect), 1 / np.sqrt(aspect)
+    fine, coarse = _variance_in_middle(aspect, block), _variance_in_middle(aspect, 1)
+    return fine[0] - coarse[0], fine[1] - coarse[1]
+
+
+@lru_cache(maxsize=64)
+def white_as_blurred(aspect: float, block: int, length: float) -> tuple[float, float]:
+    """Variances of the white errors, of blocks and within them, that move depth as far as blurred ones of variance 1.
+
+    Errors whose correlation falls to exp(-1/2) over `length` pixels, less than a block, have the power of
+    `2 pi length^2` white ones at the wavelengths of blocks, and little within them. Where that is more than they
+    move depth altogether, blocks get what they do.
+    """
+    if length == 0:
+        return 1.0, 1.0
+    of_blocks, white = sum(_variance_in_middle(aspect, 1)), sum(variance_within_blocks(aspect, block))
+    whole = sum(_variance_in_middle(aspect, block, length))
+    power = min(max(1.0, 2 * np.pi * length**2), whole / of_blocks)
+    return power, max(whole - power * of_blocks, 0.0) / white
+
+
+def _variance_in_middle(aspect: float, block: int, length: float = 0.0) -> tuple[float, float]:
+    """Variance of depth by errors of p, and of q, in the middle of a uniform frame of many blocks, per pixel area.
+
+    The mean errors of whole blocks move it as far as those of as many pixels (`block` 1).
+    """
     size = TRIAL * block
-    fine = variance_of_white((size, size), pitch)
-    coarse = variance_of_white((TRIAL, TRIAL), (block * pitch[0], block * pitch[1]))
-    middle, inner = (slice(3 * n // 8, 5 * n // 8) for n in (size, TRIAL))
-    x, y = (float(f[middle, middle].mean() - c[inner, inner].mean() / block**2) for f, c in zip(fine, coarse))
-    return x, y
+    middle = slice(3 * size // 8, 5 * size // 8)
+    fine = variance_of_white((size, size), (np.sqrt(aspect), 1 / np.sqrt(aspect)), length)
+    return float(fine[0][middle, middle].mean()), float(fine[1][middle, middle].mean())
 
 
 @lru_cache(maxsize=64)

@@ -30,6 +30,7 @@ from gelform.depth_sigma.closed_form import (
     variance_of_white,
     variance_within_blocks,
 )
+from gelform.depth_sigma.parts import ErrorParts, checked_rest
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR
@@ -57,6 +58,10 @@ class DepthSigma:
         the error is white.
     correlated_share : float, 0-1
         Share of the variance that is correlated, if `correlation_px` > 0.
+    rest_correlated_share : float, 0-1, optional
+        The same where nothing touches; as elsewhere by default.
+    rest_correlation_px : float, >= 0
+        Distance over which the other part falls to exp(-1/2) where nothing touches, a few pixels; 0: it is white.
     probes : int, >= 2
         Fields of random slope errors that are integrated; 32 leave an error of 3 to 9 % in the
         median over the frame.
@@ -76,6 +81,8 @@ class DepthSigma:
         mm_per_px: float | Sequence[float],
         correlation_px: float = 0.0,
         correlated_share: float = 0.5,
+        rest_correlated_share: float | None = None,
+        rest_correlation_px: float = 0.0,
         probes: int = 32,
         rng: np.random.Generator | None = None,
     ) -> None:
@@ -85,20 +92,24 @@ class DepthSigma:
             int(check_within(width, "width", 1, MOST_PX)),
         )
         self.pitch = check_mm_per_px(mm_per_px)
-        self.share = _checked_share(correlation_px, correlated_share)
+        share = _checked_share(correlation_px, correlated_share)
+        rest_share = share if rest_correlated_share is None else rest_correlated_share
+        rest_share = _checked_share(correlation_px, rest_share)
+        check_within(rest_correlation_px, "rest_correlation_px", 0, MOST_PX)
         probes = _checked_probes(probes)
         block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
         blocks = block_rows_and_columns(self.shape, block)
         rng = rng or np.random.default_rng(0)
-        white = np.float32(np.sqrt(1 - self.share)) * white_draws(probes, blocks, rng)
+        white = white_draws(probes, blocks, rng)
         common = np.zeros_like(white)
-        if self.share > 0:
+        if max(share, rest_share) > 0:
             length, power = correlation_of_blocks(correlation_px, block)
-            common = np.float32(np.sqrt(self.share * power)) * correlated_draws(probes, blocks, length, rng)
+            common = np.float32(np.sqrt(power)) * correlated_draws(probes, blocks, length, rng)
         self._solver = ProbeSolver(white, common, (self.pitch[0] * block, self.pitch[1] * block))
         aspect, area = self.pitch[0] / self.pitch[1], self.pitch[0] * self.pitch[1]
+        self.parts = ErrorParts(block, share, rest_share, rest_correlation_px, aspect)
         per_slope = variance_within_blocks(aspect, block)
-        self._within = np.array(per_slope, dtype=np.float32) * np.float32(area * (1 - self.share))
+        self._within = np.array(per_slope, dtype=np.float32) * np.float32(area)
         self._fading = np.array(fading_within_blocks(aspect, block), dtype=np.float32)
 
     def __call__(
@@ -110,6 +121,7 @@ class DepthSigma:
         anchor: ArrayLike | None = None,
         zero: Zero | NDArray[np.bool_] = "mean",
         level: Level | None = None,
+        rest: ArrayLike | None = None,
     ) -> NDArray[np.float32]:
         """Standard deviation of depth, (H, W) float32, mm, of one frame.
 
@@ -118,6 +130,8 @@ class DepthSigma:
         gradients_sigma : (H, W, 2), or (H, W) for both slopes alike; mm/mm, > 0
         weights, mask, anchor, zero, level
             As for `depth_from_gradients`; weights per pixel.
+        rest : (H, W) bool, optional
+            Where nothing touches, and errors are correlated as they are there; nowhere by default.
         """
         shape = self.shape
         sigma = _checked_sigma(gradients_sigma, shape)
@@ -125,14 +139,16 @@ class DepthSigma:
         inside = _ones(shape, bool) if mask is None else check_mask(mask, shape=shape)
         hold = None if anchor is None else check_anchor(anchor, shape)
         region = zero_region(zero, shape)
+        still = checked_rest(rest, shape)
         if mask is not None:
             weight = weight * inside
         floor = np.float32(FLOOR) * np.float32(value_range(weight)[1])
-        blocks = Blocks(sigma, weight, inside, hold, region, floor, self.block)
+        parts = self.parts.of_blocks(still, block_rows_and_columns(shape, self.block))
+        blocks = Blocks(sigma, weight, inside, hold, region, floor, self.block, parts)
         median = blocks.share_in_median() if level == "slope" else None
         depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
         variance = _smoothed(_variance(depths, blocks, level), blocks.mask)
-        return self._of_pixels(variance, sigma, weight, floor, hold)
+        return self._of_pixels(variance, self.parts.within_blocks(sigma, still), weight, floor, hold)
 
     def _of_pixels(
         self,
@@ -142,7 +158,7 @@ class DepthSigma:
         floor: np.float32,
         anchor: NDArray[np.float32] | None,
     ) -> NDArray[np.float32]:
-        """Standard deviation of pixels from the variance of blocks."""
+        """Standard deviation of pixels from the variance of blocks, and sigma (H, W, 1 or 2) of what is white in them."""
         size = variance.shape[1] * self.block, variance.shape[0] * self.block
         pixels = cv2.resize(variance, size).reshape(size[1], size[0])
         return sigma_of_pixels(pixels, sigma, self._within, self._fading, weight, floor, anchor)

@@ -15,6 +15,7 @@ from gelform.calibration.selection.slope_errors import (
     correlation_from_products,
     gain_of,
     press_residuals,
+    rest_correlation,
     slope_sigma_from_folds,
 )
 
@@ -117,3 +118,22 @@ def test_columns_are_thinned_and_stay_in_place():
     assert 15 < away.max() < 16
     assert np.abs(np.median(residuals.untouched, axis=0)).max() < 1e-9
     assert len(residuals.untouched) > 500
+
+
+@pytest.mark.parametrize(("short", "share"), [(1.8, 0.0), (1.8, 0.3), (0.3, 0.2)])
+def test_correlation_at_rest_is_recovered(short, share):
+    """Blurred noise, and on it what is correlated as in a contact."""
+    rng = np.random.default_rng(0)
+    fields = [
+        gaussian_filter(rng.standard_normal((900, 900, 2)), (length / 2**0.5,) * 2 + (0,))
+        for length in (short, 9.0)
+    ]
+    near, far = (field / field.std() for field in fields)
+    products = _lag_products(np.sqrt(1 - share) * near + np.sqrt(share) * far, 1)
+    found_short, found_share = rest_correlation(products, 9.0)
+    assert found_short == pytest.approx(short, abs=0.25)
+    assert found_share == pytest.approx(share, abs=0.05)
+
+
+def test_nothing_at_rest_has_no_correlation():
+    assert rest_correlation(np.zeros(LAGS), 9.0) == (0.0, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from gelform.metrics import score_slopes
 
 LAGS = 24
 PER_PRESS = 2_000
+ROWS = 8  # of untouched gel, whose errors' correlation is looked at
+SHORTEST_PX, LONGEST_PX = 0.3, 6.0  # of it, by noise and blur
 ZONE = 0.85  # part of the contact radius; beyond it the gel has left the ball, and the label is wrong, not the model
 
 
@@ -29,6 +31,7 @@ class PressResiduals:
     slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its inner part
     rows, cols : (N,) of the pixels of that part, in the image
     untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
+    untouched_rows : (rows, W, 2) the same of whole rows of the image, NaN near the contact
     """
 
     slopes: NDArray[np.float64]
@@ -36,6 +39,7 @@ class PressResiduals:
     rows: NDArray[np.intp]
     cols: NDArray[np.intp]
     untouched: NDArray[np.float64]
+    untouched_rows: NDArray[np.float64]
 
     def columns(self, shape: tuple[int, int], press: int) -> tuple[NDArray[np.float64], ...]:
         """Slope, errors, x and y in parts of the image, and the press's index, of some 2000 pixels."""
@@ -72,7 +76,11 @@ def slope_sigma_from_folds(
     untouched = np.concatenate([one.untouched for one in residuals.values()])
     held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, untouched)
     gain_sigma = float(np.sqrt(share_seen * np.mean((np.array(gains) - 1) ** 2)))
-    return SlopeSigma.fit(held_out, *correlation_from_products(np.mean(products, axis=0), step), gain_sigma)
+    length, share = correlation_from_products(np.mean(products, axis=0), step)
+    fitted = SlopeSigma.fit(held_out, length, share, gain_sigma)
+    at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
+    rest_length, rest_share = rest_correlation(at_rest, length)
+    return replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_share)
 
 
 def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
@@ -104,6 +112,30 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     return best[1], best[2]
 
 
+def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
+    """Short length (px) and share (0-1) of errors of untouched gel: `(1 - share) exp(-lag^2/(2 short^2)) + share exp(...)`.
+
+    The second term falls off over the length that is given, as errors in a contact do.
+
+    Parameters
+    ----------
+    products : mean products of errors at lags of 0, 1, 2 ... px
+    length : px
+    """
+    if products[0] <= 0:
+        return 0.0, 0.0
+    lags = np.arange(1, len(products))
+    wanted = products[1:] / products[0]
+    far = np.exp(-(lags**2) / (2 * length**2))
+    best = (np.inf, 0.0, 0.0)
+    for short in np.geomspace(SHORTEST_PX, max(min(LONGEST_PX, length / 2), SHORTEST_PX), 60):
+        near = np.exp(-(lags**2) / (2 * short**2))
+        share = float(np.clip((far - near) @ (wanted - near) / max((far - near) @ (far - near), 1e-30), 0, 1))
+        misfit = float(np.square(near + share * (far - near) - wanted).sum())
+        best = min(best, (misfit, float(short), share))
+    return best[1], best[2]
+
+
 def press_residuals(press: PreparedPress, found: ContactCircle, model: ColorModel) -> PressResiduals:
     """What a model reads on a press and how far off it is; the centre is free, since labels are off by a pixel."""
     rows, cols = press.pixels(found, ZONE)
@@ -113,21 +145,36 @@ def press_residuals(press: PreparedPress, found: ContactCircle, model: ColorMode
     maps = np.full((2, *box), np.nan)
     for values, into in zip((gradients, error), maps):
         into[rows - rows.min(), cols - cols.min()] = values
-    return PressResiduals(maps[0], maps[1], rows, cols, _untouched_slopes(press, found, model))
+    return PressResiduals(maps[0], maps[1], rows, cols, *_untouched_slopes(press, found, model))
 
 
-def _untouched_slopes(press: PreparedPress, found: ContactCircle, model: ColorModel) -> NDArray[np.float64]:
-    """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does."""
+def _untouched_slopes(
+    press: PreparedPress, found: ContactCircle, model: ColorModel
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does; and (rows, W, 2) of rows."""
     height, width = press.size.shape
     step = max(1, int(np.sqrt(height * width / PER_PRESS)))
-    rows, cols = (axis.ravel() for axis in np.mgrid[:height:step, :width:step])
+    apart = max(1, height // ROWS)
+    slopes, bias = _far_slopes(press, found, model, np.mgrid[:height:step, :width:step]), np.zeros(2)
+    known = slopes[np.isfinite(slopes[..., 0])]
+    if len(known):
+        bias = np.median(known, axis=0)
+    rows = _far_slopes(press, found, model, np.mgrid[apart // 2 : height : apart, :width])
+    return known - bias, rows - bias
+
+
+def _far_slopes(
+    press: PreparedPress, found: ContactCircle, model: ColorModel, places: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Slopes (h, w, 2) at rows and columns (2, h, w) of the image, NaN near the contact and where nothing is usable."""
+    rows, cols = places
     far = np.hypot(cols - found.x_px, rows - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
     if press.usable is not None:
         far &= press.usable[rows, cols]
-    if not far.any():
-        return np.zeros((0, 2))
-    slopes = press.gradients(model, rows[far], cols[far])
-    return slopes - np.median(slopes, axis=0)
+    slopes = np.full((*rows.shape, 2), np.nan)
+    if far.any():
+        slopes[far] = press.gradients(model, rows[far], cols[far])
+    return slopes
 
 
 def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
