@@ -103,10 +103,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     depth_sigma = DepthSigma(
         calibration.image_shape,
         mm_per_px=pitch,
-        correlation_px=calibration.slope_sigma.correlation_px,
-        correlated_share=calibration.slope_sigma.correlated_share,
-        rest_correlated_share=calibration.slope_sigma.rest_correlated_share,
-        rest_correlation_px=calibration.slope_sigma.rest_correlation_px,
+        **calibration.slope_sigma.correlation,
     )
     known = depth_sigma(both, **how, rest=untouched)
     touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)

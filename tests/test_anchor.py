@@ -140,6 +140,7 @@ def test_spots_that_are_not_trusted_leave_it_as_it_is():
     anchor = RestAnchor(SHAPE, PITCH, CLEAN)
     assert np.median(anchor(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
     found = anchor(gradients, untouched, confidence)
-    far = np.hypot(*(np.indices(SHAPE) - np.array([50, 66])[:, None, None])) > 45  # gel beside it is held less
+    away = np.indices(SHAPE) - np.array([50, 66])[:, None, None]
+    far = np.hypot(*away) > 45  # gel beside it is held less
     assert found[far] == pytest.approx(plain[far], rel=0.01)
     assert not found[spot].any()

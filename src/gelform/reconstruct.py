@@ -264,10 +264,7 @@ class Reconstructor:
         return DepthSigma(
             self.calibration.image_shape,
             mm_per_px=self._pitch,
-            correlation_px=known.correlation_px,
-            correlated_share=known.correlated_share,
-            rest_correlated_share=known.rest_correlated_share,
-            rest_correlation_px=known.rest_correlation_px,
+            **known.correlation,
         )
 
     def _integrate(

@@ -148,6 +148,12 @@ class SlopeSigma:
         exact = {name: tuple(values[name]) for name in ("slopes", "sigmas")}
         return cls(**{**values, **exact, "place": tuple(tuple(row) for row in values["place"])})
 
+    @property
+    def correlation(self) -> dict[str, Any]:
+        """How the errors correlate, as `DepthSigma` takes it."""
+        names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
+        return {name: getattr(self, name) for name in names}
+
     def of(self, slopes: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
         """Standard deviation of scattered slopes |g| in contact, at places 0-1."""
         law = law_at(np.asarray(slopes), np.array(self.slopes), np.array(self.sigmas))
