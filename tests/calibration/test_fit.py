@@ -56,7 +56,7 @@ def test_one_model_can_be_asked_for(lambertian_calibration):
 
 
 def test_same_folder_same_calibration(presses):
-    made = (gelform.calibrate(presses.subset(range(7)), color_model="hierarchical") for _ in range(2))
+    made = (gelform.calibrate(presses.subset(range(6)), color_model="polynomial") for _ in range(2))
     first, second = (replace(calibration, created_utc="").digest for calibration in made)
     assert first == second
 

@@ -130,8 +130,8 @@ def test_calibration_of_a_marked_gel(plain, dotted):
 
 def test_evaluation_finds_the_circles_of_a_marked_gel(dotted):
     made, presses = dotted
-    calibration = gelform.calibrate(presses, color_model="polynomial")
-    evaluation = gelform.evaluate(calibration, presses)
+    few = presses.subset(range(0, 20, 3))
+    evaluation = gelform.evaluate(gelform.calibrate(few, color_model="polynomial"), few)
     circles = np.array([row["circle_px"] for row in evaluation.rows])
-    true = np.array([press.center_px for press in made.presses])
+    true = np.array([press.center_px for press in made.presses[::3]])
     assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5
