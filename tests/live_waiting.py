@@ -3,7 +3,7 @@
 import time
 
 
-def until(true, timeout_s=10.0):
+def until(true, timeout_s=30.0):
     """Wait until something is true; what it gave."""
     stop = time.monotonic() + timeout_s
     while not (given := true()):

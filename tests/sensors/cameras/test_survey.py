@@ -16,7 +16,7 @@ CAMERA = Camera("a camera", "/dev/none", "S1")
 def test_the_rate_is_measured(monkeypatch):
     monkeypatch.setattr(surveyed, "MEASURED_S", 0.2)
     found = survey_of(CAMERA, opened=lambda _: frames_of(200)())
-    assert found.rate_hz == pytest.approx(50, rel=0.2)
+    assert 20 < found.rate_hz < 60  # 50, less where the machine has no time
     assert found.settings == {"gain": 3.0}
     assert found.problem == ""
 
