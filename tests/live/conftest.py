@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.frames import Frame
-from gelform.live.calibrations import Calibrations
+from gelform.live.calibrations import Calibrations, Origin
 from gelform.live.hub import Hub
 from gelform.live.measures import measures_of
 from gelform.live.setup import Setup
@@ -42,10 +42,15 @@ def shown(pressed, result):
 def hub(sensor, calibration):
     """A hub whose one station shows the simulated sensor at rest."""
     made = Hub(calibrations=Calibrations())
-    show = Show(sensor)
-    show.rest()
-    station = Station(0, "simulated", lambda: show, made.changed)
-    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration))
+
+    def opened():
+        show = Show(sensor)
+        show.rest()
+        return show
+
+    station = Station(0, "simulated", opened, made.changed)
+    origin = Origin('gelform.load_calibration("mine.npz")')
+    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration, origin))
     made.stations.append(station)
     station.start()
     until(lambda: station.newest)

@@ -41,7 +41,7 @@ def test_a_press_is_where_it_was_asked_for(hub, result):
 def test_solver_calibration_and_comparison(hub, calibration):
     actions.use_solver(hub, 0, "dct")
     until(lambda: hub.stations[0].newest.result.solver == "dct")
-    name = hub.calibrations.add("again", calibration)
+    name = hub.calibrations.add("again", calibration, hub.calibrations.origin_of("mine"))
     actions.use_calibration(hub, 0, name)
     assert hub.stations[0].setup.name == "again"
     actions.compare_with(hub, 0, "mine")
@@ -55,7 +55,7 @@ def test_solver_calibration_and_comparison(hub, calibration):
     [
         (actions.use_solver, ("nonsense",)),
         (actions.use_calibration, ("../secret.npz",)),
-        (actions.code, ("nonsense",)),
+        (actions.code, ("nonsense", 0, 0)),
     ],
 )
 def test_names_that_are_not_in_the_lists_are_refused(hub, act, arguments):

@@ -3,7 +3,7 @@
 import pytest
 
 from gelform.errors import CalibrationError, GelformError
-from gelform.live.calibrations import Calibrations
+from gelform.live.calibrations import Calibrations, Origin
 
 
 @pytest.fixture
@@ -26,13 +26,13 @@ def test_files_that_are_called_alike_keep_apart(calibrations_folder):
         [calibrations_folder / "mine.npz", calibrations_folder / "deep" / "mine.npz"], calibrations_folder
     )
     assert known.names == ["mine.npz", "deep/mine.npz"]
-    assert known.path_of("deep/mine.npz") == calibrations_folder / "deep" / "mine.npz"
+    assert known.origin_of("deep/mine.npz").path == calibrations_folder / "deep" / "mine.npz"
 
 
 def test_what_was_made_here_gets_a_free_name(calibration):
-    known = Calibrations()
-    assert known.add("mine", calibration) == "mine"
-    assert known.add("mine", calibration) == "mine (2)"
+    known, origin = Calibrations(), Origin("made()")
+    assert known.add("mine", calibration, origin) == "mine"
+    assert known.add("mine", calibration, origin) == "mine (2)"
     assert known["mine (2)"] is calibration
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 from gelform.background.average import background_from_frames
 from gelform.errors import GelformError
 from gelform.live.hub import Hub, wait_for_frames
+from gelform.live.replay.player import Player, ReplayedFrame
+from gelform.live.station import Station
 from gelform.live.take.code import Situation, code_of
 from gelform.live.take.recorder import Recorder
 from gelform.solvers import SOLVERS
@@ -21,9 +24,10 @@ def take_background(hub: Hub, station: int) -> None:
     """Take the next frames as the untouched gel of today."""
     chosen = hub.station(station)
     _check_calibrated(chosen.setup.calibration)
-    images = [shown.image for shown in wait_for_frames(chosen, BACKGROUND_FRAMES)]
+    images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
     taken = background_from_frames(images)
-    chosen.setup = chosen.setup.with_background(taken.background)
+    # In whole grey levels: what the file background.png of a snapshot or a recording holds is what was used.
+    chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
     hub.notice(f"Background taken: the average of {len(images) - len(taken.left_out)} frames.")
 
 
@@ -41,7 +45,7 @@ def set_zero(hub: Hub, station: int) -> None:
         chosen.setup = replace(chosen.setup, zero_mm=None)
         hub.notice("Zero is the untouched gel again.")
         return
-    results = [shown.result for shown in wait_for_frames(chosen, ZERO_FRAMES) if shown.result is not None]
+    results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result is not None]
     if not results:
         raise GelformError("There is no depth to set as zero: the frames could not be reconstructed.")
     mean = np.mean([result.depth for result in results], axis=0).astype(np.float32)
@@ -82,7 +86,11 @@ def use_solver(hub: Hub, station: int, name: str) -> None:
 
 def pause(hub: Hub, station: int, paused: bool) -> None:
     """Hold the picture, or let it go on."""
-    hub.station(station).paused = paused
+    chosen = hub.station(station)
+    if isinstance(chosen.source, Player):
+        chosen.source.play(not paused)
+    else:
+        chosen.paused = paused
     hub.changed()
 
 
@@ -97,13 +105,15 @@ def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
 def record(hub: Hub, station: int, on: bool) -> None:
     """Begin to record the frames as the camera gives them, or finish."""
     chosen, running = hub.station(station), hub.recorders.get(station)
+    if on and isinstance(chosen.source, Player):
+        raise GelformError("This is a recording already. Share makes one file of it, with the calibration.")
     if on and running is None:
-        calibration = chosen.setup.calibration
-        digest = "" if calibration is None else calibration.digest
-        hub.recorders[station] = Recorder(chosen.grabber, hub.folder, digest)
+        hub.recorders[station] = Recorder(chosen.grabber, hub.folder, chosen.setup)
     elif not on and running is not None:
         del hub.recorders[station]
         running.close()
+        if running.stats.frames:
+            hub.recordings.add(running.path)
         hub.notice(running.problem or f"Recorded {running.stats.frames} frames: {running.path.name}")
     hub.changed()
 
@@ -117,15 +127,35 @@ def snapshot(hub: Hub, station: int) -> dict[str, Any]:
     return {"kind": "snapshot", "number": number, "files": hub.snapshots.names(number)}
 
 
-def code(hub: Hub, station: int, view: str) -> dict[str, Any]:
-    """What reproduces a view: the answer has it in Python and as command lines."""
+def code(hub: Hub, station: int, view: str, x_px: float, y_px: float) -> dict[str, Any]:
+    """What reproduces a view, a profile through a point: the answer has it in Python and as command lines."""
     chosen = hub.station(station)
-    setup = chosen.setup
-    paths = [hub.calibrations.path_of(name) if name else None for name in (setup.name, setup.other_name)]
-    mine, other = (None if path is None else str(path) for path in paths)
-    now = Situation(chosen.spec, mine, other, setup.background is not None, setup.solver)
+    setup, frame = chosen.setup, None if chosen.newest is None else chosen.newest.frame
+    mine, other = (
+        hub.calibrations.origin_of(name) if name else None for name in (setup.name, setup.other_name)
+    )
+    now = Situation(
+        str(chosen.source.recording.path) if isinstance(chosen.source, Player) else chosen.spec,
+        mine,
+        other,
+        setup.background is not None,
+        setup.zero_mm is not None,
+        setup.solver,
+        frame.number if isinstance(frame, ReplayedFrame) else None,
+        (int(x_px), int(y_px)),
+    )
     title, parts = code_of(view, now)
     return {"kind": "code", "title": title, "parts": parts}
+
+
+def _frames(station: Station, count: int) -> Sequence[Any]:
+    """The next frames; of a recording that is held the one that is shown."""
+    source = station.source
+    if isinstance(source, Player) and not source.playing:
+        if station.newest is None:
+            raise GelformError("There is no picture yet. Wait for the first one.")
+        return [station.newest]
+    return wait_for_frames(station, count)
 
 
 def _check_calibrated(calibration: Any) -> None:

@@ -4,11 +4,28 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from gelform.calibration_file import KIND, Calibration, load_calibration
 from gelform.errors import GelformError
 from gelform.npz_files import kind_of_npz
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a calibration comes from, as Python says it.
+
+    Attributes
+    ----------
+    expression : gives the calibration, beside `import gelform`
+    imports : lines that it needs
+    path : of its file, where it has one of its own
+    """
+
+    expression: str
+    imports: tuple[str, ...] = ()
+    path: Path | None = None
 
 
 class Calibrations:
@@ -24,6 +41,7 @@ class Calibrations:
         self._lock = threading.Lock()
         self._paths: dict[str, Path] = {}
         self._loaded: dict[str, Calibration] = {}
+        self._origins: dict[str, Origin] = {}
         for path in given:
             self.add_file(path)
         for path in sorted(folder.glob("*.npz")) if folder is not None else ():
@@ -36,9 +54,10 @@ class Calibrations:
         with self._lock:
             return list(dict.fromkeys([*self._paths, *self._loaded]))
 
-    def path_of(self, name: str) -> Path | None:
-        """The file behind a name; None for one that was made here and never saved."""
-        return self._paths.get(name)
+    def origin_of(self, name: str) -> Origin:
+        """Where the calibration of a name comes from."""
+        with self._lock:
+            return self._origins[name]
 
     def add_file(self, path: Path) -> str:
         """Offer a file; gives its name: the file's, with its folder where two are called alike."""
@@ -49,13 +68,14 @@ class Calibrations:
                 path.name if path.name not in self._paths else f"{path.parent.name}/{path.name}"
             )
             self._paths[name] = path
+            self._origins[name] = Origin(f"gelform.load_calibration({str(path)!r})", (), path)
             return name
 
-    def add(self, name: str, calibration: Calibration) -> str:
-        """Offer a calibration that was made here; gives the name that it got."""
+    def add(self, name: str, calibration: Calibration, origin: Origin) -> str:
+        """Offer a calibration that has no file of its own; gives the name that it got."""
         with self._lock:
             name = self._free(name)
-            self._loaded[name] = calibration
+            self._loaded[name], self._origins[name] = calibration, origin
             return name
 
     def __getitem__(self, name: str) -> Calibration:

@@ -14,6 +14,7 @@ from gelform import __version__
 from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
 from gelform.live.guide.session import GuideSession
+from gelform.live.replay.recordings import Recordings
 from gelform.live.station import Station
 from gelform.live.take.recorder import Recorder
 from gelform.live.take.snapshot import Snapshots
@@ -32,6 +33,7 @@ class Hub:
     ----------
     stations : in the order of the command line
     calibrations : to choose from
+    recordings : to open and to fetch
     snapshots : frames that somebody wanted to keep
     guides : guided calibrations by the station's number
     recorders : recordings under way, by the station's number
@@ -42,6 +44,7 @@ class Hub:
 
     stations: list[Station] = field(default_factory=list)
     calibrations: Calibrations = field(default_factory=Calibrations)
+    recordings: Recordings = field(default_factory=Recordings)
     work: dict[int, tuple[str, int, int]] = field(default_factory=dict)
     snapshots: Snapshots = field(default_factory=Snapshots)
     guides: dict[int, GuideSession] = field(default_factory=dict)
@@ -104,6 +107,7 @@ class Hub:
             "calibrations": self.calibrations.names,
             "solvers": ["auto", *SOLVERS],
             "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},
+            "files": self.recordings.facts(),
             "recordings": {
                 number: {"frames": one.stats.frames, "seconds": one.stats.duration_s, "problem": one.problem}
                 for number, one in tuple(self.recorders.items())

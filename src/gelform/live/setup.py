@@ -13,9 +13,11 @@ from gelform.checks import check_mm_per_px
 from gelform.contact import contact_from_depth
 from gelform.errors import GelformError
 from gelform.frames import Frame
+from gelform.live.replay.player import ReplayedFrame
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 from gelform.streams.memory import Memory
+from gelform.streams.unusable import result_from_image
 from gelform.view import View, image_from_frame
 
 
@@ -62,9 +64,14 @@ class Setup:
         return np.ascontiguousarray(image, dtype=np.uint8)
 
     def result_of(self, frame: Frame, image: NDArray[np.uint8]) -> Reconstruction | None:
-        """What the calibration says of the image, against the zero that was set."""
+        """What the calibration says of the image, against the zero that was set.
+
+        A frame of a recording is reconstructed for itself: it may come again, and the next one may be an earlier one.
+        """
         if self.memory is None:
             return None
+        if isinstance(frame, ReplayedFrame):
+            return self._against_zero(_stamped(result_from_image(self.memory.reconstruct, image), frame))
         result = _stamped(self.memory.result_from_image(image), frame)
         return self._against_zero(self.memory(image, result))
 

@@ -14,7 +14,8 @@ from gelform.confidence.causes import CAUSES
 from gelform.confidence.explanation import Explanation
 from gelform.contact import Contact
 from gelform.frames import Frame
-from gelform.live.measures import Measures, outlines_of
+from gelform.live.measures import Measures, measures_of, outlines_of
+from gelform.live.replay.player import ReplayedFrame
 from gelform.live.wire.planes import Plane, bits_plane, depth_plane, image_plane, level_plane
 from gelform.markers import MarkerFlow
 from gelform.reconstruction import Reconstruction
@@ -40,6 +41,7 @@ class Shown:
     explain : gives the explanation of the image when it is asked for: it takes longer than a frame
     background : (H, W, 3) that was taken live, or None: the calibration's own
     problem : why there is no result, in words; "" where there is one
+    zero_mm : (H, W) depth that was taken off, or None
     """
 
     serial: int
@@ -51,6 +53,7 @@ class Shown:
     explain: Callable[[], Explanation] | None = None
     background: NDArray[np.float32] | None = None
     problem: str = ""
+    zero_mm: NDArray[np.float32] | None = None
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -101,8 +104,12 @@ class Shown:
             "width": width,
             "problem": self.problem,
         }
+        if isinstance(self.frame, ReplayedFrame):
+            facts["replay"] = [self.frame.number, self.frame.recorded_s]
         if self.result is None or self.measures is None:
             return facts
+        if self.other is not None:
+            facts["other"] = _other_facts(self.result, self.other)
         pitch = self.result.mm_per_px
         return facts | {
             "unit": "px" if pitch is None else "mm",
@@ -127,6 +134,15 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
     for number, one in enumerate(explanation.maps.values()):
         bits |= np.where(one > explanation.clean, np.uint16(1 << number), np.uint16(0))
     return bits
+
+
+def _other_facts(result: Reconstruction, other: Reconstruction) -> dict[str, float]:
+    """Numbers of the other calibration's result, and how far the two are apart (root mean square)."""
+    measures = measures_of(other)
+    facts = {"peak": measures.peak, "area": measures.area, "volume": measures.volume}
+    if other.depth.shape == result.depth.shape:
+        facts["apart"] = float(np.sqrt(np.mean((result.depth - other.depth) ** 2)))
+    return facts
 
 
 def _contact_facts(contact: Contact) -> dict[str, Any]:

@@ -8,11 +8,15 @@ from pathlib import Path
 
 from gelform.errors import DataError, SensorError
 from gelform.live import actions
-from gelform.live.calibrations import Calibrations
+from gelform.live.calibrations import Calibrations, Origin
 from gelform.live.hub import Hub
+from gelform.live.replay.buttons import use_attached
+from gelform.live.replay.indexed import Indexed, indexed, is_recording
+from gelform.live.replay.player import Player
+from gelform.live.replay.recordings import Recordings
 from gelform.live.simulated.ready import ready_calibration
 from gelform.live.simulated.show import RATE_HZ, Show
-from gelform.live.station import Station
+from gelform.live.station import NEVER_S, Station
 from gelform.progress import Progress
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.simulated.settings import simulated_sensor_named
@@ -56,24 +60,30 @@ def start(options: Options) -> Hub:
             f"Expected one calibration for all sources or one for each of the {len(options.sources)}, "
             f"got {len(options.calibrations)}."
         )
+    given = [Path(spec) for spec in options.sources if is_recording(spec)]
     hub = Hub(
-        calibrations=Calibrations(options.calibrations, options.folder), folder=options.folder or Path(".")
+        calibrations=Calibrations(options.calibrations, options.folder),
+        recordings=Recordings(given, options.folder),
+        folder=options.folder or Path("."),
     )
     names = [hub.calibrations.add_file(path) for path in options.calibrations]
     for name in names:
         hub.calibrations[name]  # one that cannot be read is said before anything opens
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
-        opener = _opener(hub, spec, sensor, options.rate_hz)
-        stall_s = STALL_S if sensor is None else SIMULATED_STALL_S
+        recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
+        opener = _opener(hub, spec, sensor or recording, options.rate_hz, number)
+        stall_s = NEVER_S if recording is not None else STALL_S if sensor is None else SIMULATED_STALL_S
         station = Station(number, spec, opener, hub.changed, stall_s=stall_s)
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]
             station.setup = station.setup.with_calibration(hub.calibrations[name], name)
+        elif recording is not None:
+            use_attached(hub, station, recording.path)
         station.start()
         if sensor is not None and not names:
-            hub.start(_made_ready(hub, number, sensor), number, "calibrating the simulated sensor")
+            hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")
     return hub
 
 
@@ -82,10 +92,14 @@ def _simulated_sensor(spec: str) -> SimulatedSensor | None:
     return simulated_sensor_named(name or DEFAULT_SENSOR) if kind == SIMULATED else None
 
 
-def _opener(hub: Hub, spec: str, sensor: SimulatedSensor | None, rate_hz: float) -> Callable[[], Source]:
+def _opener(
+    hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, rate_hz: float, number: int
+) -> Callable[[], Source]:
     """Opens the source; the first time is now, so that a mistake is said in the terminal too."""
-    if sensor is not None:
-        return lambda: Show(sensor, rate_hz=rate_hz)
+    if isinstance(known, Indexed):
+        return lambda: Player(known)
+    if known is not None:
+        return lambda: Show(known, rate_hz=rate_hz, seed=number)
     opened: list[Source] = []
     try:
         opened.append(open_source(spec, paced=True))
@@ -94,11 +108,19 @@ def _opener(hub: Hub, spec: str, sensor: SimulatedSensor | None, rate_hz: float)
     return lambda: opened.pop() if opened else open_source(spec, paced=True)
 
 
-def _made_ready(hub: Hub, number: int, sensor: SimulatedSensor) -> Callable[[Progress], None]:
+def _made_ready(hub: Hub, number: int, spec: str, sensor: SimulatedSensor) -> Callable[[Progress], None]:
+    origin = Origin(
+        f"ready_calibration(simulated_sensor_named({spec.partition(':')[2] or DEFAULT_SENSOR!r}))",
+        (
+            "from gelform.live.simulated.ready import ready_calibration",
+            "from gelform.sensors import simulated_sensor_named",
+        ),
+    )
+
     def work(progress: Progress) -> None:
         name = f"{READY} {sensor.name}"
         if name not in hub.calibrations.names:
-            name = hub.calibrations.add(name, ready_calibration(sensor, progress=progress))
+            name = hub.calibrations.add(name, ready_calibration(sensor, progress=progress), origin)
         actions.use_calibration(hub, number, name)
 
     return work

@@ -12,6 +12,8 @@ from typing import Any
 from gelform.errors import GelformError, SensorError
 from gelform.frames import Frame
 from gelform.live.measures import measures_of
+from gelform.live.replay.indexed import Indexed
+from gelform.live.replay.player import Player
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown
 from gelform.sensors.grabber import STALL_S, Grabber
@@ -22,6 +24,7 @@ KEPT = 600  # results whose numbers are kept for the curves: ten seconds at 60 a
 RATE_OVER = 60
 RETRY_S = 1.0
 WAIT_S = 0.25
+NEVER_S = float("inf")  # a recording that is held has not stalled
 
 Tap = Callable[[Frame, Shown], None]
 
@@ -39,7 +42,7 @@ class Station:
 
     Attributes
     ----------
-    setup : Setup; assign another one to change it
+    setup : Setup; assign another one to change it: a recording that is held is reconstructed anew
     newest : Shown or None
     taps : called with every frame and what is shown of it: recorders, guides
     """
@@ -54,14 +57,15 @@ class Station:
         stall_s: float = STALL_S,
     ) -> None:
         self.number, self.spec = number, spec
-        self.setup = Setup()
+        self._setup = Setup()
         self.newest: Shown | None = None
         self.taps: list[Tap] = []
         self.paused = False
-        self._open, self._on_shown, self._stall_s = open_it, on_shown, stall_s
+        self._given = self._opening = (open_it, stall_s)
+        self._on_shown = on_shown
         self._grabber: Grabber | None = None
         self._missing = ""
-        self._stop = threading.Event()
+        self._stop, self._switched = threading.Event(), threading.Event()
         self._serial = 0
         self._times: deque[float] = deque(maxlen=RATE_OVER)
         self._numbers: deque[tuple[int, float, float, float, float]] = deque(maxlen=KEPT)
@@ -75,8 +79,25 @@ class Station:
     def close(self) -> None:
         """Stop and give the device back."""
         self._stop.set()
+        self._switched.set()
         if self._thread.ident is not None:
             self._thread.join(3.0)
+
+    @property
+    def setup(self) -> Setup:
+        """How frames are reconstructed."""
+        return self._setup
+
+    @setup.setter
+    def setup(self, setup: Setup) -> None:
+        self._setup = setup
+        if isinstance(self.source, Player):
+            self.source.again()
+
+    def show_recording(self, recording: Indexed | None) -> None:
+        """Show a recording from its start in place of the source; None: the source again."""
+        self._opening = self._given if recording is None else (lambda: Player(recording), NEVER_S)
+        self._switched.set()
 
     @property
     def source(self) -> Source | None:
@@ -115,6 +136,8 @@ class Station:
             "solver": setup.solver,
             "other": setup.other_name,
             "paused": self.paused,
+            "replay": self.source.facts() if isinstance(self.source, Player) else None,
+            "opened": self._opening is not self._given,
         }
         if grabber is not None:
             stats = grabber.stats
@@ -133,29 +156,30 @@ class Station:
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            self._switched.clear()
             try:
-                with Grabber(self._open, stall_s=self._stall_s, keep=KEPT_FRAMES) as self._grabber:
+                open_it, stall_s = self._opening
+                with Grabber(open_it, stall_s=stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
-                return
             except (SensorError, GelformError, OSError) as problem:
                 self._missing, self._grabber = str(problem), None
                 self._on_shown()
-                self._stop.wait(RETRY_S)
+                self._switched.wait(RETRY_S)
             except Exception as problem:  # a bug: the page says that this sensor has stopped, and why
                 self._missing, self._grabber = f"bug: {type(problem).__name__}: {problem}", None
                 self._on_shown()
                 raise
 
     def _show_all(self, grabber: Grabber) -> None:
-        """Show frames until the source ends; then the last one stays."""
+        """Show frames until another source is wanted; when the source ends, its last frame stays."""
         after = -1
-        while not self._stop.is_set():
+        while not self._stop.is_set() and not self._switched.is_set():
             frame = None if self.paused else grabber.newest(after, timeout_s=WAIT_S)
             if frame is not None:
                 after = frame.index
                 self._show(frame)
             elif self.paused or grabber.state == "ended":
-                self._stop.wait(WAIT_S)
+                self._switched.wait(WAIT_S)
 
     def _show(self, frame: Frame) -> None:
         started = time.monotonic()
@@ -194,4 +218,5 @@ def _shown(serial: int, frame: Frame, setup: Setup) -> Shown:
         measures_of(result),
         explain=None if run is None else partial(run.explain, image),
         background=setup.background,
+        zero_mm=setup.zero_mm,
     )

@@ -77,7 +77,7 @@ def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
         found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
         np.testing.assert_allclose(found[:3], wanted, atol=12)
-    script = """([x, y]) => import('/js/profile.js').then((module) => {
+    script = """([x, y]) => import('/js/maps/profile.js').then((module) => {
         const { alongX, alongY } = module.profilesThrough(gelform.frame, [x, y]);
         return [[...alongX], [...alongY]];
     })"""

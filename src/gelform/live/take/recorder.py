@@ -8,7 +8,9 @@ import time
 from pathlib import Path
 
 from gelform.errors import GelformError
+from gelform.live.setup import Setup
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.attachments import attachments_of
 from gelform.sensors.recordings.record import RecordStats, new_recording, record_frames
 
 
@@ -19,7 +21,7 @@ class Recorder:
     ----------
     grabber : running; it goes on for its other consumers
     folder : where the recording is made, under a name of its own
-    calibration_digest : of the calibration in use; "" without one
+    setup : whose calibration and background the recording carries
 
     Attributes
     ----------
@@ -28,7 +30,7 @@ class Recorder:
     problem : why it ended early; "" where it did not
     """
 
-    def __init__(self, grabber: Grabber, folder: Path, calibration_digest: str = "") -> None:
+    def __init__(self, grabber: Grabber, folder: Path, setup: Setup | None = None) -> None:
         stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
         self.path = folder / f"recording-{stamp}{suffix}"
@@ -36,7 +38,13 @@ class Recorder:
         self.problem = ""
         self._grabber = grabber
         self._stop = threading.Event()
-        self._recording = new_recording(self.path, grabber, calibration_digest=calibration_digest)
+        calibration = None if setup is None else setup.calibration
+        self._recording = new_recording(
+            self.path,
+            grabber,
+            calibration_digest="" if calibration is None else calibration.digest,
+            attached=attachments_of(calibration, None if setup is None else setup.background),
+        )
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
         self._thread.start()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import tempfile
 import threading
 from collections import OrderedDict
@@ -43,6 +44,7 @@ class Snapshots:
         """The files that a snapshot has."""
         shown = self._kept[number]
         lacking = {"background.png"} if shown.background is None else set()
+        lacking |= {"zero.npy"} if shown.zero_mm is None else set()
         if shown.result is None:
             lacking |= FILES.keys() - {"frame.png"}
         return [name for name in FILES if name not in lacking]
@@ -111,12 +113,22 @@ def background_png(shown: Shown) -> bytes:
     return _png(np.rint(shown.background[..., ::-1]).astype(np.uint8))
 
 
+def zero_npy(shown: Shown) -> bytes:
+    """The depth that was set as zero on the page, mm: what `numpy.load` reads."""
+    if shown.zero_mm is None:
+        raise GelformError("No zero was set on the page.")
+    content = io.BytesIO()
+    np.save(content, shown.zero_mm, allow_pickle=False)
+    return content.getvalue()
+
+
 FILES: dict[str, Callable[[Shown], bytes]] = {
     "result.npz": result_npz,
     "frame.png": frame_png,
     "depth.png": depth_png,
     "points.ply": points_ply,
     "background.png": background_png,
+    "zero.npy": zero_npy,
 }
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import Response
+from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
@@ -34,10 +34,13 @@ def page_files() -> dict[str, bytes]:
     """The page's files by the path that they are asked for: all that is ever given of the disk."""
     folder = resources.files("gelform.live") / "page"
     found = {}
-    for entry in (*folder.iterdir(), *(folder / "js").iterdir()):
-        if entry.is_file() and any(entry.name.endswith(suffix) for suffix in TYPES):
-            below = "js/" if entry.name.endswith(".js") else ""
-            found[f"/{below}{entry.name}"] = entry.read_bytes()
+    folders = [("/", folder)]
+    for place, one in folders:
+        for entry in one.iterdir():
+            if entry.is_dir():
+                folders.append((f"{place}{entry.name}/", entry))
+            elif any(entry.name.endswith(suffix) for suffix in TYPES):
+                found[place + entry.name] = entry.read_bytes()
     found["/"] = found.pop("/index.html")
     return found
 
@@ -75,6 +78,14 @@ def make_app(hub: Hub, access: Access) -> Any:
         headers = {"content-disposition": f'attachment; filename="{saved_as}"', "cache-control": "no-store"}
         return Response(content, media_type="application/octet-stream", headers=headers)
 
+    async def recording(request: Request) -> Response:
+        try:
+            path = hub.recordings.file(request.path_params["number"])
+        except GelformError as problem:
+            return Response(str(problem), 404, media_type="text/plain")
+        headers = {"cache-control": "no-store"}
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=headers)
+
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if len(clients) >= MAX_CLIENTS:
@@ -104,6 +115,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         *[Route(path, page, methods=["GET"]) for path in files],
         Route("/session", session, methods=["POST"]),
         Route("/snapshots/{number:int}/{name}", snapshot, methods=["GET"]),
+        Route("/recordings/{number:int}", recording, methods=["GET"]),
         WebSocketRoute("/ws", socket),
     ]
     return Guard(Starlette(routes=routes, lifespan=lifespan), access, (*OPEN_PATHS, *files))

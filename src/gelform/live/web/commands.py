@@ -11,6 +11,7 @@ from typing import Any
 from gelform.errors import GelformError
 from gelform.live import actions, guiding
 from gelform.live.hub import Hub
+from gelform.live.replay import buttons as replay
 
 MAX_BYTES = 16 * 1024
 MAX_TEXT = 200
@@ -71,8 +72,15 @@ COMMANDS = {
     "guide_stop": Command(guiding.stop, {"station": station}),
     "record": Command(actions.record, {"station": station, "on": yes_no}),
     "snapshot": Command(actions.snapshot, {"station": station}),
-    "code": Command(actions.code, {"station": station, "view": text}),
+    "code": Command(actions.code, {"station": station, "view": text, "x_px": number, "y_px": number}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
+    "open": Command(replay.open_recording, {"station": station, "name": text}),
+    "play": Command(replay.play, {"station": station, "playing": yes_no}),
+    "seek": Command(replay.seek, {"station": station, "frame": number}),
+    "step": Command(replay.step, {"station": station, "by": number}),
+    "speed": Command(replay.speed, {"station": station, "speed": number}),
+    "loop": Command(replay.loop, {"station": station, "loop": yes_no}),
+    "share": Command(replay.share, {"station": station}),
     "press": Command(actions.press, {"station": station, "x_px": number, "y_px": number}),
 }
 

@@ -16,6 +16,11 @@ from gelform.frames import Frame
 from gelform.sensors.mjpeg.jpeg import image_from_jpeg
 
 FORMAT_VERSION = 1
+CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
+ATTACHABLE = {
+    CALIBRATION: "application/x-npz",
+    BACKGROUND: "image/png",
+}  # what a recording may carry, with its type
 PNG_LEVEL = 1  # of 9: the fastest; the next ones save 5 % of the bytes and take twice as long
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from gelform.errors import DataError
@@ -30,6 +30,7 @@ class FolderRecording:
     ----------
     path : a new or empty folder
     facts : of the camera
+    attached : files that it carries, by name: `attachments_of`
 
     Raises
     ------
@@ -37,7 +38,9 @@ class FolderRecording:
         The folder holds something already or cannot be written.
     """
 
-    def __init__(self, path: Path, facts: RecordingFacts) -> None:
+    def __init__(
+        self, path: Path, facts: RecordingFacts, attached: Mapping[str, bytes] | None = None
+    ) -> None:
         self.path = path
         was_there = path.exists()
         try:
@@ -45,11 +48,13 @@ class FolderRecording:
             if any(path.iterdir()):
                 raise DataError(f"{path} is there already and not empty. Give another name, or empty it.")
             (path / FACTS).write_text(facts.to_json(), encoding="utf-8")
+            for name, content in (attached or {}).items():
+                (path / name).write_bytes(content)
             self._times = (path / TIMES).open("x", encoding="ascii", newline="\n")
             self._times.write(COLUMNS + "\n")
             self._times.flush()
         except OSError as problem:
-            for name in (FACTS, TIMES):
+            for name in (FACTS, TIMES, *(attached or ())):
                 (path / name).unlink(missing_ok=True)
             if not was_there and path.is_dir():
                 path.rmdir()
@@ -130,15 +135,26 @@ def _row(path: Path, line: str) -> tuple[float, int, int, str]:
         raise DataError(f"{path / TIMES} is damaged: {line.strip()!r} is no line of it.") from problem
 
 
-def _frames(path: Path, reduction: int) -> Iterator[Frame]:
+def rows_of(path: Path) -> Iterator[tuple[float, int, int, str]]:
+    """(time_s, wall_time_ns, index, name of the image) of each frame; a line without its end is left out."""
     for line in _lines(path):
         if not line.endswith("\n"):
             return  # the recorder was killed while it wrote
-        time_s, wall_time_ns, index, name = _row(path, line)
-        file = path / name
-        try:
-            content = file.read_bytes()
-        except OSError as problem:
-            raise DataError(f"Cannot read {problem.filename}: {problem.strerror}.") from problem
-        image = image_from_encoded(content, reduction, str(file))
-        yield Frame(image, time_s, wall_time_ns, index, content if file.suffix == ".jpg" else None)
+        yield _row(path, line)
+
+
+def frame_of_row(path: Path, row: tuple[float, int, int, str], reduction: int) -> Frame:
+    """The frame of a row; DataError where its image is missing or damaged."""
+    time_s, wall_time_ns, index, name = row
+    file = path / name
+    try:
+        content = file.read_bytes()
+    except OSError as problem:
+        raise DataError(f"Cannot read {problem.filename}: {problem.strerror}.") from problem
+    image = image_from_encoded(content, reduction, str(file))
+    return Frame(image, time_s, wall_time_ns, index, content if file.suffix == ".jpg" else None)
+
+
+def _frames(path: Path, reduction: int) -> Iterator[Frame]:
+    for row in rows_of(path):
+        yield frame_of_row(path, row, reduction)

@@ -70,11 +70,14 @@ def _frames(path: Path, topic: PictureTopic, facts: RecordingFacts) -> Iterator[
         first_ns = message.log_time if first_ns is None else first_ns
         index = message.sequence if topic.numbered else count
         time_s = (message.log_time - first_ns) / 1e9
-        yield _frame(message.data, topic, reduction, time_s, index, f"Frame {index} of {path}")
+        yield frame_from_message(message.data, topic, reduction, time_s, index, f"Frame {index} of {path}")
         count += 1
 
 
-def _frame(data: bytes, topic: PictureTopic, reduction: int, time_s: float, index: int, where: str) -> Frame:
+def frame_from_message(
+    data: bytes, topic: PictureTopic, reduction: int, time_s: float, index: int, where: str
+) -> Frame:
+    """The frame of a message of a topic of pictures; DataError, naming `where`, where it is damaged."""
     try:
         if topic.raw:
             raw = raw_image_from_message(data)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from gelform.errors import DataError
 from gelform.frames import Frame
-from gelform.sensors.recordings.facts import RecordingFacts, encoded_from_frame
+from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame
 from gelform.sensors.recordings.messages import (
     MESSAGE_ENCODING,
     SCHEMA,
@@ -32,6 +33,7 @@ class McapRecording:
     ----------
     path : a new file
     facts : of the camera
+    attached : files that it carries, by name: `attachments_of`
 
     Raises
     ------
@@ -39,7 +41,9 @@ class McapRecording:
         The file is there already or cannot be written, or the extra `mcap` is not installed.
     """
 
-    def __init__(self, path: Path, facts: RecordingFacts) -> None:
+    def __init__(
+        self, path: Path, facts: RecordingFacts, attached: Mapping[str, bytes] | None = None
+    ) -> None:
         writer = writer_class()
         self.path = path
         self._frame_id = facts.serial or facts.name
@@ -52,6 +56,9 @@ class McapRecording:
         self._writer = writer(self._file, chunk_size=CHUNK_BYTES, compression=_uncompressed())
         self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
         self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
+        for name, content in (attached or {}).items():
+            now_ns = time.time_ns()
+            self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
         schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, SCHEMA.encode())
         self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
         # The library ends a chunk by its size alone; what it calls then is private to it (a test holds it to that).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -44,13 +44,27 @@ class RecordStats:
     duration_s: float
 
 
-def new_recording(path: Path, grabber: Grabber, *, calibration_digest: str = "") -> Recording:
-    """A recording of what a grabber reads: an MCAP file where the name ends so, else a folder of images."""
+def new_recording(
+    path: Path,
+    grabber: Grabber,
+    *,
+    calibration_digest: str = "",
+    attached: Mapping[str, bytes] | None = None,
+) -> Recording:
+    """A recording of what a grabber reads: an MCAP file where the name ends so, else a folder of images.
+
+    Parameters
+    ----------
+    path : a new file or folder
+    grabber : entered
+    calibration_digest : of the calibration in use
+    attached : files that it carries, by name: `attachments_of`
+    """
     rate = grabber.source.rate_hz
     facts = RecordingFacts(
         grabber.name, grabber.serial, grabber.settings, rate, calibration_digest, __version__
     )
-    return (McapRecording if path.suffix.lower() == ".mcap" else FolderRecording)(path, facts)
+    return (McapRecording if path.suffix.lower() == ".mcap" else FolderRecording)(path, facts, attached)
 
 
 def record_frames(

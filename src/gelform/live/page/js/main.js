@@ -1,26 +1,26 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
-import { drawChart } from "./charts.js";
-import { Connection, signIn } from "./connection.js";
-import { drawControls, startControls } from "./controls.js";
-import { showCode } from "./dialogs.js";
-import { byId, element, setOptions, setText } from "./dom.js";
-import { Frame } from "./frame.js";
-import { drawGuide, guideOverlay } from "./guide.js";
-import { showKeys, startKeys } from "./keys.js";
-import { drawNumbers, NUMBERS, startNumbers } from "./numbers.js";
-import { Pane } from "./pane.js";
-import { markerArrows } from "./markers.js";
-import { drawProfile, Pointer } from "./profile.js";
-import { Relief } from "./relief.js";
-import { Series, SPAN_S } from "./series.js";
-import { drawContacts } from "./contacts.js";
-import { drawEmpty, drawFacts, drawFindings, drawStatus } from "./status.js";
-import { Surface } from "./surface.js";
-import { startTabs } from "./tabs.js";
-import { startTheme } from "./theme.js";
-import { toast } from "./toasts.js";
-import { VIEWS } from "./views.js";
+import { drawChart } from "./maps/charts.js";
+import { Connection, signIn } from "./server/connection.js";
+import { drawControls, startControls } from "./panels/controls.js";
+import { showCode } from "./page/dialogs.js";
+import { byId, element, setOptions, setText } from "./page/dom.js";
+import { Frame } from "./server/frame.js";
+import { drawGuide, guideOverlay } from "./panels/guide.js";
+import { showKeys, startKeys } from "./page/keys.js";
+import { drawNumbers, NUMBERS, startNumbers } from "./maps/numbers.js";
+import { Pane } from "./maps/pane.js";
+import { markerArrows } from "./maps/markers.js";
+import { drawProfile, Pointer } from "./maps/profile.js";
+import { Relief } from "./surface/relief.js";
+import { Series, SPAN_S } from "./server/series.js";
+import { drawContacts } from "./maps/contacts.js";
+import { drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
+import { Surface } from "./surface/surface.js";
+import { startTabs } from "./page/tabs.js";
+import { startTheme } from "./page/theme.js";
+import { toast } from "./page/toasts.js";
+import { VIEWS } from "./maps/views.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
 const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: markerArrows };

@@ -1,6 +1,6 @@
 // Where the gel's dots have moved: a line from rest to now, three times as long as the way, with a dot at its end.
 
-import { svgElement } from "./dom.js";
+import { svgElement } from "../page/dom.js";
 
 const LONGER = 3;
 

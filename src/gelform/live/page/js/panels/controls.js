@@ -1,7 +1,7 @@
 // Buttons and choices of one sensor.
 
-import { MAP_NAMES } from "./colors.js";
-import { byId, element, setOptions } from "./dom.js";
+import { MAP_NAMES } from "../maps/colors.js";
+import { byId, element, setOptions } from "../page/dom.js";
 
 /** `does`: {send(do, fields), chosen() -> station, recording() -> facts or undefined, settings, redraw()}. */
 export function startControls(does) {

@@ -1,6 +1,6 @@
 // The contacts of a frame, the largest first.
 
-import { byId, element } from "./dom.js";
+import { byId, element } from "../page/dom.js";
 
 const MOST = 5;
 

@@ -1,6 +1,6 @@
 // The surface in three dimensions, by WebGL2: the depth map is a texture that lifts a grid of vertices.
 
-import { ramp } from "./colors.js";
+import { ramp } from "../maps/colors.js";
 import { Orbit } from "./orbit.js";
 import { LINE_FRAGMENT, LINE_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.js";
 

@@ -1,6 +1,6 @@
 // How the sensor is doing: the line at the top, the banner, the empty states with what to do, the list of facts.
 
-import { byId, element, setText } from "./dom.js";
+import { byId, element, setText } from "../page/dom.js";
 
 const WORDS = { running: "live", starting: "starting", reconnecting: "reconnecting", missing: "not there", ended: "ended", offline: "no server", paused: "paused" };
 const ADVICE = {

@@ -1,7 +1,7 @@
 // The surface where there is no WebGL2: the same depth as a shaded relief, lit from the top left.
 
-import { packedRamp } from "./colors.js";
-import { eachNormal } from "./normals.js";
+import { packedRamp } from "../maps/colors.js";
+import { eachNormal } from "../maps/normals.js";
 
 export class Relief {
   constructor(canvas) {

@@ -1,7 +1,7 @@
 // A pane: one view of the frame, its overlays, its legend.
 
 import { ramp } from "./colors.js";
-import { element, svgElement } from "./dom.js";
+import { element, svgElement } from "../page/dom.js";
 import { VIEWS } from "./views.js";
 
 export class Pane {

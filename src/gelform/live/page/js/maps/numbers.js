@@ -1,7 +1,7 @@
 // The three numbers with the line of their last ten seconds.
 
 import { drawSpark } from "./charts.js";
-import { byId, element, setText } from "./dom.js";
+import { byId, element, setText } from "../page/dom.js";
 
 export const NUMBERS = {
   peak: { name: "Deepest point", power: "", digits: 3, least: 0.05 },

@@ -1,7 +1,7 @@
 // Depth along the row and the column through a point: under the pointer, or the deepest one.
 
 import { drawChart } from "./charts.js";
-import { setText } from "./dom.js";
+import { setText } from "../page/dom.js";
 
 /** Which point the profile goes through. */
 export class Pointer {

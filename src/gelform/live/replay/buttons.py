@@ -1,0 +1,104 @@
+"""What the buttons of a replay do: open, play, seek, step, speed, loop, share."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from gelform.errors import GelformError
+from gelform.live.calibrations import Origin
+from gelform.live.hub import Hub
+from gelform.live.replay.indexed import indexed
+from gelform.live.replay.player import Player
+from gelform.live.replay.share import share as share_file
+from gelform.live.station import Station
+from gelform.progress import Progress
+from gelform.sensors.recordings.attachments import attached_background, attached_calibration
+
+
+def open_recording(hub: Hub, station: int, name: str) -> None:
+    """Show a recording of the list in place of what a station shows; "" shows again what it was started with."""
+    chosen = hub.station(station)
+    if name:
+        path = hub.recordings.path(name)
+        recording = indexed(path)
+        use_attached(hub, chosen, path)
+        chosen.show_recording(recording)
+    else:
+        chosen.show_recording(None)
+    hub.changed()
+
+
+def use_attached(hub: Hub, station: Station, path: Path) -> None:
+    """Reconstruct with the calibration, and the background, that a recording carries; as before where it carries none."""
+    calibration = attached_calibration(path)
+    if calibration is None:
+        return
+    origin = Origin(
+        f"attached_calibration({str(path)!r})",
+        ("from gelform.sensors.recordings import attached_calibration",),
+    )
+    name = f"{path.resolve().name}: calibration"
+    if name not in hub.calibrations.names:
+        hub.calibrations.add(name, calibration, origin)
+    setup = station.setup.with_calibration(calibration, name)
+    background = attached_background(path)
+    station.setup = setup if background is None else setup.with_background(background)
+
+
+def play(hub: Hub, station: int, playing: bool) -> None:
+    """Go on, or hold."""
+    player_of(hub.station(station)).play(playing)
+    hub.changed()
+
+
+def seek(hub: Hub, station: int, frame: float) -> None:
+    """Show a frame by its number."""
+    player_of(hub.station(station)).seek(int(frame))
+
+
+def step(hub: Hub, station: int, by: float) -> None:
+    """Show the next frame or the one before, and hold."""
+    player_of(hub.station(station)).step(int(by))
+
+
+def speed(hub: Hub, station: int, speed: float) -> None:
+    """Play faster or slower."""
+    player_of(hub.station(station)).set_speed(speed)
+    hub.changed()
+
+
+def loop(hub: Hub, station: int, loop: bool) -> None:
+    """Begin again at the end, or not."""
+    player_of(hub.station(station)).loop(loop)
+    hub.changed()
+
+
+def share(hub: Hub, station: int) -> None:
+    """Make one file of the recording and the calibration in use; it joins the list, from which it is fetched."""
+    chosen = hub.station(station)
+    recording, setup = player_of(chosen).recording, chosen.setup
+    stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+    path = hub.folder / f"shared-{stamp}.mcap"
+
+    def work(progress: Progress) -> None:
+        share_file(
+            recording,
+            path,
+            calibration=setup.calibration,
+            background=setup.background,
+            progress=progress,
+        )
+        name = hub.recordings.add(path)
+        hub.notice(f"Ready to share: {name}, with the calibration in it. Download it below Recordings.")
+
+    hub.start(work, station, "one file to share")
+
+
+def player_of(station: Station) -> Player:
+    """The player of a station; GelformError where it shows a sensor."""
+    source: Any = station.source
+    if not isinstance(source, Player):
+        raise GelformError("This is a sensor, not a recording. Open a recording first.")
+    return source
