@@ -76,14 +76,20 @@ class Running:
 
 
 @pytest.fixture
-def serving(hub):
-    """Starts servers of the hub; all end with the test."""
+def serving_of():
+    """Starts servers of any hub; all end with the test, and their hubs too."""
     running = []
 
-    def start(**how):
+    def start(hub, **how):
         running.append(Running(hub, **how))
         return running[-1]
 
     yield start
     for one in running:
         one.close()
+
+
+@pytest.fixture
+def serving(serving_of, request):
+    """Starts servers of the hub, which is made when the first one is."""
+    return lambda **how: serving_of(request.getfixturevalue("hub"), **how)

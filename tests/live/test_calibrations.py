@@ -34,6 +34,8 @@ def test_what_was_made_here_gets_a_free_name(calibration):
     assert known.add("mine", calibration, origin) == "mine"
     assert known.add("mine", calibration, origin) == "mine (2)"
     assert known["mine (2)"] is calibration
+    assert known.add_once("mine", calibration, origin) == "mine"
+    assert len(known.names) == 2
 
 
 @pytest.mark.parametrize("name", ["", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"])

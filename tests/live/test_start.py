@@ -55,7 +55,44 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
     calibration.save(tmp_path / "mine.npz")
     hub = start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))
     try:
-        until(lambda: hub.stations[0].facts()["state"] == "ended", 20)
-        assert hub.stations[0].newest.result is not None
+        station = hub.stations[0]
+        until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3, 20)
+        until(lambda: station.newest.frame.number == 3)
+        assert station.newest.result is not None
+        assert station.facts()["state"] == "running"  # held, not lost
+        assert hub.recordings.facts()[0]["name"] == tmp_path.name
     finally:
         hub.close()
+
+
+def test_two_simulated_sensors_are_touched_apart_from_each_other():
+    hub = start(Options(["simulated", "simulated"], rate_hz=20))
+    try:
+        until(lambda: all(station.newest and station.newest.result for station in hub.stations), 20)
+        first, second = (station.source for station in hub.stations)
+        assert (first.image_at(7) != second.image_at(7)).mean() > 0.2
+        assert hub.calibrations.names == ["simulated sensor three-edges"]
+    finally:
+        hub.close()
+
+
+def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path):
+    """A file below /dev that another process holds stands for the camera: OpenCV gets no picture from it either."""
+    import subprocess
+    import sys
+    from pathlib import Path
+
+    shared = Path("/dev/shm")
+    if not sys.platform.startswith("linux") or not shared.is_dir():
+        pytest.skip("needs Linux with /dev/shm")
+    camera = shared / f"gelform-test-{tmp_path.name}"
+    camera.write_bytes(b"")
+    with camera.open("rb") as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
+        try:
+            hub = start(Options([str(camera)]))
+            hub.close()
+            assert f"in use by sleep (process {other.pid})" in hub.notices[0][2]
+            assert "Close the other program" in hub.notices[0][2]
+        finally:
+            other.kill()
+            camera.unlink()

@@ -10,6 +10,7 @@ import numpy as np
 
 from gelform.background.average import background_from_frames
 from gelform.errors import GelformError
+from gelform.live import devices
 from gelform.live.hub import Hub, wait_for_frames
 from gelform.live.replay.player import Player, ReplayedFrame
 from gelform.live.station import Station
@@ -91,6 +92,20 @@ def pause(hub: Hub, station: int, paused: bool) -> None:
         chosen.source.play(not paused)
     else:
         chosen.paused = paused
+    hub.changed()
+
+
+def set_camera(hub: Hub, station: int, name: str, value: float) -> None:
+    """Change one setting of the camera; everybody is told what it has now."""
+    found = devices.set_camera(hub.station(station), name, value)
+    hub.notice(
+        f"{name.replace('_', ' ').capitalize()} of {hub.station(station).grabber.name}: {found:g}, read back."
+    )
+
+
+def identify(hub: Hub, on: bool) -> None:
+    """Name the device that is unplugged from now on."""
+    hub.devices.identify(on)
     hub.changed()
 
 

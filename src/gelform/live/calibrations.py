@@ -78,6 +78,15 @@ class Calibrations:
             self._loaded[name], self._origins[name] = calibration, origin
             return name
 
+    def add_once(self, name: str, calibration: Calibration, origin: Origin) -> str:
+        """As `add`, but not where the name is taken by the same calibration already."""
+        with self._lock:
+            known = self._loaded.get(name)
+            if known is None or known.digest != calibration.digest:
+                name = self._free(name)
+                self._loaded[name], self._origins[name] = calibration, origin
+            return name
+
     def __getitem__(self, name: str) -> Calibration:
         """The calibration of a name.
 

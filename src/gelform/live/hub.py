@@ -13,6 +13,7 @@ from typing import Any
 from gelform import __version__
 from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
+from gelform.live.devices import Devices, camera_facts
 from gelform.live.guide.session import GuideSession
 from gelform.live.replay.recordings import Recordings
 from gelform.live.station import Station
@@ -54,6 +55,9 @@ class Hub:
     _listeners: list[Callable[[], None]] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _noticed: int = 0
+
+    def __post_init__(self) -> None:
+        self.devices = Devices(self.stations)
 
     def listen(self, listener: Callable[[], None]) -> None:
         """Call this, in any thread, whenever there is something newer to show."""
@@ -103,11 +107,12 @@ class Hub:
         return {
             "version": __version__,
             "now_s": time.monotonic(),
-            "stations": [station.facts() for station in self.stations],
+            "stations": [station.facts() | camera_facts(station) for station in self.stations],
             "calibrations": self.calibrations.names,
             "solvers": ["auto", *SOLVERS],
             "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},
             "files": self.recordings.facts(),
+            "devices": self.devices.facts(),
             "recordings": {
                 number: {"frames": one.stats.frames, "seconds": one.stats.duration_s, "problem": one.problem}
                 for number, one in tuple(self.recorders.items())

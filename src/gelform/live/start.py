@@ -72,9 +72,11 @@ def start(options: Options) -> Hub:
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
-        opener = _opener(hub, spec, sensor or recording, options.rate_hz, number)
+        wanted: dict[str, float | str] = {}
+        opener = _opener(hub, spec, sensor or recording, options.rate_hz, number, wanted)
         stall_s = NEVER_S if recording is not None else STALL_S if sensor is None else SIMULATED_STALL_S
         station = Station(number, spec, opener, hub.changed, stall_s=stall_s)
+        station.wanted = wanted
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]
@@ -93,7 +95,12 @@ def _simulated_sensor(spec: str) -> SimulatedSensor | None:
 
 
 def _opener(
-    hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, rate_hz: float, number: int
+    hub: Hub,
+    spec: str,
+    known: SimulatedSensor | Indexed | None,
+    rate_hz: float,
+    number: int,
+    wanted: dict[str, float | str],
 ) -> Callable[[], Source]:
     """Opens the source; the first time is now, so that a mistake is said in the terminal too."""
     if isinstance(known, Indexed):
@@ -105,7 +112,7 @@ def _opener(
         opened.append(open_source(spec, paced=True))
     except SensorError as problem:
         hub.notice(f"{problem} It is tried again every second.", "warning")
-    return lambda: opened.pop() if opened else open_source(spec, paced=True)
+    return lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted)
 
 
 def _made_ready(hub: Hub, number: int, spec: str, sensor: SimulatedSensor) -> Callable[[Progress], None]:
@@ -119,8 +126,8 @@ def _made_ready(hub: Hub, number: int, spec: str, sensor: SimulatedSensor) -> Ca
 
     def work(progress: Progress) -> None:
         name = f"{READY} {sensor.name}"
-        if name not in hub.calibrations.names:
-            name = hub.calibrations.add(name, ready_calibration(sensor, progress=progress), origin)
+        calibration = ready_calibration(sensor, progress=progress)
+        name = hub.calibrations.add_once(name, calibration, origin)
         actions.use_calibration(hub, number, name)
 
     return work

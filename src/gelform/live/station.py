@@ -44,6 +44,7 @@ class Station:
     ----------
     setup : Setup; assign another one to change it: a recording that is held is reconstructed anew
     newest : Shown or None
+    wanted : settings of the camera that were chosen here: its opener sets them again
     taps : called with every frame and what is shown of it: recorders, guides
     """
 
@@ -60,6 +61,7 @@ class Station:
         self._setup = Setup()
         self.newest: Shown | None = None
         self.taps: list[Tap] = []
+        self.wanted: dict[str, float | str] = {}
         self.paused = False
         self._given = self._opening = (open_it, stall_s)
         self._on_shown = on_shown

@@ -130,6 +130,46 @@ def test_a_snapshot_is_fetched_under_the_servers_own_name(serving, hub):
     assert httpx.get(f"{serving().url}/snapshots/{number}/..%2Fframe.png").status_code == 404
 
 
+def test_recordings_are_fetched_by_their_place_in_the_list_alone(serving, hub, tmp_path):
+    file = tmp_path / "session.mcap"
+    file.write_bytes(b"recorded")
+    (tmp_path / "secret.txt").write_bytes(b"secret")
+    hub.recordings.add(tmp_path)
+    hub.recordings.add(file)
+    url = serving(token=True).url
+    assert httpx.get(f"{url}/recordings/1").status_code == 401
+    open_url = serving().url
+    answer = httpx.get(f"{open_url}/recordings/1")
+    assert answer.content == b"recorded"
+    assert answer.headers["content-disposition"] == 'attachment; filename="session.mcap"'
+    assert answer.headers["cache-control"] == "no-store"
+    for name, value in HEADERS.items():
+        assert answer.headers[name.decode()] == value.decode()
+    assert httpx.get(f"{open_url}/recordings/1", headers={"origin": "http://evil.example"}).status_code == 403
+    file.unlink()
+    for path in (
+        "0",
+        "1",
+        "2",
+        "-1",
+        "1e9",
+        "99999999999999999999",
+        "session.mcap",
+        "..%2fsecret.txt",
+        "1/../1",
+    ):
+        gone = httpx.get(f"{open_url}/recordings/{path}")
+        assert gone.status_code == 404, path
+        assert str(tmp_path) not in gone.text
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="?#"), max_size=12))
+def test_no_name_opens_a_recording_that_is_not_listed(one_server, name):
+    request = f"GET /recordings/{name} HTTP/1.1\r\nHost: {one_server.address}\r\nConnection: close\r\n\r\n"
+    assert int(raw(one_server, request.encode()).split(b" ")[1]) in (307, 400, 404)
+
+
 def raw(running, sent):
     """What the server answers to bytes."""
     host, port = running.address.split(":")

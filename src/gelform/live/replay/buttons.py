@@ -40,8 +40,7 @@ def use_attached(hub: Hub, station: Station, path: Path) -> None:
         ("from gelform.sensors.recordings import attached_calibration",),
     )
     name = f"{path.resolve().name}: calibration"
-    if name not in hub.calibrations.names:
-        hub.calibrations.add(name, calibration, origin)
+    name = hub.calibrations.add_once(name, calibration, origin)
     setup = station.setup.with_calibration(calibration, name)
     background = attached_background(path)
     station.setup = setup if background is None else setup.with_background(background)

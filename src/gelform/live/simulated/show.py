@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from gelform.frames import Frame
 from gelform.live.simulated.acts import ACTS, Act, Rehearsed
-from gelform.sensors.pace import Pace
+from gelform.sensors.simulated.paced import PacedSimulation
 from gelform.simulate import Ball, Pose, SimulatedSensor, simulate_pose
-from gelform.simulate.sensor.grey_levels import image_from_levels
 
 RATE_HZ = 60.0
 POINTER_BALL = Ball(2.5)
@@ -24,6 +23,7 @@ STEP_MM = 0.025  # depths of a press that was asked for are rounded to this, so 
 PRESS_S, HOLD_S = 0.35, 1.6  # going in, and staying
 KEPT = 64
 GENTLE_S = 0.03
+APART_S = 0.7  # by which sensors of different seeds are apart in their acts
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Asked:
         return now_s > self.start_s + 2 * PRESS_S + self.held_s
 
 
-class Show:
+class Show(PacedSimulation):
     """A simulated sensor as a source of frames, 60 a second.
 
     Plays the acts in turn (a ball, a coin, a screw ...) until it is told where to press, or to rest. The images
@@ -58,23 +58,14 @@ class Show:
     ----------
     sensor : SimulatedSensor
     rate_hz : frames a second
-    seed : of the noise
+    seed : of the noise, and of where in the acts it begins
     """
 
-    live = True
-    serial: str | None = None
-
     def __init__(self, sensor: SimulatedSensor, *, rate_hz: float = RATE_HZ, seed: int = 0) -> None:
-        self.sensor = sensor
-        self.rate_hz: float | None = rate_hz
-        self.name = f"simulated {sensor.name}"
-        height, width = sensor.shape
-        self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
-        self._rate_hz, self._seed = rate_hz, seed
+        super().__init__(sensor, rate_hz=rate_hz, seed=seed)
         self._linear = sensor.linear()
         self._asked: _Asked | None = None
         self._resting = False
-        self._closed = threading.Event()
         self._rehearsal: threading.Thread | None = None
         self._levels = lru_cache(maxsize=KEPT)(self._levels_of)
         self._acts = [Rehearsed(ACTS[0], ACTS[0].poses(sensor))]
@@ -83,15 +74,15 @@ class Show:
     def __iter__(self) -> Iterator[Frame]:
         self._rehearsal = threading.Thread(target=self._rehearse, name="simulated acts", daemon=True)
         self._rehearsal.start()
-        pace, index = Pace(self._rate_hz), 0
-        while not self._closed.is_set():
-            levels = self._levels_now(index / self._rate_hz)
-            image = image_from_levels(
-                self.sensor, levels.astype(np.float32), np.random.default_rng([self._seed, index])
-            )
-            time_s = pace.wait_for(index)
-            yield Frame(np.asarray(image), time_s, time.time_ns(), index)
-            index = pace.next_after(index)
+        return super().__iter__()
+
+    def levels_at(self, index: int) -> NDArray[Any]:
+        """Of what touches now: what was asked for, else the act whose turn it is."""
+        now, asked = time.monotonic(), self._asked
+        if asked is not None and not asked.over(now):
+            depth = STEP_MM * round(asked.depth_at(now) / STEP_MM)
+            return self._rest if depth <= 0 else self._levels(asked.ball, depth, asked.x_px, asked.y_px)
+        return self._rest if self._resting else self._of_acts(index / self._rate_hz + APART_S * self._seed)
 
     def press_at(
         self,
@@ -117,22 +108,9 @@ class Show:
 
     def close(self) -> None:
         """End the loop over it; waits for the image that is being computed."""
-        self._closed.set()
+        super().close()
         if self._rehearsal is not None:
             self._rehearsal.join(2.0)
-
-    def __enter__(self) -> Show:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _levels_now(self, time_s: float) -> NDArray[Any]:
-        now, asked = time.monotonic(), self._asked
-        if asked is not None and not asked.over(now):
-            depth = STEP_MM * round(asked.depth_at(now) / STEP_MM)
-            return self._rest if depth <= 0 else self._levels(asked.ball, depth, asked.x_px, asked.y_px)
-        return self._rest if self._resting else self._of_acts(time_s)
 
     def _of_acts(self, time_s: float) -> NDArray[Any]:
         """What the acts show at a time, computed now where it never was."""

@@ -22,7 +22,8 @@ from gelform.live.station import Station
 from gelform.live.web.commands import MessageError, done, parsed, station
 from gelform.live.wire import ENCODINGS, message
 
-MAX_CREDIT = 4
+MAX_CREDIT = 4  # for each station
+SURFACE = ("depth", "flags")
 MAX_REPLIES = 32
 STATE_EVERY_S = 0.25
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0
@@ -32,11 +33,12 @@ POLICY, TOO_MANY = 1008, 1013
 
 @dataclass
 class Watched:
-    """What a client wants to see: which stations, which planes of them, how encoded."""
+    """What a client wants to see: which stations, which planes of them, how encoded; of `few` no more than the surface."""
 
     stations: list[int] = field(default_factory=lambda: [0])
     planes: list[str] = field(default_factory=lambda: ["image"])
     encoding: str = "small"
+    few: list[int] = field(default_factory=list)
 
 
 class Client:
@@ -54,6 +56,7 @@ class Client:
         self._watched = Watched()
         self._credit = 0
         self._sent: dict[int, int] = {}
+        self._turns: dict[int, float] = {}
         self._replies: deque[dict[str, Any]] = deque(maxlen=MAX_REPLIES)
         self._state_at = 0.0
         self._noticed = hub.notices[-1][0] if hub.notices else 0
@@ -81,7 +84,8 @@ class Client:
             await self._wake.wait()
             self._wake.clear()
             await self._send_words()
-            for number in self._watched.stations:
+            # Who was sent least lately first: with little credit each one gets its turn.
+            for number in sorted(self._watched.stations, key=lambda one: self._turns.get(one, 0.0)):
                 if self._credit > 0 and number < len(self._hub.stations):
                     await self._send_frame(self._hub.stations[number])
 
@@ -101,6 +105,7 @@ class Client:
         if shown is None or shown.serial <= before:
             return
         self._credit -= 1
+        self._turns[station.number] = time.monotonic()
         self._sent[station.number] = shown.serial
         data = await asyncio.to_thread(_encoded, station, shown, before, self._watched)
         await self._socket.send_bytes(data)
@@ -131,7 +136,7 @@ class Client:
     async def _heard(self, content: dict[str, Any]) -> None:
         what = content["do"]
         if what == "credit":
-            self._credit = min(MAX_CREDIT, self._credit + 1)
+            self._credit = min(MAX_CREDIT * len(self._watched.stations), self._credit + 1)
         elif what == "watch":
             self._watched = watched_from(content)
             self._sent.clear()
@@ -166,7 +171,11 @@ def watched_from(content: dict[str, Any]) -> Watched:
         raise MessageError("Expected stations and planes as lists.")
     if encoding not in ENCODINGS or not all(plane in PLANES for plane in planes):
         raise MessageError("Expected planes and an encoding that are known.")
-    return Watched([station(one) for one in stations], list(dict.fromkeys(planes)), encoding)
+    few = content.get("few", [])
+    if not isinstance(few, list) or len(few) > 16:
+        raise MessageError("Expected few as a list.")
+    numbers = list(dict.fromkeys(station(one) for one in stations))
+    return Watched(numbers, list(dict.fromkeys(planes)), encoding, [station(one) for one in few])
 
 
 def _ping(content: dict[str, Any]) -> float:
@@ -180,7 +189,8 @@ def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> b
     numbers = station.numbers_since(before)[-MAX_NUMBERS:]
     header = {**shown.header(), "station": station.number, "numbers": [list(row[1:]) for row in numbers]}
     header["sent_s"] = time.monotonic()
-    return message(header, shown.planes(watched.planes, watched.encoding))
+    planes = SURFACE if station.number in watched.few else watched.planes
+    return message(header, shown.planes(planes, watched.encoding))
 
 
 def _json(content: dict[str, Any]) -> str:

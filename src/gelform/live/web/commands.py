@@ -74,6 +74,8 @@ COMMANDS = {
     "snapshot": Command(actions.snapshot, {"station": station}),
     "code": Command(actions.code, {"station": station, "view": text, "x_px": number, "y_px": number}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
+    "camera": Command(actions.set_camera, {"station": station, "name": text, "value": number}),
+    "identify": Command(actions.identify, {"on": yes_no}),
     "open": Command(replay.open_recording, {"station": station, "name": text}),
     "play": Command(replay.play, {"station": station, "playing": yes_no}),
     "seek": Command(replay.seek, {"station": station, "frame": number}),

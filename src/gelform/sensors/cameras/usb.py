@@ -58,6 +58,7 @@ class UsbCamera:
         if sys.platform.startswith("linux"):
             check_access(camera)
         known = SENSORS[camera.kind].camera if camera.kind is not None else None
+        self._led_levels = known.led_levels if known else 0
         self.name = camera.name
         self.serial = camera.serial
         self._lock = threading.Lock()
@@ -65,7 +66,7 @@ class UsbCamera:
         self._capture = _opened(camera)
         try:
             _set_mode(self._capture, wanted, known, camera.name)
-            set_controls(self._capture, wanted, known.led_levels if known else 0, camera.name)
+            set_controls(self._capture, wanted, self._led_levels, camera.name)
             self.settings = self._read_back(known)
         except BaseException:
             self._capture.release()
@@ -91,6 +92,24 @@ class UsbCamera:
                 raise SourceLostError(f"{self.name} gave {torn} torn pictures in a row.")
             if frame is not None:
                 yield frame
+
+    def set_controls(self, settings: Mapping[str, float | str]) -> dict[str, float | str]:
+        """Set exposure, gain, white_balance or led_level between two frames; all settings as read back then.
+
+        Raises
+        ------
+        SensorError
+            The camera lacks a control, has another value afterwards, or is closed.
+        """
+        wanted = check_settings(settings)
+        with self._lock:
+            if self._closed:
+                raise SensorError(f"{self.name} is closed.")
+            try:
+                set_controls(self._capture, wanted, self._led_levels, self.name)
+            finally:
+                self.settings = self.settings | controls_of(self._capture, self._led_levels)
+            return self.settings
 
     def close(self) -> None:
         """Give the camera back, after the frame that is being read."""
@@ -132,7 +151,7 @@ class UsbCamera:
         self._reduction = self._reduction if self._undecoded else 1
         facts: dict[str, float | str] = {"width": shape[1], "height": shape[0], "fourcc": fourcc}
         facts |= {"fps": float(capture.get(cv2.CAP_PROP_FPS)), "reduced": self._reduction}
-        return facts | controls_of(capture, known.led_levels if known else 0)
+        return facts | controls_of(capture, self._led_levels)
 
 
 def fourcc_text(code: float) -> str:

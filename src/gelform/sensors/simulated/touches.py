@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
-from gelform.frames import Frame
-from gelform.sensors.pace import Pace
+from gelform.sensors.simulated.paced import PacedSimulation
 from gelform.simulate import Ball, Pose, SimulatedSensor, simulate_pose
-from gelform.simulate.sensor.grey_levels import image_from_levels
 
 RATE_HZ = 60.0
 BALL = Ball(3.0)
@@ -23,7 +18,7 @@ REST_S, TOUCH_S = 1.0, 1.0
 PLACES = ((-0.2, 0.1), (0.25, -0.15))  # of the touches in turn, parts of the image's width and height
 
 
-class SimulatedTouches:
+class SimulatedTouches(PacedSimulation):
     """Frames of a simulated sensor that a ball of 6 mm touches at two places in turn, for ever.
 
     Each touch goes 0.6 mm deep and back within a second; a second of rest parts them. The depth moves in steps of
@@ -37,32 +32,13 @@ class SimulatedTouches:
     seed : of the noise
     """
 
-    live = True
-    serial: str | None = None
-
     def __init__(self, sensor: SimulatedSensor, *, rate_hz: float = RATE_HZ, seed: int = 0) -> None:
-        self.sensor = sensor
-        self.rate_hz: float | None = check_positive(rate_hz, "rate_hz")
-        self.name = f"simulated {sensor.name}"
-        height, width = sensor.shape
-        self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
-        self._rate_hz, self._seed = rate_hz, seed
+        super().__init__(sensor, rate_hz=rate_hz, seed=seed)
         self._levels = _noise_free_levels(sensor)
-        self._closed = False
 
-    def __iter__(self) -> Iterator[Frame]:
-        pace = Pace(self._rate_hz)
-        index = 0
-        while not self._closed:
-            image = self.image_at(index)  # before its time: a camera's exposure takes no time of ours
-            time_s = pace.wait_for(index)
-            yield Frame(image, time_s, time.time_ns(), index)
-            index = pace.next_after(index)
-
-    def image_at(self, index: int) -> NDArray[np.uint8]:
-        """The image (H, W, 3) uint8 RGB of the frame of that number."""
-        noise = np.random.default_rng([self._seed, index])
-        return np.asarray(image_from_levels(self.sensor, self._levels[self._step_at(index)], noise))
+    def levels_at(self, index: int) -> NDArray[Any]:
+        """Of the place and the depth that the ball has in the frame of that number."""
+        return self._levels[self._step_at(index)]
 
     def pose_at(self, index: int) -> Pose:
         """Where the ball stands in the frame of that number."""
@@ -75,16 +51,6 @@ class SimulatedTouches:
         phase = max(0.0, time_s - REST_S) / TOUCH_S
         step = round(STEPS * np.sin(np.pi * phase) ** 2)
         return (int(touch) % len(PLACES), step) if step else (0, 0)
-
-    def close(self) -> None:
-        """End the loop over it."""
-        self._closed = True
-
-    def __enter__(self) -> SimulatedTouches:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _pose(sensor: SimulatedSensor, place: int, step: int) -> Pose:

@@ -14,9 +14,9 @@ export function startControls(does) {
       button("zero", "Set zero", "Show depth against what is there now (Z)", () => send("zero")),
       button("snapshot", "Snapshot", "npz, png and ply of this frame (S)", () => send("snapshot")),
       button("record", "Record", "Frames as the camera gives them, into the folder of gelform live (R)", () => send("record", { on: !does.recording() })),
-      button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !does.chosen()?.paused }))),
+      button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !holds(does.chosen()) }))),
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
-    choice("compare", "Compare with", (name) => send("compare", { name })),
+    choice("compare", "Compare with", (name) => { send("compare", { name }); if (name) does.compared(); }),
     element("div", { class: "row" },
       choice("solver", "Solver", (name) => send("solver", { name })),
       choice("colors", "Colours", (name) => { does.settings.colors = name; does.redraw(); })),
@@ -24,18 +24,21 @@ export function startControls(does) {
   setOptions(byId("colors"), MAP_NAMES.map((name) => [name, name]), does.settings.colors);
 }
 
+const holds = (station) => station?.replay ? !station.replay.playing : Boolean(station?.paused);
+
 export function drawControls(station, facts) {
   if (!station) return;
   const named = facts.calibrations.map((name) => [name, name]);
   setOptions(byId("calibration"), station.calibration ? named : [["", "none yet"], ...named], station.calibration);
   setOptions(byId("compare"), [["", "nothing"], ...named], station.other);
   setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
-  byId("pause").textContent = station.paused ? "Go on" : "Pause";
-  byId("pause").setAttribute("aria-pressed", String(station.paused));
+  byId("pause").textContent = holds(station) ? "Go on" : "Pause";
+  byId("pause").setAttribute("aria-pressed", String(holds(station)));
   const recording = facts.recordings[station.number];
   byId("record").textContent = recording ? `Stop, ${recording.frames} frames` : "Record";
   byId("record").setAttribute("aria-pressed", String(Boolean(recording)));
   byId("zero").textContent = station.zero ? "Zero: undo" : "Set zero";
   byId("zero").setAttribute("aria-pressed", String(station.zero));
   for (const id of ["background", "zero", "snapshot"]) byId(id).disabled = !station.calibration;
+  byId("record").disabled = Boolean(station.replay);
 }

@@ -5,12 +5,14 @@ import { byId, element, setText } from "../page/dom.js";
 const WORDS = { running: "live", starting: "starting", reconnecting: "reconnecting", missing: "not there", ended: "ended", offline: "no server", paused: "paused" };
 const ADVICE = {
   missing: "Plug the sensor in. It is tried again every second.",
+  busy: "If it is another gelform live, open its address instead: any number of pages may look at one camera.",
   reconnecting: "The camera went away. It comes back by itself when it is plugged in again.",
   ended: "The recording is over. The last picture stays.",
 };
 
 export function drawStatus(station, online, look) {
-  const state = !online ? "offline" : station?.paused ? "paused" : (station?.state ?? "starting");
+  const held = station?.paused || station?.replay?.playing === false;
+  const state = !online ? "offline" : held ? "paused" : (station?.state ?? "starting");
   const line = byId("status"), parts = [element("span", {}, element("i", { class: `dot ${state === "paused" ? "starting" : state}` }), element("b", { text: WORDS[state] ?? state }))];
   if (online && station && state === "running") parts.push(fact("", `${station.rate_hz.toFixed(0)} Hz`), fact("age", `${look.ageMs.toFixed(0)} ms`), fact("lost", String(station.drops ?? 0)));
   line.replaceChildren(...parts);
@@ -23,14 +25,15 @@ export function drawStatus(station, online, look) {
 
 function bannerText(station, online) {
   if (!online) return "The server does not answer. Start gelform live again in the terminal, or wait: this page comes back by itself.";
+  if (station?.replay?.problem) return station.replay.problem;
   if (!station || station.state === "running" || station.state === "starting") return "";
-  const reason = station.reason ? `${station.reason.replace(/\.?$/, ".")} ` : "";
-  return reason.includes(ADVICE[station.state]) ? reason : reason + (ADVICE[station.state] ?? "");
+  const reason = station.reason ? `${station.reason.replace(/\.?$/, ".")} ` : "", advice = / is in use /.test(reason) ? ADVICE.busy : (ADVICE[station.state] ?? "");
+  return reason.includes(advice) ? reason : reason + advice;
 }
 
 /** What stands in place of the surface: why there is none, and what to do. */
-export function drawEmpty(frame, station, work) {
-  const box = byId("empty"), content = emptyContent(frame, station, work), key = content.map((one) => one.outerHTML).join("");
+export function drawEmpty(box, frame, station, work) {
+  const content = emptyContent(frame, station, work), key = content.map((one) => one.outerHTML).join("");
   if (box.dataset.key === key) return;
   box.dataset.key = key;
   box.replaceChildren(...content);

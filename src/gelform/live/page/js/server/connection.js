@@ -2,7 +2,7 @@
 
 import { readMessage } from "./wire.js";
 
-const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 4000, PING_EVERY_MS = 2000, AHEAD = 2;
+const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 4000, PING_EVERY_MS = 2000, SILENT_MS = 5000, AHEAD = 2;
 
 export class Connection extends EventTarget {
   constructor() {
@@ -14,7 +14,7 @@ export class Connection extends EventTarget {
     this.bestTrip = Infinity;
     this.watched = null;
     this.lastSerial = new Map();
-    setInterval(() => this.ping(), PING_EVERY_MS);
+    setInterval(() => this.look(), PING_EVERY_MS);
     document.addEventListener("visibilitychange", () => { if (!document.hidden && !this.open) this.connect(); });
   }
 
@@ -29,26 +29,42 @@ export class Connection extends EventTarget {
     socket.onclose = (event) => this.closed(socket, event);
   }
 
+  /** Ask for a sign of life; a socket that has been silent for long (the machine slept, the network changed) is given up. */
+  look() {
+    if (this.open && performance.now() - this.heardAt > SILENT_MS) {
+      const silent = this.socket;
+      this.socket = null; // its own closing may take minutes
+      silent.onmessage = silent.onclose = null;
+      silent.close();
+      this.lost("");
+    } else this.ping();
+  }
+
   opened() {
     this.open = true;
+    this.heardAt = performance.now();
     this.waitMs = FIRST_WAIT_MS;
     this.bestTrip = Infinity;
     this.lastSerial.clear();
     this.ping();
     if (this.watched) this.send(this.watched);
-    for (let k = 0; k < AHEAD; k++) this.send({ do: "credit" });
+    this.giveAhead(this.watched?.stations.length ?? 1);
     this.say("open");
   }
 
   closed(socket, event) {
-    if (socket !== this.socket) return;
+    if (socket === this.socket) this.lost(event.reason || "");
+  }
+
+  lost(reason) {
     this.open = false;
-    this.say("closed", event.reason || "");
+    this.say("closed", reason);
     this.timer = setTimeout(() => this.connect(), this.waitMs);
     this.waitMs = Math.min(LONGEST_WAIT_MS, this.waitMs * 1.6);
   }
 
   async heard(data) {
+    this.heardAt = performance.now();
     if (typeof data === "string") return this.heardWords(JSON.parse(data));
     this.bytes += data.byteLength;
     const message = await readMessage(data);
@@ -71,11 +87,16 @@ export class Connection extends EventTarget {
   /** The server's clock now, s. */
   get now() { return performance.now() / 1000 + this.clockOffset; }
 
-  watch(stations, planes, encoding) {
-    this.watched = { do: "watch", stations, planes, encoding };
+  /** `few`: stations of which the surface alone is shown. */
+  watch(stations, planes, encoding, few) {
+    const more = stations.length - (this.watched?.stations.length ?? 1);
+    this.watched = { do: "watch", stations, planes, encoding, few };
     this.lastSerial.clear();
     this.send(this.watched);
+    if (more > 0) this.giveAhead(more);
   }
+
+  giveAhead(stations) { for (let k = 0; k < AHEAD * stations; k++) this.credit(); }
 
   credit() { this.send({ do: "credit" }); }
   ping() { this.send({ do: "ping", sent: performance.now() / 1000 }); }

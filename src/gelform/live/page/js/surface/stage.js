@@ -1,0 +1,62 @@
+// The surface of one sensor with what is said over it; several of them stand side by side.
+
+import { element, setText } from "../page/dom.js";
+import { Series } from "../server/series.js";
+import { Relief } from "./relief.js";
+import { Surface } from "./surface.js";
+
+const LEAST_RANGE = 0.2, LEAST_RANGE_PX = 3, FALLING = 0.985;
+
+export class Stage {
+  /** `does`: {redraw(), choose(number)}. */
+  constructor(number, does) {
+    this.number = number;
+    this.frame = null;
+    this.series = new Series();
+    this.range = 0.3;
+    const id = number ? `surface-${number}` : "surface";
+    this.canvas = element("canvas", { id, tabindex: 0, role: "img", "aria-label": "Surface of the gel in three dimensions. Arrow keys turn it, plus and minus zoom." });
+    this.note = element("div", { class: "corner" });
+    this.empty = element("div", { class: "empty" });
+    this.button = element("button", { class: "chooser", hidden: true, onclick: () => does.choose(number) });
+    this.node = element("div", { class: "canvas-wrap" }, this.canvas, this.note, this.empty, this.button);
+    this.makeSurface(does.redraw, id);
+  }
+
+  makeSurface(redraw, id) {
+    try {
+      this.surface = new Surface(this.canvas, redraw);
+      this.renderer = this.surface.software ? "WebGL2, in software" : "WebGL2";
+    } catch {
+      const flat = element("canvas", { id, role: "img", "aria-label": "Surface of the gel as a shaded relief, lit from the top left." });
+      this.canvas.replaceWith(flat); // a canvas that was asked for WebGL gives no other context
+      this.canvas = flat;
+      this.surface = new Relief(flat);
+      this.renderer = "shaded relief: this browser has no WebGL2";
+    }
+  }
+
+  take(frame) {
+    this.frame = frame;
+    this.series.add(frame.header.numbers);
+    this.range = this.rangeOf(frame.header);
+  }
+
+  /** The largest depth of the colours: follows the deepest point up at once and down slowly, so that they do not flicker. */
+  rangeOf({ unit, peak }) {
+    const wanted = Math.max(unit === "px" ? LEAST_RANGE_PX : LEAST_RANGE, 1.05 * (peak ?? 0));
+    return wanted > this.range ? wanted : Math.max(wanted, this.range * FALLING);
+  }
+
+  /** `look`: {lift, colors, drape, ink}; `named`: which sensor this is, said where there are several. */
+  draw(look, named, chosen) {
+    this.button.hidden = !named;
+    this.button.setAttribute("aria-pressed", String(chosen));
+    this.node.classList.toggle("chosen", Boolean(named) && chosen);
+    const { frame } = this, [x, y] = frame?.header.mm_per_px ?? [1, 1];
+    if (named) setText(this.button, frame?.header.peak === undefined ? named : `${named}: ${frame.header.peak.toFixed(3)} ${frame.unit}`);
+    if (!frame) return;
+    this.surface.draw(frame, { ...look, range: this.range });
+    setText(this.note, frame.has("depth") ? `${(frame.width * x).toFixed(1)} × ${(frame.height * y).toFixed(1)} ${frame.unit}, heights × ${look.lift}` : "");
+  }
+}

@@ -1,0 +1,89 @@
+"""A real browser, and the page in it: what goes wrong in the page fails the test."""
+
+import os
+import re
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from live_waiting import until
+
+PLACES = [os.environ.get("GELFORM_CHROMIUM", ""), "chromium", "chromium-browser", "google-chrome"]
+CHROMIUM = next((found for name in PLACES if name and (found := shutil.which(name))), None)
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--no-first-run",
+]
+
+
+@pytest.fixture(scope="package")
+def browser(tmp_path_factory):
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt install chromium, or set GELFORM_CHROMIUM to one")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install playwright")
+    with playwright.sync_playwright() as running:
+        context = running.chromium.launch_persistent_context(
+            str(tmp_path_factory.mktemp("profile")),
+            executable_path=CHROMIUM,
+            headless=True,
+            args=FLAGS,
+            viewport={"width": 1100, "height": 900},
+        )
+        yield context
+        context.close()
+
+
+@pytest.fixture
+def visit(browser, serving):
+    """Opens the page of a server, this test's by default; `before` is a script that runs in it first."""
+    opened, troubles, hosts, servers = [], [], set(), set()
+
+    def go(url=None, before=""):
+        url = url or serving().url
+        servers.add(re.sub(r"^\w+://([^/]*).*", r"\1", url))
+        page = browser.new_page()
+        opened.append(page)
+        page.on("pageerror", lambda error: troubles.append(str(error)))
+        page.on("console", lambda said: troubles.append(said.text) if is_trouble(said) else None)
+        page.on("request", lambda request: hosts.add(re.sub(r"^\w+://([^/]*).*", r"\1", request.url)))
+        if before:
+            page.add_init_script(before)
+        page.goto(url)
+        until(lambda: page.evaluate("Boolean(window.gelform?.facts)"), 30)
+        return page
+
+    yield go
+    for page in opened:
+        page.close()
+    assert troubles == []
+    assert hosts <= servers
+
+
+def is_trouble(said):
+    """An error of the page's own: that a socket was refused while the server was away is the browser's to say."""
+    return said.type == "error" and "WebSocket connection" not in said.text
+
+
+@pytest.fixture
+def page(visit, hub):
+    """The page, with the ball pressed and held."""
+    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    opened = visit()
+    until(lambda: opened.evaluate("window.gelform?.frame?.header.peak > 0.4"), 30)
+    return opened
+
+
+@pytest.fixture
+def picture():
+    """The pixels (H, W, 3) of an element as the screen has them."""
+
+    def of(page, place):
+        png = page.locator(place).screenshot()
+        return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+
+    return of

@@ -1,0 +1,44 @@
+"""What the page does without WebGL, and when the machine sleeps: the server stands still, the socket is dropped."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from live_waiting import until
+
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = ((get) => function (kind, ...more) { return /webgl/.test(kind) ? null : get.call(this, kind, ...more); })(HTMLCanvasElement.prototype.getContext);"
+
+
+def test_without_webgl_the_surface_is_a_shaded_relief(visit, hub, picture):
+    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    page = visit(before=NO_WEBGL)
+    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"), 30)
+    assert "no WebGL2" in page.evaluate("gelform.look.renderer")
+    page.wait_for_timeout(300)
+    image = picture(page, "#surface")
+    assert len(np.unique(image.reshape(-1, 3) // 16, axis=0)) > 20
+    page.click("#reset-view")  # does nothing there, without an error
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs signals that stop a process")
+def test_after_sleep_the_page_comes_back_by_itself(visit):
+    """The server's process stands still as a sleeping machine's does: nothing is closed, nothing comes."""
+    command = [sys.executable, "-m", "gelform", "live", "--quiet", "--rate", "20"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            page = visit(server.stdout.readline().strip())
+            until(lambda: page.evaluate("Boolean(gelform.frame)"), 30)
+            os.kill(server.pid, signal.SIGSTOP)
+            until(lambda: not page.evaluate("gelform.connection.open"), 20)
+            until(lambda: "does not answer" in page.inner_text("#banner"))
+            os.kill(server.pid, signal.SIGCONT)
+            until(lambda: page.evaluate("gelform.connection.open"), 30)
+            serial = page.evaluate("gelform.frame.header.serial")
+            until(lambda: page.evaluate("gelform.frame.header.serial") > serial, 30)
+            until(lambda: page.is_hidden("#banner"))
+        finally:
+            server.kill()

@@ -1,0 +1,97 @@
+"""A recording in a real browser: opened from the list, scrubbed, stepped, looped, compared, shared, fetched."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.live.replay.indexed import indexed
+from gelform.sensors.recordings import attached_calibration
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from live_waiting import until
+
+COUNT = 9
+
+
+@pytest.fixture
+def recording(simulated, tmp_path):
+    """A recorded folder of nine presses."""
+    from gelform.frames import Frame
+
+    written = FolderRecording(tmp_path / "session", RecordingFacts("ring", "S7", {}, 10.0))
+    for k, press in enumerate(simulated.presses[:COUNT]):
+        written.write(Frame(press.image, k / 10, 10**18 + k, k))
+    written.close()
+    return tmp_path / "session"
+
+
+@pytest.fixture
+def replay(page, hub, recording, tmp_path):
+    """The page on the recording, held."""
+    hub.folder = tmp_path
+    hub.recordings.add(recording)
+    until(lambda: page.locator("#files .open").count() == 1)
+    page.click("#files .open")
+    until(lambda: page.is_visible("#replay"))
+    until(lambda: page.evaluate("gelform.facts.stations[0].replay?.count") == COUNT)
+    if page.evaluate("gelform.facts.stations[0].replay.playing"):
+        page.click("#play")
+    until(lambda: not hub.stations[0].source.playing)
+    return page
+
+
+def number(page):
+    return page.evaluate("gelform.frame?.header.replay?.[0]")
+
+
+def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibration):
+    replay.evaluate(
+        "const s = document.getElementById('scrub'); s.value = 4; s.dispatchEvent(new Event('input'))"
+    )
+    until(lambda: number(replay) == 4, 20)
+    until(lambda: replay.inner_text("#replay-at").startswith("5 / 9, 0:00.40"))
+    wanted = gelform.Reconstructor(calibration)(indexed(recording).frame(4)).depth_mm
+    assert replay.evaluate("gelform.frame.header.peak") == pytest.approx(wanted.max(), abs=1e-5)
+    replay.click("#step-back")
+    until(lambda: number(replay) == 3, 20)
+    replay.keyboard.press(".")
+    until(lambda: number(replay) == 4, 20)
+    replay.select_option("#speed", "8")
+    replay.click("#loop")
+    until(lambda: hub.stations[0].source.facts()["loop"])
+    replay.click("#play")
+    until(lambda: hub.stations[0].source.playing)
+    before = hub.stations[0].newest.serial
+    until(lambda: hub.stations[0].newest.serial > before + COUNT, 30)  # round the end
+    replay.keyboard.press(" ")
+    until(lambda: not hub.stations[0].source.playing)
+
+
+def test_two_calibrations_are_compared_on_a_frame_and_one_file_is_shared(replay, hub, presses, calibration):
+    other = gelform.calibrate(presses, color_model="polynomial")
+    hub.calibrations.add("other", other, hub.calibrations.origin_of("mine"))
+    until(lambda: replay.locator("#compare option").count() == 3)
+    replay.select_option("#compare", "other")
+    until(lambda: replay.evaluate("gelform.frame.has('other')"), 20)
+    assert [pane.get_attribute("data-view") for pane in replay.query_selector_all("#panes .pane")] == [
+        "depth",
+        "other",
+        "difference",
+    ]
+    shown = hub.stations[0].newest
+    apart = float(np.sqrt(np.mean((shown.result.depth - shown.other.depth) ** 2)))
+    assert apart > 1e-4
+    assert replay.evaluate("gelform.frame.header.other.apart") == pytest.approx(apart)
+    until(lambda: f"apart by {apart:.4f}" in replay.inner_text(".pane[data-view=difference] .legend"))
+
+    replay.click("#share")
+    until(lambda: replay.locator("#files a").count() == 1, 30)
+    with replay.expect_download() as download:
+        replay.click("#files a")
+    saved = download.value.path()
+    fetched = saved.with_name("fetched.mcap")
+    saved.rename(fetched)
+    assert attached_calibration(fetched).digest == calibration.digest
+    assert len(indexed(fetched)) == COUNT
+    replay.click("#files-back")
+    until(lambda: replay.is_hidden("#replay"), 20)

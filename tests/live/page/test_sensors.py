@@ -1,0 +1,92 @@
+"""Several sensors on one page, several pages on one sensor, devices and settings, in a real browser."""
+
+import numpy as np
+import pytest
+
+from ffmpeg_camera import FfmpegCamera, why_absent
+from gelform.live.hub import Hub
+from gelform.live.setup import Setup
+from gelform.live.simulated.show import Show
+from gelform.live.start import Options, start
+from gelform.live.station import Station
+from live_waiting import until
+
+
+@pytest.fixture
+def two(hub, sensor, calibration):
+    """The hub with a second sensor, pressed; its exposure can be set."""
+
+    def opened():
+        show = Show(sensor, seed=1)
+        show.rest()
+        show.settings["exposure"] = 50.0
+        show.set_controls = lambda wanted: show.settings.update(wanted) or show.settings
+        return show
+
+    station = Station(1, "right", opened, hub.changed)
+    station.setup = Setup().with_calibration(calibration, "mine")
+    hub.stations.append(station)
+    station.start()
+    until(lambda: station.newest)
+    station.source.press_at(60, 70, 0.45, held_s=600)
+    return hub
+
+
+def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
+    page = visit()
+    until(lambda: page.evaluate("gelform.stages.length") == 2)
+    until(lambda: page.evaluate("gelform.stages[1].frame?.header.peak > 0.4"), 30)
+    until(lambda: page.evaluate("gelform.stages[0].frame?.header.peak < 0.1"), 30)
+    first, second = (page.locator(one).bounding_box() for one in ("#surface", "#surface-1"))
+    assert first["y"] == second["y"]
+    assert second["x"] >= first["x"] + first["width"]
+    assert len(np.unique(picture(page, "#surface-1").reshape(-1, 3) // 16, axis=0)) > 20
+    assert page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth", "flags"]
+    page.click(".chooser >> nth=1")
+    until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"), 20)
+    assert page.locator(".chooser >> nth=1").get_attribute("aria-pressed") == "true"
+    page.fill("#set-exposure", "70")
+    page.press("#set-exposure", "Enter")
+    until(lambda: two.stations[1].source.settings["exposure"] == 70)
+    until(lambda: page.inner_text("#now-exposure") == "is 70")
+    page.keyboard.press("Tab")
+    assert page.locator("#devices tr").count() == 2
+
+
+@pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
+def test_two_pages_share_a_camera_and_both_hear_which_one_was_unplugged(visit, serving_of):
+    """The camera serves one client alone: the pages have it from the server."""
+    with FfmpegCamera() as camera:
+        hub = start(Options([camera.url]))
+        until(lambda: hub.stations[0].newest, 20)
+        url = serving_of(hub).url
+        pages = [visit(url), visit(url)]
+        for page in pages:
+            until(lambda page=page: page.evaluate("Boolean(gelform.frame)"), 30)
+        pages[0].click("#identify")
+        until(lambda: "Unplug one now" in pages[1].inner_text("#identified"))
+        camera.kill()
+        for page in pages:
+            until(lambda page=page: "Plug it in again" in page.inner_text("#identified"), 20)
+            until(lambda page=page: page.is_visible("#banner"), 20)
+        camera.start()
+        for page in pages:
+            until(lambda page=page: page.inner_text("#identified").endswith("It is back."), 20)
+
+
+def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
+    """The sentence that `open_source` gives for a camera that another program has."""
+    from gelform.errors import SensorError
+
+    def busy():
+        raise SensorError(
+            "DIGIT (serial D1, /dev/video0) is in use by python (process 7). Close the other program."
+        )
+
+    hub = Hub()
+    hub.stations.append(Station(0, "D1", busy, hub.changed))
+    hub.stations[0].start()
+    page = visit(serving_of(hub).url)
+    until(lambda: page.is_visible("#banner"), 20)
+    assert "process 7" in page.inner_text("#banner")
+    assert "any number of pages may look at one camera" in page.inner_text("#banner")

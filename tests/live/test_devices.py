@@ -1,0 +1,137 @@
+"""The list of devices, the one that is unplugged (a real ffmpeg, killed), and settings of a camera."""
+
+import pytest
+
+from ffmpeg_camera import FfmpegCamera, why_absent
+from gelform.errors import GelformError, SensorError
+from gelform.live import actions
+from gelform.live.devices import Devices, camera_facts, set_camera
+from gelform.live.hub import Hub
+from gelform.live.start import Options, start
+from gelform.live.station import Station
+from gelform.sensors.cameras.camera import Camera
+from gelform.sensors.cameras.settings import SETTABLE
+from gelform.sensors.simulated.touches import SimulatedTouches
+from live_waiting import until
+
+LEFT = Camera("DIGIT", "/dev/video0", "D1", by_path="usb-1")
+RIGHT = Camera("DIGIT", "/dev/video2", "D2", by_path="usb-2")
+
+
+class Adjustable(SimulatedTouches):
+    """A simulated sensor whose exposure can be set, up to 100, as a camera's."""
+
+    def __init__(self, sensor):
+        super().__init__(sensor, rate_hz=30.0)
+        self.settings["exposure"] = 50.0
+
+    def set_controls(self, settings):
+        if not 0 <= settings.get("exposure", -1) <= 100:
+            raise SensorError("expected exposure within 0 to 100")
+        self.settings |= settings
+        return self.settings
+
+
+@pytest.fixture
+def adjustable(sensor):
+    hub = Hub()
+    hub.stations.append(Station(0, "D1", lambda: Adjustable(sensor), hub.changed))
+    hub.stations[0].start()
+    until(lambda: hub.stations[0].newest)
+    yield hub
+    hub.close()
+
+
+def test_cameras_and_sources_are_listed_with_what_is_known(hub):
+    devices = Devices(hub.stations, lambda: [LEFT, RIGHT])
+    rows = until(lambda: (r := devices.facts()["rows"]) and r[0]["rate_hz"] and r)
+    assert [row["name"] for row in rows] == [
+        f"simulated {hub.stations[0].source.sensor.name}",
+        "DIGIT",
+        "DIGIT",
+    ]
+    assert [row["serial"] for row in rows] == [None, "D1", "D2"]
+    assert rows[0]["state"] == "running"
+    assert rows[0]["age_ms"] < 10_000
+    assert rows[0]["drops"] >= 0
+    assert rows[1]["state"] == "not shown"
+
+
+def test_a_camera_that_leaves_the_list_is_named_until_it_is_back(monkeypatch):
+    monkeypatch.setattr("gelform.live.devices.LOOK_EVERY_S", 0.0)
+    there = [LEFT, RIGHT]
+    devices = Devices([], lambda: there)
+    devices.identify(True)
+    assert devices.facts()["asking"]
+    there.remove(LEFT)
+    facts = devices.facts()
+    assert (facts["gone"], facts["gone_name"], facts["back"], facts["asking"]) == (
+        "usb-1",
+        "DIGIT",
+        False,
+        False,
+    )
+    there.append(LEFT)
+    assert devices.facts()["back"]
+    devices.identify(False)
+    assert not devices.facts()["gone"]
+
+
+def test_without_being_asked_nothing_is_named(monkeypatch):
+    monkeypatch.setattr("gelform.live.devices.LOOK_EVERY_S", 0.0)
+    there = [LEFT]
+    devices = Devices([], lambda: there)
+    devices.facts()
+    there.clear()
+    assert devices.facts()["gone"] == ""
+
+
+@pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
+def test_the_one_whose_plug_is_pulled_is_named_and_comes_back():
+    with FfmpegCamera() as left, FfmpegCamera() as right:
+        hub = start(Options([left.url, right.url]))
+        try:
+            until(lambda: all(station.newest for station in hub.stations), 20)
+            until(lambda: all(row["there"] for row in hub.devices.facts()["rows"]), 20)
+            hub.devices.identify(True)
+            right.kill()
+            facts = until(lambda: (f := hub.devices.facts())["gone"] and f, 20)
+            assert facts["gone"] == "station 1"
+            right.start()
+            until(lambda: hub.devices.facts()["back"], 20)
+            assert hub.stations[1].facts()["reopened"] >= 1
+        finally:
+            hub.close()
+
+
+def test_a_setting_is_set_read_back_and_told_to_everybody(adjustable):
+    actions.set_camera(adjustable, 0, "exposure", 80.0)
+    assert adjustable.notices[-1][2].endswith("80, read back.")
+    assert camera_facts(adjustable.stations[0])["settable"] == {"exposure": 80.0}
+    assert adjustable.stations[0].wanted == {"exposure": 80.0}
+
+
+def test_a_value_that_the_camera_does_not_take_is_not_remembered(adjustable):
+    with pytest.raises(SensorError, match="within"):
+        actions.set_camera(adjustable, 0, "exposure", 1e5)
+    assert adjustable.stations[0].wanted == {}
+    with pytest.raises(GelformError, match="exposure, gain"):
+        set_camera(adjustable.stations[0], "fps", 10.0)
+
+
+@pytest.mark.parametrize("name", SETTABLE)
+def test_a_source_without_settings_says_so(hub, name):
+    with pytest.raises(GelformError, match="only a USB camera"):
+        actions.set_camera(hub, 0, name, 1.0)
+    assert camera_facts(hub.stations[0]) == {"settable": {}, "mismatch": ""}
+
+
+def test_a_camera_set_otherwise_than_calibrated_is_said(adjustable, calibration):
+    from dataclasses import replace
+
+    station = adjustable.stations[0]
+    settings = calibration.settings | {"camera": {"exposure": 50.0}}
+    station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
+    assert camera_facts(station)["mismatch"] == ""
+    set_camera(station, "exposure", 60.0)
+    assert camera_facts(station)["mismatch"] == "Not set as calibrated: exposure 60, calibrated at 50."
