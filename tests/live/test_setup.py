@@ -8,6 +8,7 @@ import pytest
 from gelform.errors import CalibrationError
 from gelform.frames import Frame
 from gelform.live.setup import Setup
+from gelform.reconstruct import Reconstructor
 from gelform.simulate import simulate_background
 
 
@@ -56,3 +57,13 @@ def test_the_other_calibration_sees_the_same_frame(frame, calibration, result):
     setup = Setup().with_calibration(calibration, "mine").with_other(calibration, "same")
     np.testing.assert_array_equal(setup.other_of(frame).depth, result.depth)
     assert setup.with_other(None, "").other_of(frame) is None
+
+
+def test_anew_it_has_forgotten_what_the_sequence_taught(calibration, pressed):
+    frame = Frame(pressed.image, 0.0, 0, 0)
+    setup = Setup().with_calibration(calibration, "mine")
+    setup.memory.reconstruct = setup.memory.reconstruct.with_background(calibration.background + 3)
+    fresh = setup.anew()
+    wanted = Reconstructor(calibration)(frame).depth_mm
+    np.testing.assert_array_equal(fresh.result_of(frame, pressed.image).depth_mm, wanted)
+    assert Setup().anew() == Setup()

@@ -11,19 +11,24 @@ from gelform.live import actions
 from gelform.live.guide.guide import Asked
 from gelform.live.guide.session import GuideSession
 from gelform.live.hub import Hub
+from gelform.live.replay.player import Player
 from gelform.live.station import Station
 from gelform.sensors.profiles import profile_named
 from gelform.view import View
 
 
 def start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_px: float) -> None:
-    """Begin, or begin again; the scale is the profile's, or the one given, or the simulated sensor's own."""
+    """Begin, or begin again, a recording from its start; the scale is the profile's, or the one given, or the simulated sensor's own."""
     chosen = hub.station(station)
     if chosen.newest is None:
         raise GelformError("There is no picture yet. Connect the sensor first.")
     asked = _asked(chosen, ball_diameter_mm, profile, mm_per_px)
     stop(hub, station)
     hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
+    if isinstance(chosen.source, Player):
+        chosen.source.loop(False)
+        chosen.source.seek(0)
+        chosen.source.play()
     hub.changed()
 
 

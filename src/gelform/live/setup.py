@@ -117,6 +117,13 @@ class Setup:
         run = Reconstructor(self.calibration, background=self.background, solver=solver)
         return replace(self, memory=Memory(run), solver=solver, zero_mm=None)
 
+    def anew(self) -> Setup:
+        """The same for another sequence of frames: what the last one has taught is forgotten."""
+        if self.calibration is None:
+            return self
+        run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
+        return replace(self, memory=Memory(run))
+
     def with_other(self, calibration: Calibration | None, name: str) -> Setup:
         """The same, compared with another calibration, or with none."""
         run = None if calibration is None else Reconstructor(calibration, solver=self.solver)

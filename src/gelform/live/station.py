@@ -161,6 +161,7 @@ class Station:
             self._switched.clear()
             try:
                 open_it, stall_s = self._opening
+                self._setup = self._setup.anew()
                 with Grabber(open_it, stall_s=stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
             except (SensorError, GelformError, OSError) as problem:

@@ -10,7 +10,12 @@ import pytest
 
 from live_waiting import until
 
-NO_WEBGL = "HTMLCanvasElement.prototype.getContext = ((get) => function (kind, ...more) { return /webgl/.test(kind) ? null : get.call(this, kind, ...more); })(HTMLCanvasElement.prototype.getContext);"
+NO_WEBGL = """
+const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return /webgl/.test(kind) ? null : get.call(this, kind, ...more);
+};
+"""
 
 
 def test_without_webgl_the_surface_is_a_shaded_relief(visit, hub, picture):

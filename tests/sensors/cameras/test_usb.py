@@ -104,3 +104,16 @@ def test_a_camera_that_is_not_there_is_not_opened(tmp_path):
 def test_picture_formats_as_letters():
     assert usb.fourcc_text(cv2.VideoWriter.fourcc(*"MJPG")) == "MJPG"
     assert (usb.fourcc_text(0), usb.fourcc_text(-1)) == ("", "")
+
+
+def test_controls_are_set_between_frames_and_read_back(camera, monkeypatch):
+    capture = Capture([BGR], limits={cv2.CAP_PROP_GAIN: (0, 10)}, exposure=50.0, gain=1.0, auto_exposure=3.0)
+    source = camera(capture, monkeypatch)
+    assert source.set_controls({"exposure": 70})["exposure"] == 70
+    assert source.settings["auto_exposure"] == 1.0
+    with pytest.raises(SensorError, match="10 afterwards"):
+        source.set_controls({"gain": 20})
+    assert source.settings["gain"] == 10  # what it has now, although it was refused
+    source.close()
+    with pytest.raises(SensorError, match="closed"):
+        source.set_controls({"exposure": 60})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ def use_attached(hub: Hub, station: Station, path: Path) -> None:
     """Reconstruct with the calibration, and the background, that a recording carries; as before where it carries none."""
     calibration = attached_calibration(path)
     if calibration is None:
+        station.setup = replace(station.setup, background=None, zero_mm=None)  # those were of the sensor
         return
     origin = Origin(
         f"attached_calibration({str(path)!r})",
