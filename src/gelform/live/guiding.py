@@ -18,7 +18,10 @@ from gelform.view import View
 
 
 def start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_px: float) -> None:
-    """Begin, or begin again, a recording from its start; the scale is the profile's, or the one given, or the simulated sensor's own."""
+    """Begin, or begin again; of a recording from its start.
+
+    The scale is the profile's, or the one given, or the simulated sensor's own.
+    """
     chosen = hub.station(station)
     if chosen.newest is None:
         raise GelformError("There is no picture yet. Connect the sensor first.")
