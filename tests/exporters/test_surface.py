@@ -70,4 +70,4 @@ def test_what_cannot_be_written_is_said(result, tmp_path):
         save_surface(result, tmp_path / "there.tiff")
     assert (tmp_path / "there.tiff").read_bytes() == b"mine"
     assert list(tmp_path.iterdir()) == [tmp_path / "there.tiff"]
-    assert set(SURFACES) == {".ply", ".stl", ".tif", ".tiff", ".png"}
+    assert set(SURFACES) == {".ply", ".stl", ".tif", ".tiff", ".png", ".x3p"}

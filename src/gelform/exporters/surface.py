@@ -1,4 +1,4 @@
-"""A result as a file that other programs read: PLY, STL, float TIFF, 16-bit PNG."""
+"""A result as a file that other programs read: PLY, STL, float TIFF, 16-bit PNG, X3P."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gelform.checks import check_is, check_path
 from gelform.errors import DataError
 from gelform.exporters.quantised import levels_from_depth
+from gelform.exporters.x3p import x3p_bytes
 from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
@@ -28,6 +29,7 @@ def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite
     | .ply | points_mm (x, y, -depth) of the camera's optical frame, x right, y down, z away from the camera, as triangles |
     | .stl | the same surface, closed by walls and a flat base: watertight, to print |
     | .tif, .tiff | depth_mm, float32 |
+    | .x3p | ISO 25178-72: heights in metres, x right, y up, z towards the camera |
     | .png | 16 bits: depth_mm = (v - 32768) x 1e-4, 0 where depth is not known |
 
     Parameters
@@ -137,4 +139,5 @@ SURFACES: dict[str, Callable[[Reconstruction], bytes]] = {
     ".tiff": _tiff,
     ".tif": _tiff,
     ".png": _png,
+    ".x3p": x3p_bytes,
 }

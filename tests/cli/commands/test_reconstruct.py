@@ -168,7 +168,7 @@ def test_strict_fails_on_a_warning(run, calibration_file, press_folder, tmp_path
 def test_unknown_formats_and_solvers_are_usage(fails, calibration_file, press_folder, tmp_path):
     image = press_folder / "images" / "0000.png"
     said = fails(
-        "reconstruct", image, "-c", calibration_file, "-o", tmp_path, "--format", "npz,ply", status=2
+        "reconstruct", image, "-c", calibration_file, "-o", tmp_path, "--format", "npz,obj", status=2
     )
     assert "npz, png" in said
     assert "auto, dct" in fails(

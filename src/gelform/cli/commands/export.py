@@ -12,13 +12,14 @@ from gelform.cli.options import Overwrite, Quiet, one_of
 from gelform.errors import DataError
 
 RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which help does not import
-FILES = ("ply", "stl", "tiff", "png")
+FILES = ("ply", "stl", "tiff", "png", "x3p")
 
 
 def export(
     source: Annotated[Path, typer.Argument(metavar="CAL.npz|RESULT.npz", help="A calibration or a result.")],
     to: Annotated[
-        str, typer.Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png (a result).")
+        str,
+        typer.Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result)."),
     ],
     output: Annotated[
         Path | None,
@@ -33,7 +34,8 @@ def export(
 
     A calibration becomes the tables (polycalib.npz, bg.jpg, real_bg.npy) from which Taxim and TacEx (--to taxim) or
     Isaac Lab's GelSightRenderCfg (--to isaaclab) render this sensor. A result becomes a surface: ply (triangles in
-    mm, camera's optical frame), stl (closed, to print), tiff (float depth, mm), png (16 bits, 0.1 um a step).
+    mm, camera's optical frame), stl (closed, to print), tiff (float depth, mm), png (16 bits, 0.1 um a step),
+    x3p (ISO 25178-72).
 
     \b
     Examples:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction
 
-FORMATS = ("npz", "png")
+SURFACES = ("ply", "stl", "tiff", "x3p")  # as in exporters.surface; its png holds depth, ours is a picture
+FORMATS = ("npz", "png", *SURFACES)
 
 
 def _formats(text: str) -> list[str]:
@@ -44,7 +45,10 @@ def reconstruct(
     background: Background = None,
     solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
     formats: Annotated[
-        str, typer.Option("--format", help="What to write: npz, png, or both: npz,png.")
+        str,
+        typer.Option(
+            "--format", help="What to write: npz, png (a picture), ply, stl, tiff, x3p; several: npz,png."
+        ),
     ] = "npz",
     skip_existing: Annotated[
         bool, typer.Option("--skip-existing", help="Leave out images whose results are there: goes on.")
@@ -122,6 +126,11 @@ def _write(
     make_folder(next(iter(results.values())).parent)
     if "npz" in results:
         save_result(result, results["npz"], overwrite=overwrite)
+    for name in SURFACES:
+        if name in results:
+            from gelform.exporters.surface import save_surface
+
+            save_surface(result, results[name], overwrite=overwrite)
     if "png" in results:
         from gelform.plots.canvas import save_picture
         from gelform.plots.result import picture

@@ -15,6 +15,7 @@ from gelform.cli.options import Json
 from gelform.errors import DataError, GelformError
 
 if TYPE_CHECKING:
+    from gelform.reconstruction import Reconstruction
     from gelform.sensors.recordings.facts import RecordingSummary
 
 
@@ -114,6 +115,7 @@ def _result(path: Path) -> dict[str, Any]:
         unit: [round(float(depth.min()), 4), round(float(depth.max()), 4)],
         "contact_px": int(result.contact.sum()),
         "contacts": [asdict(contact) for contact in result.contacts],
+        "roughness": _roughness(result),
         "markers": None if result.markers is None else result.markers.facts(),
         "known_px": int(result.known.sum()),
         "zero": result.zero,
@@ -122,6 +124,17 @@ def _result(path: Path) -> dict[str, Any]:
         "findings": [finding.message for finding in result.health],
         "calibration": result.calibration_digest,
     }
+
+
+def _roughness(result: Reconstruction) -> dict[str, Any] | None:
+    """Of what is in contact, by ISO 25178; None where there is too little of it, or no scale."""
+    from gelform.metrics.roughness import LEAST_PX, areal_roughness
+
+    inside = result.contact & result.known
+    if not isinstance(result.mm_per_px, float) or int(inside.sum()) < LEAST_PX:
+        return None
+    figures = asdict(areal_roughness(result.depth_mm, mm_per_px=result.mm_per_px, mask=inside))
+    return {name: round(value, 4) if isinstance(value, float) else value for name, value in figures.items()}
 
 
 def _video(path: Path) -> dict[str, Any]:

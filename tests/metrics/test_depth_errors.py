@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.ball import ball_gradients
-from gelform.metrics import angle_deg, press_errors, score_slopes
+from gelform.metrics.depth_errors import angle_deg, press_errors, score_slopes
 
 MM_PER_PX = 0.06
 BALL_MM = 3.0

@@ -1,0 +1,24 @@
+"""Figures of surfaces: how far a result is from the truth, and how rough a surface is."""
+
+from gelform.metrics.depth_errors import (
+    INNER,
+    PressErrors,
+    SlopeScore,
+    angle_deg,
+    press_errors,
+    score_slopes,
+)
+from gelform.metrics.roughness import FORMS, Roughness, areal_roughness, gaussian_areal_filter
+
+__all__ = [
+    "FORMS",
+    "INNER",
+    "PressErrors",
+    "Roughness",
+    "SlopeScore",
+    "angle_deg",
+    "areal_roughness",
+    "gaussian_areal_filter",
+    "press_errors",
+    "score_slopes",
+]

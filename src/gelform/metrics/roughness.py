@@ -1,0 +1,161 @@
+"""Areal roughness of a surface by ISO 25178-2, its form removed, small and large scales filtered out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from gelform.checks import check_positive, check_values
+
+FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # -> degree of the polynomial
+ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: half of a wave of the cut-off's length passes
+S_FILTER_PX, L_FILTER_MM = 3.0, 2.5
+REACH = 5.0  # standard deviations, where the Gaussian ends: 4e-6 of its peak
+LEAST_PX = 100
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """Height parameters, and one hybrid one, of ISO 25178-2:2021.
+
+    Attributes
+    ----------
+    Sa_um, Sq_um : arithmetic mean and root mean square of the heights, um
+    Sz_um : highest peak to deepest pit, um
+    Ssk, Sku : skewness and kurtosis of the heights; 0 and 3 for Gaussian ones
+    Sdr_percent : by how much the surface's area exceeds that of its projection
+    form : what was removed: none, plane or quadratic
+    s_filter_mm, l_filter_mm : cut-off lengths (nesting indices); None: not filtered
+    area_mm2 : that was evaluated
+    """
+
+    Sa_um: float
+    Sq_um: float
+    Sz_um: float
+    Ssk: float
+    Sku: float
+    Sdr_percent: float
+    form: str
+    s_filter_mm: float | None
+    l_filter_mm: float | None
+    area_mm2: float
+
+
+def areal_roughness(
+    depth_mm: ArrayLike,
+    *,
+    mm_per_px: float,
+    mask: ArrayLike | None = None,
+    form: str = "quadratic",
+    s_filter_mm: float | str | None = "auto",
+    l_filter_mm: float | None = L_FILTER_MM,
+) -> Roughness:
+    """Roughness of a height map.
+
+    The S-filter takes the small scales out, then the form goes (a polynomial fitted by least squares), then the
+    L-filter the large scales (ISO 25178-3). Both are Gaussian (ISO 16610-61); where the surface ends, the Gaussian's weights
+    are those of the pixels that there are.
+
+    Parameters
+    ----------
+    depth_mm : (H, W), heights
+    mm_per_px : > 0, of square pixels
+    mask : (H, W) bool, the pixels that are evaluated and that the filters see; all without
+    form : "none", "plane" or "quadratic"
+    s_filter_mm : cut-off of the S-filter; "auto": 3 pixels; None: not filtered
+    l_filter_mm : cut-off of the L-filter; None: not filtered, and the result is of an S-F surface
+
+    Raises
+    ------
+    ValueError, TypeError
+        NaN, another shape of the mask, fewer than 100 pixels, cut-offs that leave nothing between them.
+    """
+    depth = np.asarray(check_values(depth_mm, "depth_mm", (), np.float64))
+    if depth.ndim != 2:
+        raise ValueError(f"Expected depth_mm of shape (H, W), got {depth.shape}.")
+    if form not in FORMS:
+        raise ValueError(f"Expected a form among {', '.join(FORMS)}, got {form!r}.")
+    pitch, inside = check_positive(mm_per_px, "mm_per_px"), _mask(mask, depth.shape)
+    small = S_FILTER_PX * pitch if s_filter_mm == "auto" else s_filter_mm
+    small, large = _cutoff(small, "s_filter_mm"), _cutoff(l_filter_mm, "l_filter_mm")
+    if small is not None and large is not None and large <= small:
+        raise ValueError(f"Expected the L-filter above the S-filter's {small:.3f} mm, got {large:.3f} mm.")
+    if small is not None:
+        depth = gaussian_areal_filter(depth, small / pitch, inside)
+    depth = depth - _form(depth, inside, FORMS[form])
+    if large is not None:
+        depth = depth - gaussian_areal_filter(depth, large / pitch, inside)
+    heights = depth[inside] - depth[inside].mean()
+    return Roughness(
+        **_height_parameters(1e3 * heights),
+        Sdr_percent=_developed_area(depth, inside, pitch),
+        form=form,
+        s_filter_mm=small,
+        l_filter_mm=large,
+        area_mm2=float(np.count_nonzero(inside) * pitch**2),
+    )
+
+
+def gaussian_areal_filter(
+    heights: NDArray[Any], cutoff_px: float, inside: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """The large scales of heights (H, W): their mean with the weights of ISO 16610-61 around each pixel.
+
+    Weights exp(-pi r^2 / (alpha cutoff)^2), alpha = sqrt(ln 2 / pi), of the pixels `inside` alone, whose sum is made 1.
+    A wave of the cut-off's length keeps half of its height. What lies outside is returned as 0.
+    """
+    sigma = ALPHA * cutoff_px / np.sqrt(2 * np.pi)
+    blurred, weight = (
+        ndimage.gaussian_filter(values, sigma, mode="constant", truncate=REACH)
+        for values in (np.where(inside, heights, 0.0), inside.astype(np.float64))
+    )
+    return np.divide(blurred, weight, out=np.zeros_like(blurred), where=inside)
+
+
+def _height_parameters(heights_um: NDArray[Any]) -> dict[str, float]:
+    root_mean_square = float(np.sqrt(np.mean(heights_um**2)))
+    scaled = heights_um / root_mean_square if root_mean_square > 0 else heights_um
+    return {
+        "Sa_um": float(np.mean(np.abs(heights_um))),
+        "Sq_um": root_mean_square,
+        "Sz_um": float(np.ptp(heights_um)),
+        "Ssk": float(np.mean(scaled**3)),
+        "Sku": float(np.mean(scaled**4)),
+    }
+
+
+def _developed_area(depth: NDArray[Any], inside: NDArray[np.bool_], pitch: float) -> float:
+    """Sdr, per cent: the mean of sqrt(1 + slope^2) - 1 over cells of four pixels inside."""
+    corners = depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]
+    whole = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
+    a, b, c, d = (one[whole] for one in corners)
+    slope_x, slope_y = (b - a + d - c) / (2 * pitch), (c - a + d - b) / (2 * pitch)
+    if not slope_x.size:
+        return 0.0
+    return float(100 * np.mean(np.sqrt(1 + slope_x**2 + slope_y**2) - 1))
+
+
+def _form(depth: NDArray[Any], inside: NDArray[np.bool_], degree: int) -> NDArray[np.float64]:
+    """The polynomial (H, W) of least squares over the pixels inside."""
+    height, width = depth.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
+    weights, *_ = np.linalg.lstsq(terms[inside], depth[inside], rcond=None)
+    return np.asarray(terms @ weights)
+
+
+def _mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    inside = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask)
+    if inside.dtype != np.bool_ or inside.shape != shape:
+        raise ValueError(f"Expected mask as bool of shape {shape}, got {inside.dtype} of {inside.shape}.")
+    if np.count_nonzero(inside) < LEAST_PX:
+        raise ValueError(f"Expected at least {LEAST_PX} pixels to evaluate, got {np.count_nonzero(inside)}.")
+    return inside
+
+
+def _cutoff(value: float | str | None, name: str) -> float | None:
+    return None if value is None else check_positive(value, name)  # type: ignore[arg-type]
