@@ -1,170 +1,142 @@
-"""Frames from a real ffmpeg: 8 megapixels at 25 Hz, killed and restarted 20 times, a consumer slower than its source.
-
-    python benchmarks/sources.py            # about two minutes; writes results/sources.json
-    python benchmarks/sources.py --quick    # half a minute, writes nothing
-
-The consumer's ages and the processor's load depend on what else the machine does; the load of other processes is
-recorded beside them.
-"""
+"""Streams of a real ffmpeg: 8 megapixels at 25 Hz; killed and restarted 20 times."""
 
 from __future__ import annotations
 
 import gc
 import os
 import subprocess
-import sys
 import tempfile
 import time
-from dataclasses import asdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
-from ffmpeg_camera import FFMPEG, FfmpegCamera, why_absent
+import gelform
+from ffmpeg_camera import FFMPEG, FfmpegCamera
 from gelform.sensors.grabber import Grabber
-from report import table, write
+from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.sensors.simulated.touches import SimulatedTouches
+from gelform.view import View
+from live_streams import resident_mb
 
 LARGE, LARGE_HZ = (2448, 3264), 25
-CONSUMER_HZ, SOURCE_HZ = 5, 60
+SMALL_HZ = 60
+NOISE_LEVELS = 1.5  # on the large pictures, so that they have a camera's number of bytes
 OFF_S = (0.2, 0.8, 1.5)  # how long the camera is off, in turn
 SETTLED = 3  # restarts after which the memory is looked at first
 
 
-def large_pictures(folder: Path, seconds: int = 2) -> tuple[Path, float]:
-    """A film of JPEG pictures of 8 megapixels, and the bytes of one."""
-    path = folder / "large.mjpeg"
-    made = f"-f lavfi -i testsrc2=size={LARGE[1]}x{LARGE[0]}:rate={LARGE_HZ} -t {seconds} -c:v mjpeg -q:v 3"
-    subprocess.run([FFMPEG, "-loglevel", "error", *made.split(), str(path)], check=True)
-    return path, path.stat().st_size / (seconds * LARGE_HZ)
-
-
-def large_stream(seconds: float) -> dict[str, Any]:
-    """Frames a second and the load of this process, on 8 megapixels at 25 Hz."""
+def large_stream(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
+    """8 megapixels at 25 Hz: frames a second and the load of this process; captured, then also reconstructed."""
+    made = f"-f lavfi -i testsrc2=size={LARGE[1]}x{LARGE[0]}:rate={LARGE_HZ} -t 2 -c:v mjpeg -q:v 3"
     with tempfile.TemporaryDirectory() as folder:
-        film, picture_bytes = large_pictures(Path(folder))
-        served = f"-f mjpeg -framerate {LARGE_HZ} -stream_loop -1 -i {film} -c:v copy"
-        with FfmpegCamera(served) as camera, Grabber(camera.url) as grabber:
-            first = grabber.newest(-1, 20)
-            assert first is not None
-            time.sleep(1.0)
-            before, busy, started = grabber.stats, time.process_time(), time.monotonic()
-            time.sleep(seconds)
-            after = grabber.stats
-            wall = time.monotonic() - started
-            return {
-                "rate_hz": (after.frames - before.frames) / wall,
-                "served_hz": (after.frames - before.frames + after.drops - before.drops) / wall,
-                "busy_share_of_a_core": (time.process_time() - busy) / wall,
-                "decoded_px": list(first.image.shape[:2]),
-                "picture_bytes": picture_bytes,
-                "load_average": os.getloadavg()[0],
-            }
-
-
-def restarts(count: int) -> dict[str, Any]:
-    """How long after a killed camera listens again its first frame is there, and what the memory does."""
-    back_s, memory_mb = [], []
-    with FfmpegCamera() as camera, Grabber(camera.url) as grabber:
-        frame = grabber.newest(-1, 20)
-        for k in range(count):
-            assert frame is not None
-            camera.kill()
-            time.sleep(OFF_S[k % len(OFF_S)])
-            last = grabber.newest(-1, 0)
-            assert last is not None
-            returned = camera.start()
-            frame = grabber.newest(last.index, 20)
-            back_s.append(time.monotonic() - returned)
-            time.sleep(0.2)
-            gc.collect()
-            memory_mb.append(resident_mb())
-        stats = asdict(grabber.stats)
+        film = Path(folder) / "pattern.mjpeg"
+        subprocess.run([FFMPEG, "-loglevel", "error", *made.split(), str(film)], check=True)
+        captured = _captured(film, LARGE_HZ, seconds)
+        film = Path(folder) / "gel.mjpeg"
+        picture_bytes = _film_of_gel(film, LARGE, LARGE_HZ, quality=85)
+        shape = (LARGE[0] // 4, LARGE[1] // 4)
+        viewed = replace(calibration, view=View(shape, image_shape=calibration.image_shape))
+        reconstructed = _reconstructed(film, viewed, seconds)
     return {
+        "asked": {"rate_hz": LARGE_HZ, "busy_share_of_a_core": 0.6},
+        "captured": captured,
+        "reconstructed": {"picture_bytes": picture_bytes, **reconstructed},
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def restarts(calibration: gelform.Calibration, count: int) -> dict[str, Any]:
+    """How long after a killed camera listens again its first result is there, and what the memory does."""
+    back_s, memory_mb, said = [], [], 0
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / "gel.mjpeg"
+        _film_of_gel(film, calibration.image_shape, SMALL_HZ, quality=95)
+        with _camera(film, SMALL_HZ) as camera, gelform.stream(camera.url, calibration) as stream:
+            seen = stream.newest(timeout_s=20)
+            for k in range(count):
+                assert seen is not None
+                camera.kill()
+                time.sleep(OFF_S[k % len(OFF_S)])
+                said += stream.stats.state == "reconnecting"
+                last = stream.newest(timeout_s=0)
+                assert last is not None
+                returned = camera.start()
+                seen = stream.newest(last.index, timeout_s=20)
+                back_s.append(time.monotonic() - returned)
+                time.sleep(0.5)
+                gc.collect()
+                memory_mb.append(resident_mb())
+            known = float(np.mean(seen.result.known))
+    return {
+        "asked": {"back_s": 0.4},
         "restarts": count,
         "back_s_max": max(back_s),
         "back_s_median": float(np.median(back_s)),
         "back_s": back_s,
+        "said_reconnecting": said,
         "memory_growth_mb": memory_mb[-1] - memory_mb[min(SETTLED, count) - 1],
-        "reopened": stats["reopened"],
+        "known_share_of_the_last_result": known,
         "load_average": os.getloadavg()[0],
     }
 
 
-def slow_consumer(seconds: float) -> dict[str, Any]:
-    """Age of the newest frame, in frames of the source, when a consumer at 5 Hz asks for it."""
-    served = f"-f lavfi -i testsrc2=size=320x240:rate={SOURCE_HZ} -c:v mjpeg -q:v 3"
-    ages, after = [], -1
-    with FfmpegCamera(served) as camera, Grabber(camera.url) as grabber:
-        grabber.newest(-1, 20)
+def _captured(film: Path, rate_hz: float, seconds: float) -> dict[str, Any]:
+    with _camera(film, rate_hz) as camera, Grabber(camera.url) as grabber:
+        first = grabber.newest(-1, 20)
+        assert first is not None
         time.sleep(1.0)
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            frame = grabber.newest(after, 5)
-            assert frame is not None
-            ages.append((time.monotonic() - frame.time_s) * SOURCE_HZ)
-            after = frame.index
-            time.sleep(1 / CONSUMER_HZ)
-        rate = grabber.stats.rate_hz
-    return {
-        "source_hz": rate,
-        "asked": len(ages),
-        "age_frames_max": max(ages),
-        "age_frames_median": float(np.median(ages)),
-        "load_average": os.getloadavg()[0],
-    }
-
-
-def simulated(seconds: float) -> dict[str, Any]:
-    """Rate and load of the source "simulated", which has to leave room for the reconstruction."""
-    with Grabber("simulated") as grabber:
-        grabber.newest(-1, 30)
         before, busy, started = grabber.stats, time.process_time(), time.monotonic()
         time.sleep(seconds)
-        wall = time.monotonic() - started
+        after, wall = grabber.stats, time.monotonic() - started
         return {
-            "rate_hz": (grabber.stats.frames - before.frames) / wall,
+            "rate_hz": (after.frames - before.frames) / wall,
+            "served_hz": (after.frames - before.frames + after.drops - before.drops) / wall,
             "busy_share_of_a_core": (time.process_time() - busy) / wall,
-            "load_average": os.getloadavg()[0],
+            "decoded_px": list(first.image.shape[:2]),
         }
 
 
-def resident_mb() -> float:
-    """Memory of this process that is in use, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+def _reconstructed(film: Path, calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
+    with _camera(film, LARGE_HZ) as camera, gelform.stream(camera.url, calibration) as stream:
+        stream.newest(timeout_s=60)
+        time.sleep(2.0)
+        before, busy, started = stream.stats, time.process_time(), time.monotonic()
+        time.sleep(seconds)
+        after, wall = stream.stats, time.monotonic() - started
+        seen = stream.newest(timeout_s=20)
+        assert seen is not None
+        return {
+            "rate_hz": (after.results - before.results) / wall,
+            "busy_share_of_a_core": (time.process_time() - busy) / wall,
+            "latency_ms": after.latency_ms,
+            "known_share_of_the_last_result": float(np.mean(seen.result.known)),
+        }
 
 
-def main() -> None:
-    """Measure all, print the table, write the figures."""
-    reason = why_absent()
-    if reason is not None:
-        sys.exit(f"benchmarks/sources.py: {reason}.")
-    quick = "--quick" in sys.argv
-    figures = {
-        "large_stream": large_stream(3 if quick else 15),
-        "restarts": restarts(3 if quick else 20),
-        "slow_consumer": slow_consumer(3 if quick else 20),
-        "simulated": simulated(2 if quick else 10),
-    }
-    large, again, slow = figures["large_stream"], figures["restarts"], figures["slow_consumer"]
-    rows = [
-        ("8 megapixels at 25 Hz: frames a second", "25", large["rate_hz"]),
-        ("its load, share of a core", "0.60 at most", large["busy_share_of_a_core"]),
-        (
-            f"ffmpeg killed and restarted {again['restarts']} times: back within, s",
-            "0.4",
-            again["back_s_max"],
-        ),
-        ("memory growth meanwhile, MB", "flat", again["memory_growth_mb"]),
-        ("consumer at 5 Hz on 60 Hz: oldest frame, in frames", "2", slow["age_frames_max"]),
-        ('"simulated" at 60 Hz: frames a second', "60", figures["simulated"]["rate_hz"]),
-        ("its load, share of a core", "-", figures["simulated"]["busy_share_of_a_core"]),
-    ]
-    print(table(("figure", "asked", "reached"), rows))
-    if not quick:
-        write("sources", figures)
+@contextmanager
+def _camera(film: Path, rate_hz: float) -> Iterator[FfmpegCamera]:
+    """An ffmpeg that serves the pictures of a film as they are, again and again."""
+    with FfmpegCamera(f"-f mjpeg -framerate {rate_hz} -stream_loop -1 -i {film} -c:v copy") as camera:
+        yield camera
 
 
-if __name__ == "__main__":
-    main()
+def _film_of_gel(path: Path, shape: tuple[int, int], rate_hz: int, quality: int) -> float:
+    """Two seconds of the simulated sensor as JPEG pictures of that shape; the bytes of one."""
+    source = SimulatedTouches(simulated_sensor_named("three-edges"), rate_hz=rate_hz)
+    rng, pictures = np.random.default_rng(0), []
+    for index in range(2 * rate_hz):
+        image = source.image_at(index)
+        if image.shape[:2] != shape:
+            image = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_CUBIC)
+            noise = NOISE_LEVELS * rng.standard_normal((shape[0], shape[1], 1), dtype=np.float32)
+            image = np.clip(image + noise, 0, 255).astype(np.uint8)
+        code = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        pictures.append(code.tobytes())
+    path.write_bytes(b"".join(pictures))
+    return path.stat().st_size / len(pictures)

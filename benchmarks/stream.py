@@ -1,13 +1,16 @@
-"""Streams: rate and latency, age at a slow consumer, slow presses against drift, faults found, false alarms; a soak.
+"""All figures of streams: rate, latency, age, lost sources, 8 megapixels, slow presses, drift, faults, false alarms; a soak.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/stream.py             # about 20 minutes on an idle machine
-    python benchmarks/stream.py --quick                                              # a few draws of each
-    python benchmarks/stream.py --only faults --draws 40
-    python benchmarks/stream.py --soak 60                                            # an hour; memory and rate
+    python benchmarks/stream.py                        # everything but the soak: about 20 minutes on an idle machine
+    python benchmarks/stream.py --quick                # a few draws and seconds of each, about 4 minutes; writes nothing
+    python benchmarks/stream.py --only live slow       # some parts; the others keep their figures
+    python benchmarks/stream.py --soak 60              # an hour of the simulated sensor: memory and rate
 
-Gels, faults, presses and drift are drawn from `--seed`, a new one each time unless it is given: nothing is tuned on what is
-reported. What takes minutes in life is simulated faster: a stream's memory takes its times from the frames.
-Writes results/stream.json; parts that were not run keep their figures.
+Parts: live (1 min), slow (2 min), restarts and large (2 min each; a real ffmpeg), presses and drift (5 min; sensors drawn at
+random), faults (8 min), alarms (2 min; needs GELFORM_DATA).
+
+Sensors, gels, faults, presses and drift are drawn from `--seed`, a new one each time unless it is given: nothing is tuned on
+what is reported. What takes minutes in life is simulated faster: a stream's memory takes its times from the frames.
+Writes results/stream.json. Times and ages depend on what else the machine does: its load is recorded beside them.
 """
 
 from __future__ import annotations
@@ -17,7 +20,6 @@ import json
 import os
 import secrets
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -31,17 +33,20 @@ import cv2
 import numpy as np
 
 import gelform
+from ffmpeg_camera import why_absent
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 from gelform.simulate.background import simulate_background
-from gelform.streams.memory import Memory
-from report import RESULTS, write
+from live_streams import live, slow_consumer, soak
+from report import RESULTS, table, write
 from sensor_faults import FAULTS, Gel, found_in, frames_with
-from slow_gel import SlowGel, Touch
+from slow_gel import drawn_sensor
+from slow_streams import Sensors, drift, slow_presses
+from sources import large_stream, restarts
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
 FULL = LAYOUTS["three-edges"]
-STEP_S = 1.0  # between simulated frames of minutes
+PARTS = ("live", "slow", "restarts", "large", "presses", "drift", "faults", "alarms")
 NAMED = {
     "brightness_shift", "camera_moved", "color_shift", "dust", "frozen",
     "other_gel", "room_light", "scratch", "tear", "torn",
@@ -64,95 +69,6 @@ def calibrated(sensor: Any) -> gelform.Calibration:
         )
         calibration = gelform.calibrate(gelform.read_presses(presses), color_model="hierarchical")
     return replace(calibration, background=simulate_background(sensor, rng, frames=10))
-
-
-def live(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
-    """60 frames a second of 240x320: how many become results, how late, and where the time goes."""
-    with gelform.stream("simulated", calibration) as stream:
-        stream.newest(timeout_s=60)
-        time.sleep(2)  # the first frames load and warm
-        before, start = stream.stats, time.monotonic()
-        time.sleep(seconds)
-        stats, spent = stream.stats, time.monotonic() - start
-    return {
-        "asked": {"rate_hz": 60, "latency_ms": 15},
-        "rate_hz": (stats.results - before.results) / spent,
-        "drops_share": (stats.drops - before.drops) / max(1, stats.results - before.results),
-        "latency_ms": stats.latency_ms,
-        "stage_ms": stats.stage_ms,
-    }
-
-
-def slow_consumer(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
-    """Ages of what a loop gets that comes by five times a second, in frames of the source."""
-    ages = []
-    with gelform.stream("simulated", calibration) as stream:
-        stream.newest(timeout_s=60)
-        time.sleep(2)
-        end = time.monotonic() + seconds
-        for result in stream:
-            ages.append((time.monotonic() - result.time_s) * 60)
-            time.sleep(0.2)
-            if time.monotonic() > end:
-                break
-    late = float(np.mean(np.array(ages) > 2))
-    return {
-        "asked": {"age_frames": 2},
-        "frames_median": float(np.median(ages)),
-        "frames_max": max(ages),
-        "share_over_2": late,
-    }
-
-
-def sequence(
-    memory: Memory, gel: SlowGel, times_s: np.ndarray, rng: np.random.Generator
-) -> Iterator[gelform.Reconstruction]:
-    """The results of a gel's images at these times."""
-    for index, time_s in enumerate(times_s):
-        image = gel.image_at(float(time_s), rng)
-        result = replace(memory.result_from_image(image), index=index, time_s=float(time_s))
-        yield memory(image, result)
-
-
-def part_of(result: gelform.Reconstruction, gel: SlowGel) -> float:
-    """The depth in depths of the truth: the best factor over the press."""
-    truth = gel.pressed_at(result.time_s).depth_mm
-    return float((result.depth_mm * truth).sum() / (truth * truth).sum())
-
-
-def slow_presses(calibration: gelform.Calibration, draws: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Two presses of 0.2 mm over 180 s each, anywhere, LEDs drifting: the depth at their ends in that of no memory."""
-    reconstruct, kept = gelform.Reconstructor(calibration), []
-    for _ in range(draws):
-        half = 0.3 * np.array(SMALL.shape[::-1]) * SMALL.mm_per_px
-        touches = tuple(
-            Touch(start, 180.0, 5.0, 0.2, tuple(rng.uniform(-half, half)), float(rng.uniform(2, 8)))
-            for start in (30, 250)
-        )
-        gel = SlowGel.drawn(SMALL, rng, drift=0.05, touches=touches)
-        still = SlowGel(SMALL, 0 * gel.led_ends, gel.led_times_s, 0.0, 1.0, (0, 0), 1.0, touches)
-        for result in sequence(Memory(reconstruct), gel, np.arange(0, 436, STEP_S), rng):
-            if gel.pressed_at(result.time_s).depth_mm.max() > 0.199:
-                alone = reconstruct.from_image(still.image_at(result.time_s, rng))
-                kept.append(part_of(result, gel) / part_of(replace(alone, time_s=result.time_s), gel))
-    return {"asked": 0.95, "draws": draws, "kept_median": float(np.median(kept)), "kept_least": min(kept)}
-
-
-def drift(calibration: gelform.Calibration, draws: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Ten minutes of 5 % LED drift and a gel that relaxes by 10-30 um, nothing touching: RMS of the depth, um."""
-    reconstruct, worst, without = gelform.Reconstructor(calibration), [], []
-    for _ in range(draws):
-        gel = SlowGel.drawn(SMALL, rng, drift=0.05)
-        results = sequence(Memory(reconstruct), gel, np.arange(0, 601, STEP_S), rng)
-        worst.append(max(_rms_um(result) for result in results))
-        without.append(
-            max(_rms_um(reconstruct.from_image(gel.image_at(t, rng))) for t in (300, 400, 500, 600))
-        )
-    return {"asked_um": 5, "draws": draws, "rms_um_worst": max(worst), "rms_um_without_memory": max(without)}
-
-
-def _rms_um(result: gelform.Reconstruction) -> float:
-    return 1e3 * float(np.sqrt(np.mean(np.square(result.depth_mm))))
 
 
 def faults(calibration: gelform.Calibration, draws: int, rng: np.random.Generator) -> dict[str, Any]:
@@ -206,68 +122,102 @@ def _real_sequences() -> Iterator[tuple[str, list[np.ndarray], np.ndarray, float
     yield "mini-markers-video", frames, np.mean(frames[:20], axis=0), 25.0
 
 
-def soak(calibration: gelform.Calibration, minutes: float) -> dict[str, Any]:
-    """A stream that runs for long: memory after the first minute and at the end, and the rate of each minute."""
-    rates, resident = [], []
-    with gelform.stream("simulated", calibration) as stream:
-        stream.newest(timeout_s=60)
-        time.sleep(60)
-        resident.append(_resident_mb())
-        for _ in range(max(1, round(minutes))):
-            before = stream.stats.results
-            time.sleep(60)
-            rates.append((stream.stats.results - before) / 60)
-            resident.append(_resident_mb())
-            print(f"  {rates[-1]:.1f} a second, {resident[-1]:.1f} MB", flush=True)
+class Made:
+    """What several parts need, made when the first one asks for it."""
+
+    def __init__(self, rng: np.random.Generator, sensors: int) -> None:
+        self._rng, self._count = rng, sensors
+        self._calibrations: dict[Any, gelform.Calibration] = {}
+        self._sensors: Sensors = []
+
+    def calibration(self, sensor: Any) -> gelform.Calibration:
+        """Of a sensor."""
+        if sensor.shape not in self._calibrations:
+            self._calibrations[sensor.shape] = calibrated(sensor)
+        return self._calibrations[sensor.shape]
+
+    def sensors(self) -> Sensors:
+        """Drawn at random, each with its calibration."""
+        while len(self._sensors) < self._count:
+            sensor = drawn_sensor(self._rng)
+            self._sensors.append((sensor, calibrated(sensor)))
+        return self._sensors
+
+
+def parts_of(asked: argparse.Namespace, rng: np.random.Generator) -> dict[str, Callable[[], dict[str, Any]]]:
+    """The parts by name, as long as they were asked for."""
+    quick = asked.quick
+    made = Made(rng, asked.sensors or (1 if quick else 4))
+    seconds, few, many = (5, 1, 2) if quick else (30, 2, 40)
+    few, many = asked.draws or few, asked.draws or many
     return {
-        "asked": {"growth_mb": 20},
-        "minutes": minutes,
-        "growth_mb": resident[-1] - resident[0],
-        "most_mb": max(resident),
-        "rate_hz_least": min(rates),
-        "rate_hz_most": max(rates),
+        "live": lambda: live(made.calibration(FULL), seconds),
+        "slow": lambda: slow_consumer(made.calibration(FULL), seconds),
+        "restarts": lambda: of_ffmpeg(lambda: restarts(made.calibration(FULL), 3 if quick else 20)),
+        "large": lambda: of_ffmpeg(lambda: large_stream(made.calibration(FULL), 3 if quick else 20)),
+        "presses": lambda: slow_presses(made.sensors(), few, rng),
+        "drift": lambda: drift(made.sensors(), few, rng),
+        "faults": lambda: faults(made.calibration(SMALL), many, rng),
+        "alarms": false_alarms,
+        "soak": lambda: soak(made.calibration(FULL), asked.soak),
     }
 
 
-def _resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+def of_ffmpeg(part: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The part's figures, or why there are none here."""
+    reason = why_absent()
+    return part() if reason is None else {"skipped": reason}
+
+
+def shown(figures: dict[str, Any]) -> str:
+    """A table of what was asked and reached, of the parts that have been run."""
+    wanted = (
+        ("live", "simulated 240x320 at 60 Hz: results a second", "60", ("rate_hz",)),
+        ("live", "capture to result, median ms", "15", ("latency_ms",)),
+        ("slow", "oldest result of a loop at 5 Hz, frames", "2", ("loop", "frames_max")),
+        ("slow", "oldest result of `latest` at 5 Hz, frames", "2", ("latest", "frames_max")),
+        ("restarts", "ffmpeg killed and restarted: back within, s", "0.4", ("back_s_max",)),
+        ("restarts", "memory growth meanwhile, MB", "flat", ("memory_growth_mb",)),
+        ("large", "8 megapixels at 25 Hz: frames a second", "25", ("captured", "rate_hz")),
+        ("large", "share of a core", "0.6", ("captured", "busy_share_of_a_core")),
+        ("large", "with reconstruction: results a second", "-", ("reconstructed", "rate_hz")),
+        ("large", "share of a core", "-", ("reconstructed", "busy_share_of_a_core")),
+        ("presses", "slow presses: least part of the depth kept", "0.95", ("kept_least",)),
+        ("drift", "ten minutes of drift: RMS off contact, um", "5", ("rms_um_worst",)),
+        ("soak", "memory growth an hour, MB", "20", ("growth_mb_per_hour",)),
+    )
+    rows = []
+    for part, what, asked, path in wanted:
+        value = figures.get(part)
+        for key in path:
+            value = value.get(key) if isinstance(value, dict) else None
+        if value is not None:
+            rows.append((what, asked, float(value)))
+    return table(("figure", "asked", "reached"), rows)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a few draws and seconds of each")
-    parser.add_argument("--only", choices=("live", "slow", "presses", "drift", "faults", "alarms"), nargs="+")
-    parser.add_argument("--draws", type=int)
+    parser.add_argument(
+        "--quick", action="store_true", help="a few draws and seconds of each; writes nothing"
+    )
+    parser.add_argument("--only", choices=PARTS, nargs="+")
+    parser.add_argument("--draws", type=int, help="of each sensor or fault")
+    parser.add_argument("--sensors", type=int, help="how many are drawn for presses and drift")
     parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6))
     parser.add_argument("--soak", type=float, metavar="MINUTES")
     asked = parser.parse_args()
     cv2.setNumThreads(1)
-    rng, seconds = np.random.default_rng(asked.seed), 5 if asked.quick else 30
-    few, many = (asked.draws or 1, asked.draws or 2) if asked.quick else (asked.draws or 8, asked.draws or 40)
-    cache: dict[Any, gelform.Calibration] = {}
-
-    def of(sensor: Any) -> gelform.Calibration:
-        return cache.setdefault(sensor.shape, cache.get(sensor.shape) or calibrated(sensor))
-
-    parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "live": lambda: live(of(FULL), seconds),
-        "slow": lambda: slow_consumer(of(FULL), seconds),
-        "presses": lambda: slow_presses(of(SMALL), few, rng),
-        "drift": lambda: drift(of(SMALL), few, rng),
-        "faults": lambda: faults(of(SMALL), many, rng),
-        "alarms": false_alarms,
-    }
-    chosen = ["soak"] if asked.soak else asked.only or list(parts)
-    parts["soak"] = lambda: soak(of(FULL), asked.soak)
+    parts = parts_of(asked, np.random.default_rng(asked.seed))
     written = RESULTS / "stream.json"
     figures = json.loads(written.read_text()) if written.exists() else {}
-    for name in chosen:
+    for name in ["soak"] if asked.soak else asked.only or PARTS:
         figures[name] = {"seed": asked.seed, **parts[name]()}
         print(f"{name}: {json.dumps(figures[name], default=float)}", flush=True)
-    if not asked.quick:
-        figures.pop("machine", None)
-        write("stream", figures)
+        if not asked.quick:
+            figures.pop("machine", None)
+            write("stream", figures)
+    print(shown(figures))
 
 
 if __name__ == "__main__":
