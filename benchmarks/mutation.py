@@ -41,7 +41,7 @@ RELATED = {  # files of tests that hold what a module does beside its own
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),
     "native/gradients/slopes.c": ("tests/test_depth.py",),
-    "native/checks/finite.c": ("tests/test_checks.py",),
+    "native/checks/finite.c": ("tests/checks/test_arrays.py",),
 }
 ROOMS = (
     "background",

@@ -64,6 +64,31 @@ def test_the_mask_goes_with_the_dots(follower):
     assert follower.mask(image, follower(image), 2).sum() > mask.sum()
 
 
+def test_dots_that_the_border_cuts_go_with_their_neighbours():
+    rest = grid(margin=2.0)
+    follower = MarkerFollower(image_of_dots(rest, noise=1.0))
+    flow = follower(image_of_dots(np.add(rest, [4.0, 2.0]), noise=1.0, seed=1))
+    shift, _, cut = follower._of_all(flow.displacement_px, flow.seen)
+    assert np.count_nonzero(cut) > 10
+    assert np.abs(shift[cut] - [4.0, 2.0]).max() < 0.5
+
+
+def test_a_dot_that_leaves_its_neighbours_is_not_taken(follower):
+    """By 7.6 px of a spacing of 16: it could be another one's."""
+    moved = np.zeros_like(REST)
+    moved[18] = 7.6, 0
+    flow = follower(image_of_dots(REST + moved, noise=1.0, seed=1))
+    order = np.linalg.norm(follower.rest_px[:, None] - REST, axis=-1).argmin(axis=1)
+    np.testing.assert_array_equal(flow.seen, order != 18)
+
+
+def test_a_place_is_clear_where_one_candidate_is_much_nearer_than_the_next(follower):
+    places = np.zeros((1, 2))
+    assert not follower._clear(places, np.array([[3.1, 0.0], [0.0, 6.0]]))
+    assert follower._clear(places, np.array([[2.9, 0.0], [0.0, 6.0]]))
+    assert follower._clear(places, np.array([[3.1, 0.0]]))
+
+
 def test_no_dots_on_a_dark_image(follower):
     flow = follower(np.zeros((96, 128, 3), np.uint8))
     assert not flow.seen.any()

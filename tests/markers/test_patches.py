@@ -89,6 +89,21 @@ def test_dots_that_are_gone_are_not_ok():
     assert found.ok.sum() == len(left)
 
 
+def test_a_dot_that_left_by_the_border_is_not_ok():
+    rest = grid(margin=6.0)
+    image = logs_from_image(image_of_dots(np.add(rest, [-5.0, 0.0])))
+    found = prepared(rest)(image, np.full_like(rest, [-5.0, 0.0]))
+    np.testing.assert_array_equal(found.ok, rest[:, 0] > 6)
+
+
+def test_a_dot_larger_than_the_largest_patch():
+    rest = np.array([[64.0, 48.0]])
+    own = Patches(logs_from_image(image_of_dots(rest, radii=25.0)), rest, 25.0)
+    found = own(logs_from_image(image_of_dots(np.add(rest, [1.2, -0.4]), radii=25.0)), np.zeros((1, 2)))
+    assert found.ok.all()
+    assert np.abs(found.shift_px - [1.2, -0.4]).max() < 0.05
+
+
 def test_some_dots_alone():
     of = np.array([3, 8])
     found = prepared()(logs_from_image(image_of_dots(np.add(REST, [1, 0]))), np.zeros((2, 2)), of)

@@ -36,6 +36,15 @@ def test_two_spacings_without_a_swap():
     assert np.linalg.norm(flow.displacement_mm, axis=1).max() > 1.4 * 1.5
 
 
+def test_dots_that_move_by_more_than_half_a_spacing_a_frame_keep_their_speed():
+    tracker = MarkerTracker(FOLLOWER)
+    for k, spacings in enumerate((0, 0.3, 0.75, 1.3, 1.95, 2.6)):
+        flow = tracker.update(image(dragged(spacings), k))
+        error = np.linalg.norm(flow.displacement_px - dragged(spacings)[ORDER], axis=1)[flow.seen]
+        assert flow.seen.mean() > 0.9
+        assert error.max() < 0.3
+
+
 def test_a_gel_that_springs_back_is_at_rest():
     tracker = MarkerTracker(FOLLOWER)
     for k, spacings in enumerate(np.linspace(0, 1.0, 9)):
