@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from gelform.calibration.circles.prepare import prepare
 from gelform.design.study import _as_read
 from gelform.markers import MarkerFinder
 from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence
+from made.dots import grid, image_of_dots
 
 
 def presses_of(sensor, pitch_mm):
@@ -89,6 +91,23 @@ def test_an_unmarked_gel_is_left_as_it_is(plain):
     np.testing.assert_array_equal(change, color_change_from_image(image, presses.background, settings))
 
 
+@pytest.mark.parametrize(("blur_px", "size"), [(0.0, 3), (0.7, 5), (2.0, 9)])
+def test_dots_and_twice_the_blur_around_are_left_out_and_the_rest_is_as_ever(blur_px, size):
+    background, press = (
+        image_of_dots(grid(), noise=1.0),
+        image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1),
+    )
+    settings, finder = ChangeSettings("divide", 10, blur_px), MarkerFinder(background)
+    change, usable = change_without_markers(press, PreparedBackground(background, settings), None, finder)
+    dark = finder.untouched.mask | finder(press).mask
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    np.testing.assert_array_equal(~usable, cv2.dilate(dark.view(np.uint8), disc) > 0)
+    far = cv2.erode(usable.view(np.uint8), np.ones((11, 11), np.uint8)) > 0
+    assert np.count_nonzero(far) > 50
+    plain = PreparedBackground(background, settings).change(press)
+    np.testing.assert_allclose(change[far], plain[far], atol=1e-3)
+
+
 def test_samples_leave_the_dots_out(dotted):
     made, presses = dotted
     for true, press in zip(made.presses, prepare(presses, 10.0)):
@@ -112,26 +131,17 @@ def slope_error(calibration, made, presses):
     return float(np.median(np.concatenate(errors)))
 
 
-def test_calibration_of_a_marked_gel(plain, dotted):
-    errors, used = [], []
-    for made, presses in (plain, dotted):
-        training = presses.subset(range(0, 20, 2)), replace(made, presses=made.presses[::2])
-        calibration = gelform.calibrate(training[0], color_model="polynomial")
-        held_out = replace(made, presses=made.presses[1::2]), presses.subset(range(1, 20, 2))
-        errors.append(slope_error(calibration, *held_out))
-        used.append(sum(row.accepted for row in calibration.report.presses))
-        for row, true in zip(calibration.report.presses, made.presses[::2]):
-            if row.accepted:
-                off = np.hypot(row.center_x_px - true.center_px[0], row.center_y_px - true.center_px[1])
-                assert off < 4
-    assert used[1] >= used[0] - 1
-    assert errors[1] < 1.5 * errors[0]
-
-
-def test_evaluation_finds_the_circles_of_a_marked_gel(dotted):
+def test_calibration_and_evaluation_of_a_marked_gel(dotted):
+    """Slopes as good as without dots: there the median error is 0.038."""
     made, presses = dotted
-    few = presses.subset(range(0, 20, 3))
-    evaluation = gelform.evaluate(gelform.calibrate(few, color_model="polynomial"), few)
-    circles = np.array([row["circle_px"] for row in evaluation.rows])
-    true = np.array([press.center_px for press in made.presses[::3]])
+    calibration = gelform.calibrate(presses.subset(range(0, 20, 2)), color_model="polynomial")
+    assert sum(row.accepted for row in calibration.report.presses) >= 9
+    for row, true in zip(calibration.report.presses, made.presses[::2]):
+        if row.accepted:
+            off = np.hypot(row.center_x_px - true.center_px[0], row.center_y_px - true.center_px[1])
+            assert off < 4
+    others, unseen = replace(made, presses=made.presses[1::2]), presses.subset(range(1, 20, 2))
+    assert slope_error(calibration, others, unseen) < 1.5 * 0.038
+    circles = np.array([row["circle_px"] for row in gelform.evaluate(calibration, unseen).rows])
+    true = np.array([press.center_px for press in others.presses])
     assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5
