@@ -1,139 +1,108 @@
-"""Bags of ROS 2: how fast they are written, and whether an independent reader finds the same values.
+"""The robots' doors: bags, zenoh, the Taxim export, PyTorch, LeRobot; what each keeps, and how fast.
 
-    python benchmarks/robots.py            # 300 frames, 440 MB in a temporary folder; writes results/robots.json
-    python benchmarks/robots.py --quick    # 60 frames, writes nothing
+    python benchmarks/robots.py                                    # writes results/robots.json; about 4 minutes
+        --torch PYTHON      a Python with torch, where this one has none: benchmarks/robots_torch.py runs in it
+        --lerobot PYTHON    a Python 3.12 with LeRobot and the camera, as integrations/lerobot_camera_gelform/test.sh makes
+    python benchmarks/robots.py --quick                            # fewer frames, simulated presses, writes nothing
 
-The rate is that of one core: frames by the seconds of processor time that this process took, which a busy neighbour
-does not change; the rate by the clock stands beside it. Disks are not waited for: the system's cache takes the bytes.
+Parts whose packages are not there are left out and named; what was recorded of them before is kept, with its own date.
 """
 
 from __future__ import annotations
 
-import os
+import argparse
+import json
+import subprocess
 import sys
-import tempfile
-import time
-from dataclasses import replace
+from collections.abc import Callable
+from datetime import datetime, timezone
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import robots_bag
+import robots_taxim
+import robots_torch
+import robots_zenoh
+from report import RESULTS, table, write
 
-from gelform.exporters.surface import points_from_result
-from gelform.frames import Frame
-from gelform.reconstruct import Reconstructor
-from gelform.reconstruction import Reconstruction
-from gelform.robots.bag_file import BagFile
-from gelform.robots.topics import TOPICS
-from gelform.simulate import LAYOUTS, Ball, Pose, simulate_ball_presses, simulate_pose
-from report import table, write
-
-SENSOR = replace(LAYOUTS["three-edges"], shape=(240, 320))
-ASKED_HZ, START_NS = 60, 1_700_000_000_000_000_000
-DIFFERENT = 12  # frames, taken in turn
-M_PER_MM = np.float32(1e-3)
+ROOT = Path(__file__).parents[1]
+LEROBOT = ROOT / "integrations" / "lerobot_camera_gelform" / "record.py"
 
 
-def reconstructor() -> Reconstructor:
-    """Of a simulated sensor of 240x320."""
-    from gelform.calibration.fit import calibrate
-    from gelform.calibration.presses.folder import read_presses
-    from gelform.exporters.press_folder import save_simulated_presses
-
-    rng = np.random.default_rng(0)
-    made = simulate_ball_presses(SENSOR, ball_diameters_mm=[5, 8], count=10, rng=rng, oversample=1)
-    with tempfile.TemporaryDirectory() as folder:
-        presses = read_presses(save_simulated_presses(Path(folder) / "presses", made))
-    return Reconstructor(calibrate(presses, color_model="polynomial"))
-
-
-def frames_and_results(reconstruct: Reconstructor) -> list[tuple[Frame, Reconstruction]]:
-    """A ball that presses deeper and deeper."""
-    rng, pairs = np.random.default_rng(1), []
-    for k in range(DIFFERENT):
-        image = simulate_pose(SENSOR, Ball(3.0), Pose(0.05 * k), rng=rng).image
-        frame = Frame(image, k / ASKED_HZ, START_NS + k * 10**9 // ASKED_HZ, k)
-        pairs.append((frame, reconstruct(frame)))
-    return pairs
-
-
-def written(pairs: list[tuple[Frame, Reconstruction]], count: int, topics: tuple[str, ...]) -> dict[str, Any]:
-    """Frames a second into a bag of those topics, prepared results in memory."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bag"
-        busy, clock = time.process_time(), time.perf_counter()
-        with BagFile(path, "gel", topics=topics) as bag:
-            for k in range(count):
-                bag.write(*pairs[k % len(pairs)], START_NS + k * 10**9 // ASKED_HZ)
-        busy, clock = time.process_time() - busy, time.perf_counter() - clock
-        size = sum(file.stat().st_size for file in path.iterdir())
-    return {
-        "topics": list(topics),
-        "frames": count,
-        "rate_hz_of_a_core": count / busy,
-        "rate_hz_by_the_clock": count / clock,
-        "mb_per_frame": size / count / 1e6,
-        "load_average": os.getloadavg()[0],
-    }
-
-
-def read_back(pairs: list[tuple[Frame, Reconstruction]]) -> dict[str, Any]:
-    """Values of a bag that mcap-ros2-support decodes differently from those that were written; 0 is right."""
-    from mcap_ros2.reader import read_ros2_messages
-
-    different, compared, seen = 0, 0, dict.fromkeys(("image_raw", "indentation", "points"), 0)
-    with tempfile.TemporaryDirectory() as folder:
-        with BagFile(Path(folder) / "bag", "gel") as bag:
-            for frame, result in pairs:
-                bag.write(frame, result, frame.wall_time_ns)
-        for message in read_ros2_messages(str(Path(folder) / "bag" / "bag.mcap")):
-            name = message.channel.topic.rpartition("/")[2]
-            if name not in seen:
-                continue
-            frame, result = pairs[seen[name]]
-            wanted = _wanted(name, frame, result)
-            got = np.frombuffer(bytes(message.ros_msg.data), wanted.dtype)
-            same = (got == wanted) | (np.isnan(got) & np.isnan(wanted))
-            different += int(np.count_nonzero(~same)) + (message.log_time_ns != frame.wall_time_ns)
-            compared += got.size
-            seen[name] += 1
-    assert set(seen.values()) == {len(pairs)}, seen
-    return {"values": compared, "different": different}
-
-
-def _wanted(name: str, frame: Frame, result: Reconstruction) -> Any:
-    """The values of a message, flat, made without the writer."""
-    if name == "image_raw":
-        return frame.image.ravel()
-    if name == "indentation":
-        return np.where(result.known, result.depth_mm * M_PER_MM, np.float32(np.nan)).ravel()
-    points = np.where(
-        result.known.ravel()[:, None], points_from_result(result) * M_PER_MM, np.float32(np.nan)
-    )
-    return points.ravel()
+def lerobot_rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """(what, asked, reached)."""
+    kept, default = figures["lossless"], figures["default"]
+    return [
+        (f"LeRobot {kept['lerobot']}: depth of 5 s, written and read, um RMS", 1.0, kept["depth_rms_um"]),
+        ("the same: frames a second", 30, kept["rate_hz"]),
+        ("the same: TimeoutErrors", 0, kept["timeouts"]),
+        ("colour without loss: largest difference, grey levels", 0, kept["color_worst_level"]),
+        ("colour without loss: kB a frame", "-", kept["color_kb"]),
+        ("depth: kB a frame", "-", kept["depth_kb"]),
+        ("colour by LeRobot's default: slope error in contact, degrees", "-", default["color_slope_deg"]),
+        ("colour by LeRobot's default: depth error in contact, um", "-", default["color_depth_um"]),
+        ("colour by LeRobot's default: kB a frame", "-", default["color_kb"]),
+    ]
 
 
 def main() -> None:
-    """Measure all, print the table, write the figures."""
-    quick = "--quick" in sys.argv
-    count = 60 if quick else 300
-    pairs = frames_and_results(reconstructor())
-    figures = {
-        "all_topics": written(pairs, count, tuple(TOPICS)),
-        "without_points": written(pairs, count, ("image", "indentation", "diagnostics")),
-        "read_back": read_back(pairs),
+    """Measure what can be measured here, print the table, write the figures."""
+    given = _arguments()
+    parts: dict[str, tuple[str | None, Callable[[], Any], Callable[[Any], Any]]] = {
+        "bag": (
+            _missing("rosbags", "mcap_ros2"),
+            lambda: robots_bag.measure(robots_bag.reconstructor(), given.quick),
+            robots_bag.rows,
+        ),
+        "zenoh": (_missing("zenoh", "rosbags"), lambda: robots_zenoh.measure(given.quick), robots_zenoh.rows),
+        "taxim": (None, lambda: robots_taxim.measure(given.quick), robots_taxim.rows),
+        "torch": (
+            None if given.torch else _missing("torch"),
+            lambda: _in(given.torch or sys.executable, Path(robots_torch.__file__), given.quick),
+            robots_torch.rows,
+        ),
+        "lerobot": (
+            None if given.lerobot else "give --lerobot PYTHON",
+            lambda: _in(given.lerobot, LEROBOT, False),
+            lerobot_rows,
+        ),
     }
-    whole, fewer, again = figures.values()
-    rows = [
-        ("bag, all topics, 240x320: frames a second of one core", ASKED_HZ, whole["rate_hz_of_a_core"]),
-        ("the same by the clock", "-", whole["rate_hz_by_the_clock"]),
-        ("MB a frame", "-", whole["mb_per_frame"]),
-        ("without points: frames a second of one core", ASKED_HZ, fewer["rate_hz_of_a_core"]),
-        (f"values that differ, of {again['values']}", 0, again["different"]),
-    ]
-    print(table(("figure", "asked", "reached"), rows))
-    if not quick:
-        write("robots", figures)
+    before = RESULTS / "robots.json"
+    figures: dict[str, Any] = json.loads(before.read_text()) if before.is_file() else {}
+    figures.pop("machine", None)
+    lines: list[Any] = []
+    for name, (missing, measure, rows) in parts.items():
+        if missing:
+            lines.append((f"{name}: not run: {missing}", "", ""))
+            continue
+        figures[name] = {"date": datetime.now(timezone.utc).date().isoformat(), **measure()}
+        lines += rows(figures[name])
+    print(table(("figure", "asked", "reached"), lines))
+    if not given.quick:
+        write("robots", {name: figures[name] for name in parts if name in figures})
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--torch", metavar="PYTHON")
+    parser.add_argument("--lerobot", metavar="PYTHON")
+    return parser.parse_args()
+
+
+def _missing(*modules: str) -> str | None:
+    absent = [one for one in modules if find_spec(one) is None]
+    return f"{', '.join(absent)} is not installed" if absent else None
+
+
+def _in(python: str, script: Path, quick: bool) -> dict[str, Any]:
+    """What a script prints in another environment, as JSON, in its last line."""
+    ran = subprocess.run(
+        [python, str(script), *(["--quick"] if quick else [])], stdout=subprocess.PIPE, text=True, check=True
+    )
+    last: dict[str, Any] = json.loads(ran.stdout.splitlines()[-1])
+    return last
 
 
 if __name__ == "__main__":

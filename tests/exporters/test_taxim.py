@@ -1,15 +1,18 @@
 """Taxim's formula, written out here, renders what the forward response and new presses show."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 import gelform
 from gelform.ball import ball_gradients
-from gelform.errors import DataError
+from gelform.errors import CalibrationError, DataError
 from gelform.exporters.taxim import BINS, save_taxim
 from gelform.importers.taxim_forward import read_taxim_forward
 from gelform.simulate import Ball, simulate_press
+from made.torch_file_writer import network_arrays, torch_file
 
 
 def rendered(folder, height_px, order):
@@ -98,3 +101,14 @@ def test_what_cannot_be_written_is_said(calibration, tmp_path):
     (tmp_path / "full" / "mine").write_text("x")
     with pytest.raises(DataError, match="holds something"):
         save_taxim(calibration, tmp_path / "full")
+
+
+def test_a_calibration_without_forward_response_or_scale_is_refused(calibration, tmp_path):
+    network = torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
+    rest = np.rint(calibration.background).astype(np.uint8)
+    blind = gelform.import_calibration(network, "gs_sdk", background=rest, mm_per_px=0.1)
+    with pytest.raises(CalibrationError, match=r"without a forward response.*Calibrate on presses of a ball"):
+        save_taxim(blind, tmp_path / "t")
+    with pytest.raises(CalibrationError, match="gelform scale"):
+        save_taxim(replace(calibration, mm_per_px=None), tmp_path / "t")
+    assert not (tmp_path / "t").exists()

@@ -21,9 +21,12 @@ MIXED = ((1.0, 0.1, 0.0), (0.05, 1.0, 0.08), (0.0, 0.1, 1.0))
     ids=["plain", "subtract", "undone"],
 )
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_it_is_the_numpy_paths(settings, dtype):
+@pytest.mark.parametrize(
+    "shape", [(60, 80), (240, 320)], ids=["means_of_2x2_round_up", "means_of_8x8_round_to_even"]
+)
+def test_it_is_the_numpy_paths(settings, dtype, shape):
     rng = np.random.default_rng(1)
-    background = rng.uniform(80, 150, (60, 80, 3)).astype(np.float32)
+    background = rng.uniform(80, 150, (*shape, 3)).astype(np.float32)
     image = background * np.array([1.06, 1.04, 0.97]) + rng.normal(0, 2, background.shape)
     image[20:40, 30:50] += rng.uniform(-30, 30, (20, 20, 3))
     image = image.round().astype(dtype)

@@ -27,6 +27,8 @@ from gelform.torch.color_change import ColorChange
 from gelform.torch.poisson import PoissonDepth
 from gelform.torch.slopes import gradients_module
 
+CPU_FRAMES = 2  # at a time: what they need stays in the processor's cache
+
 
 class BatchReconstruction(NamedTuple):
     """What a batch of images gave.
@@ -98,6 +100,12 @@ class Reconstruct(nn.Module):
                 f"Expected images of shape (N, 3, {self.shape[0]}, {self.shape[1]}), got {tuple(images.shape)}. "
                 "Move the channels first: torch.from_numpy(image).permute(2, 0, 1)[None]."
             )
+        if images.device.type == "cpu" and len(images) > CPU_FRAMES:
+            parts = [self._of_part(part) for part in images.split(CPU_FRAMES)]
+            return BatchReconstruction(*(torch.cat(of_parts) for of_parts in zip(*parts)))
+        return self._of_part(images)
+
+    def _of_part(self, images: Tensor) -> BatchReconstruction:
         change = self.color_change(images)
         gradients = self.model(change)
         untouched = self._untouched(change)

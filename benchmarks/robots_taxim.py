@@ -1,0 +1,111 @@
+"""The Taxim export: presses that did not calibrate, rendered by Taxim's formula, against the real images.
+
+Real presses (mini-ball, every second one calibrates) where there is data; else, and with --quick, a simulated sensor. Grey
+levels: mean absolute difference inside three quarters of the contact's radius, where a ball's slopes are exact.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import gelform
+from gelform.ball import ball_gradients
+from gelform.exporters.taxim import save_taxim
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
+INSIDE = 0.75  # of the contact's radius
+Circle = tuple[float, float, float]
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Grey levels of the export and of the forward response itself."""
+    on_simulated = quick or not DATA.is_dir()
+    calibration, held_out = _simulated() if on_simulated else _real()
+    with tempfile.TemporaryDirectory() as folder:
+        table = save_taxim(calibration, Path(folder) / "taxim")
+        taxim, forward = zip(*(_errors(calibration, table, *press) for press in held_out))
+    return {
+        "presses": "simulated" if on_simulated else "mini-ball",
+        "held_out": len(held_out),
+        "taxim_grey_levels": float(np.mean(taxim)),
+        "forward_grey_levels": float(np.mean(forward)),
+        "ratio": float(np.mean(taxim) / np.mean(forward)),
+    }
+
+
+def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """(what, asked, reached)."""
+    of = f"{figures['held_out']} held-out presses ({figures['presses']})"
+    return [
+        (f"Taxim export: error over the forward response's, {of}", 1.2, figures["ratio"]),
+        ("grey levels, Taxim's formula", "-", figures["taxim_grey_levels"]),
+        ("grey levels, forward response", "-", figures["forward_grey_levels"]),
+    ]
+
+
+def taxim_image(folder: Path, height_px: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3), RGB, of a height map in px by the formula of Si and Yuan (RA-L 2022)."""
+    background = cv2.imread(str(folder / "bg.jpg")).astype(float)
+    tables = np.load(folder / "polycalib.npz", allow_pickle=False)
+    bins = int(tables["bins"])
+    along_rows, along_columns = np.gradient(height_px)
+    steepness = np.arctan(np.hypot(along_rows, along_columns)) / (np.pi / 2 / (bins - 1))
+    direction = (np.arctan2(along_rows, along_columns) + np.pi) / (2 * np.pi / (bins - 1))
+    i, j = steepness.astype(int), direction.astype(int)
+    y, x = np.indices(height_px.shape)
+    place = np.stack([x * x, y * y, x * y, x, y, np.ones(x.shape)], axis=-1)
+    change = np.stack([(place * tables[f"grad_{c}"][i, j]).sum(-1) for c in "rgb"], axis=-1)
+    return np.clip(background + change, 0, 255)[..., ::-1]
+
+
+def _errors(
+    calibration: gelform.Calibration, table: Path, image: np.ndarray, diameter_mm: float, circle: Circle
+) -> tuple[float, float]:
+    """Grey levels inside a contact, of Taxim's image and of the forward response's."""
+    x, y, rim = circle
+    radius = diameter_mm / 2 / calibration.known_mm_per_px
+    rows_px, columns_px = np.indices(image.shape[:2])
+    away = np.hypot(columns_px - x, rows_px - y)
+    sphere = np.sqrt(radius**2 - np.minimum(away, rim) ** 2) - np.sqrt(radius**2 - rim**2)
+    inside = away < INSIDE * rim
+    where = np.nonzero(inside)
+    slopes = np.zeros((*image.shape[:2], 2))
+    slopes[where] = ball_gradients(where[1], where[0], (x, y), radius)
+    forward = gelform.image_from_color_change(
+        calibration.color_from_gradients(slopes), calibration.background, calibration.change
+    )
+    seen = image[inside].astype(float)
+    return tuple(
+        float(np.abs(shown[inside] - seen).mean()) for shown in (taxim_image(table, sphere), forward)
+    )  # type: ignore[return-value]
+
+
+def _real() -> tuple[gelform.Calibration, list[tuple[np.ndarray, float, Circle]]]:
+    presses = gelform.read_presses(DATA)
+    with (DATA / "reference_circles.csv").open() as file:
+        circles = {
+            row["image"]: tuple(float(row[k]) for k in ("center_x_px", "center_y_px", "contact_radius_px"))
+            for row in csv.DictReader(file)
+        }
+    order = sorted(range(len(presses.presses)), key=lambda k: presses.presses[k].name)
+    calibration = gelform.calibrate(presses.subset(order[::2]), color_model="polynomial")
+    held_out = presses.subset(order[1::2]).presses
+    return calibration, [(one.image, one.ball_diameter_mm, circles[one.name]) for one in held_out]
+
+
+def _simulated() -> tuple[gelform.Calibration, list[tuple[np.ndarray, float, Circle]]]:
+    from gelform.simulate import simulate_ball_presses
+    from robots_bag import SENSOR, reconstructor
+
+    made = simulate_ball_presses(
+        SENSOR, ball_diameters_mm=[4, 6], count=8, rng=np.random.default_rng(5), oversample=1
+    )
+    held_out = [(p.image, p.ball_diameter_mm, (*p.center_px, p.contact_radius_px)) for p in made.presses]
+    return reconstructor().calibration, held_out
