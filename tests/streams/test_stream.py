@@ -9,7 +9,9 @@ import pytest
 
 import gelform
 from gelform.errors import SensorError, StaleError
+from gelform.sensors import new_recording, record_frames
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.record import KEPT_FRAMES
 from made.sources import ImageSource
 
 THREADS = ("gelform", "grab")
@@ -141,6 +143,20 @@ def test_one_sensor_for_several_streams(calibration, at_rest):
         page.close()
         index = robot.newest().index
         assert robot.newest(after_index=index, timeout_s=10) is not None
+
+
+def test_one_sensor_for_a_stream_and_a_recorder(calibration, at_rest, tmp_path):
+    """The stream takes the newest frame, the recorder misses none."""
+    with Grabber(lambda: ImageSource(at_rest, rate_hz=50), keep=KEPT_FRAMES) as grabber:
+        with gelform.stream(grabber, calibration) as stream:
+            recording = new_recording(tmp_path / "session", grabber)
+            written = record_frames(grabber, recording, frames=30)
+            recording.close()
+            assert stream.newest(timeout_s=30).result.known.all()
+        assert grabber.state == "running"
+    taken = list(gelform.open_source(tmp_path / "session"))
+    assert written.missing == 0
+    assert np.diff([frame.index for frame in taken]).tolist() == [1] * 29
 
 
 def test_a_frame_that_is_not_of_this_gel_is_a_finding(calibration, at_rest):

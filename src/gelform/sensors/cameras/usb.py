@@ -108,7 +108,7 @@ class UsbCamera:
             try:
                 set_controls(self._capture, wanted, self._led_levels, self.name)
             finally:
-                self.settings = self.settings | controls_of(self._capture, self._led_levels)
+                self.settings = {**self.settings, **controls_of(self._capture, self._led_levels)}
             return self.settings
 
     def close(self) -> None:
