@@ -42,3 +42,16 @@ def test_what_rests_there_is_no_mark():
 
 def test_a_sound_gel():
     assert seen([REST] * 5) == []
+
+
+def test_a_short_groove_is_a_scratch_and_a_short_dark_spot_is_none():
+    """Both 20 px long and about 8 wide: the groove is bright on one side and dark on the other."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    along, across = np.clip((10 - np.abs(x - 90)) / 2, 0, 1), (y - 70) / 2.2
+    groove = 0.2 * along * across * np.exp(0.5 - across**2 / 2)
+    spot = -0.2 * along * np.exp(-(across**4) / 10)
+    marked = {name: REST * (1 + shape[..., None]) for name, shape in (("scratch", groove), ("dust", spot))}
+    assert {name: seen([image] * 4) for name, image in marked.items()} == {
+        "scratch": ["scratch"],
+        "dust": ["dust"],
+    }

@@ -15,7 +15,8 @@ SMOOTH_PX, WIDE_PX = 1.0, 8.0
 OUTLIER, LEAST_CHANGE = 6.0, 0.04  # deviations of noise; of the brightness
 STAYS = 3  # evidences in a row, some ten seconds each
 LEAST_AREA_PX = 4
-LONG, THIN_SHARE = 10.0, 0.4  # a scratch: so many px long, and so much less wide
+LONG, THIN_SHARE = 10.0, 0.4  # a scratch: so many px long, and so much less wide; or ...
+GROOVE_SHARE, BOTH_SIGNS = 0.6, 0.4  # ... less thin, but bright on one side and dark on the other, as a short groove is
 TORN, TORN_AREA = 0.2, 0.0045  # a tear: brightness of all channels together, part of the image
 DARK = 0.06  # dust keeps light away, on average so much; a slight bright spot does no harm
 CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
@@ -54,7 +55,7 @@ class Marks:
             self._stays = np.zeros(odd.shape, np.uint8)
         nearby = cv2.dilate(odd.view(np.uint8), np.ones((3, 3), np.uint8)).view(np.bool_)
         self._stays[:] = np.where(nearby, np.minimum(self._stays + 1, 250), 0)
-        marks = _marks(odd & (self._stays >= STAYS), change.mean(axis=-1), evidence.contact)
+        marks = _marks(odd & (self._stays >= STAYS), change, evidence.contact)
         return tuple(_finding(name, marks, odd.size) for name in _WORDS if any(m.name == name for m in marks))
 
 
@@ -102,21 +103,31 @@ def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArr
         if area < LEAST_AREA_PX:
             continue
         mine = labels == label
-        name, length = _kind(mine, float(change[mine].mean()), area)
-        if name == "dust" and change[mine].mean() > -DARK:
+        name, length = _kind(mine, change[mine], area)
+        brighter = float(change[mine].mean())
+        if name == "dust" and brighter > -DARK:
             continue
         if name == "tear" or not _rests(mine, contact):
-            marks.append(Mark(name, area, length, float(change[mine].mean())))
+            marks.append(Mark(name, area, length, brighter))
     return marks
 
 
-def _kind(mine: NDArray[np.bool_], change: float, area: int) -> tuple[str, float]:
+def _kind(mine: NDArray[np.bool_], change: NDArray[np.float32], area: int) -> tuple[str, float]:
+    """The name and the length, px, of a mark (H, W) whose pixels have changed by (N, 3)."""
     y, x = np.nonzero(mine)
     covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
     small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
-    if area > TORN_AREA * mine.size and abs(change) > TORN:
+    if area > TORN_AREA * mine.size and abs(change.mean()) > TORN:
         return "tear", float(large)
-    return ("scratch" if large > LONG and small < THIN_SHARE * large else "dust"), float(large)
+    share = GROOVE_SHARE if _has_both_signs(change) else THIN_SHARE
+    return ("scratch" if large > LONG and small < share * large else "dust"), float(large)
+
+
+def _has_both_signs(change: NDArray[np.float32]) -> bool:
+    """Whether pixels (N, 3) became brighter and darker alike, in the channel that changed most."""
+    sizes = np.abs(change).mean(axis=0)
+    most = int(sizes.argmax())
+    return float(abs(change[:, most].mean())) < BOTH_SIGNS * float(sizes[most])
 
 
 def _rests(mine: NDArray[np.bool_], contact: NDArray[np.bool_]) -> bool:
