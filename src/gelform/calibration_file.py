@@ -169,7 +169,7 @@ class Calibration:
             "change": asdict(self.change),
             "color_model": self.color_model.name,
             "model_settings": model_settings,
-            "forward_settings": self.forward and {"position_degrees": list(self.forward.position_degrees)},
+            "forward_settings": self.forward and self.forward.settings(),
             "slope_sigma": self.slope_sigma and asdict(self.slope_sigma),
             "gamut": self.gamut
             and {"cell": self.gamut.bin_width, "slope_per_change": self.gamut.slope_per_change},
@@ -296,5 +296,6 @@ def _forward(
 ) -> ForwardResponse | None:
     if settings is None:
         return None
+    noises = arrays["forward_noise"], settings.get("held_out_noise")  # earlier files have none
     degrees = tuple(settings["position_degrees"])
-    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"])
+    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, *noises)

@@ -26,7 +26,7 @@ from gelform.confidence import (
     solved_sigma,
     with_model_sigma,
 )
-from gelform.confidence.limits import prepared_causes, well_trained
+from gelform.confidence.limits import prepared_causes
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
 from gelform.depth_sigma.sigma import DepthSigma
@@ -126,7 +126,7 @@ class Reconstructor:
             clean=self._clean,
             levels=calibration.settings.get("image_noise"),
             gamut=calibration.gamut,
-            forward=well_trained(calibration.forward, len(calibration.training_digests)),
+            forward=calibration.forward,
         )
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None

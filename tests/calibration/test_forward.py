@@ -5,7 +5,13 @@ import pytest
 
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
-from gelform.calibration.forward import depth_in_contact, forward_from_presses, image_noise
+from gelform.calibration.forward import (
+    depth_in_contact,
+    forward_from_presses,
+    held_out_noise,
+    image_noise,
+)
+from gelform.calibration.selection.folds import Fold
 from gelform.simulate.twin import press_depth_of_rim
 
 SHAPE = (80, 100)
@@ -72,3 +78,25 @@ def test_the_noise_of_images_is_found_under_what_is_smooth():
         for k in range(15)
     ]
     np.testing.assert_allclose(image_noise(images, background.astype(np.float32)), [1, 2, 3], rtol=0.03)
+
+
+class TrueSlopes:
+    """Reads the slopes that lie in the color change, as `press_at` puts them there."""
+
+    def gradients_at(self, change, x_px, y_px):
+        normal = np.asarray(change)[:, :2] * [0.5, -1.0]
+        return normal / np.sqrt(1 - np.square(normal).sum(axis=1, keepdims=True))
+
+
+@pytest.mark.parametrize("added", [0.0, 0.1])
+def test_noise_is_that_of_presses_held_out(added):
+    """One press out of four has a colour of its own: of those that train without it nothing is left unexplained."""
+    places = [(30, 30), (60, 45), (50, 30), (35, 50)]
+    presses = [press_at(x, y, 0.0) for x, y in places]
+    presses[3].color_change[:] += np.float32(added) * np.array([0, 0, 1], np.float32)
+    found = [contact_at(x, y, 25.0) for x, y in places]
+    folds = [Fold((3,), (0, 1, 2), tuple(found[:3]))]
+    forwards = [forward_from_presses(presses[:3], found[:3], 0.8, MM, "my sensor")]
+    noise = held_out_noise(forwards, [TrueSlopes()], folds, presses, found)
+    assert max(forwards[0].noise) < 0.01
+    assert noise == pytest.approx(added / 3**0.5 / 1.61, abs=0.015)

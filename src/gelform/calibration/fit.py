@@ -102,7 +102,10 @@ def calibrate(
         seconds=time.monotonic() - began,
         start=first_unit,
     )
-    return replace(draft, slope_sigma=measured.slope_sigma, held_out=report.held_out, report=report)
+    forward = None if draft.forward is None else replace(draft.forward, held_out_noise=measured.forward_noise)
+    return replace(
+        draft, slope_sigma=measured.slope_sigma, held_out=report.held_out, report=report, forward=forward
+    )
 
 
 def _refined_and_folded(

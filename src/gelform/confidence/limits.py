@@ -16,17 +16,18 @@ from gelform.confidence.causes.seen import Limits
 from gelform.confidence.raised import PreparedCauses
 
 USUAL_WORTH = 1.0  # mm/mm for a color change of 1, where no training press is known
-ENOUGH_PRESSES = 12
 BLOOMS_PX = 1  # beside what the color change's blur reaches
 
 
-def well_trained(forward: ForwardResponse | None, presses: int) -> ForwardResponse | None:
-    """The forward response where presses are enough for it to tell what no slope explains; else None.
+def noise_of(forward: ForwardResponse) -> float:
+    """Standard deviation of the color change about a forward response, RMS of the channels: that of held-out presses.
 
-    Of a few presses it knows a few slopes at a few places: it would call the others shadow, specular or inconsistent
-    and take a touch away (five presses of a simulated sensor: 18 degrees instead of 1).
+    Of few presses it knows a few slopes at a few places, and its own noise is small there: it would call the others
+    shadow, specular or inconsistent and take a touch away. The noise on held-out presses says so, and what is not beyond
+    it raises no sigma. Calibrations that do not hold it go by the noise of the training presses.
     """
-    return forward if presses >= ENOUGH_PRESSES else None
+    own = float(np.sqrt(np.mean(np.square(forward.noise))))
+    return max(own, forward.held_out_noise or 0.0)
 
 
 def prepared_causes(
@@ -52,7 +53,7 @@ def prepared_causes(
     limits = Limits(
         clean=clean,
         worth=USUAL_WORTH if gamut is None else gamut.slope_per_change,
-        noise=None if forward is None else float(np.sqrt(np.mean(np.square(forward.noise)))),
+        noise=None if forward is None else noise_of(forward),
         levels=np.inf if levels is None else float(np.sqrt(np.mean(np.square(levels)))),
         gain=np.ascontiguousarray(gain_from_background(background, change).mean(axis=-1)),
         margin_px=int(np.ceil(2 * change.blur_px)) + BLOOMS_PX,

@@ -6,7 +6,7 @@ the run, unsaved; the report's statistics are binned from them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followe
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.forward import TOTAL_OF_FOLD, forward_from_presses, held_out_noise
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.folds import Fold
@@ -24,7 +25,7 @@ from gelform.calibration.selection.select import Selection
 from gelform.calibration.selection.slope_errors import ZONE, slope_sigma_from_folds
 from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration_file import Calibration
-from gelform.color_models import ColorModel
+from gelform.color_models._shared.forward import ForwardResponse
 from gelform.confidence import SlopeSigma, solved_factor
 from gelform.metrics import PressErrors, angle_deg, press_errors, score_slopes
 from gelform.progress import Progress, no_progress
@@ -99,12 +100,14 @@ class HeldOut:
     saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
     samples : some pixels of each
     slope_sigma : standard deviation of the slopes of the chosen color model
+    forward_noise : of the forward response, see `held_out_noise`
     """
 
     errors: Mapping[int, PressErrors]
     saved_errors: Mapping[int, PressErrors]
     samples: tuple[HeldOutSample, ...]
     slope_sigma: SlopeSigma
+    forward_noise: float
 
 
 def measure_held_out(
@@ -125,45 +128,58 @@ def measure_held_out(
     selection : what was chosen by all presses, and without each fold
     progress : called with (done, total, what)
     """
-    models: list[ColorModel] = []
     errors: dict[int, PressErrors] = {}
     saved_errors: dict[int, PressErrors] = {}
     samples: list[HeldOutSample] = []
     slope_errors: list[list[NDArray[np.float64]]] = []
-    found, folds = held_out.found, held_out.folds
-    mm_per_px = draft.known_mm_per_px
+    found, folds, chosen = held_out.found, held_out.folds, selection.chosen
+    prepared, mm_per_px = held_out.presses[chosen.change_offset], draft.known_mm_per_px
+    models = [held_out.fit(chosen, fold) for fold in folds]
+    forwards = [_forward_without(fold, prepared, chosen.zone, presses) for fold in folds]
+    forward_noise = held_out_noise(forwards, models, folds, prepared, found)
+    forwards = [replace(forward, held_out_noise=forward_noise) for forward in forwards]
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
-        model = held_out.fit(candidate, fold)
-        for i, circle, result in _reconstructed(draft, presses, held_out, candidate, model, fold):
+        saved = replace(draft, color_model=models[done], forward=forwards[done])
+        own = saved
+        if candidate != chosen:
+            alike = candidate.change_offset == chosen.change_offset  # else it is of other color changes
+            model = held_out.fit(candidate, fold)
+            own = replace(saved, color_model=model, forward=saved.forward if alike else None)
+        for i, circle, result in _reconstructed(own, presses, held_out, candidate, fold):
             errors[i] = saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
             samples.append(sample_of(i, presses.presses[i], circle, result, mm_per_px))
             radius_px = held_out.presses[candidate.change_offset][i].ball_radius_px
             slope_errors.append(_slope_errors(result, circle, radius_px))
-        if candidate != selection.chosen:
-            model = held_out.fit(selection.chosen, fold)
-            for i, circle, result in _reconstructed(draft, presses, held_out, selection.chosen, model, fold):
+        if candidate != chosen:
+            for i, circle, result in _reconstructed(saved, presses, held_out, chosen, fold):
                 saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
-        models.append(model)
         progress(done + 1, len(folds), "measuring on held-out presses")
-    prepared = held_out.presses[selection.chosen.change_offset]
     sigma = slope_sigma_from_folds(models, folds, prepared, found)
     observed, solved = (np.concatenate(parts) for parts in zip(*slope_errors))
     sigma = replace(sigma, solved_factor=solved_factor(observed, solved))
-    return HeldOut(errors, saved_errors, tuple(samples), sigma)
+    return HeldOut(errors, saved_errors, tuple(samples), sigma, forward_noise)
+
+
+def _forward_without(
+    fold: Fold, prepared: Sequence[PreparedPress], zone: float, presses: Presses
+) -> ForwardResponse:
+    """The forward response of a fold's training presses."""
+    own, scale = [prepared[i] for i in fold.training], presses.mm_per_px
+    how = zone, scale, presses.sensor_name
+    return forward_from_presses(own, fold.contacts, *how, total=TOTAL_OF_FOLD)
 
 
 def _reconstructed(
-    draft: Calibration,
+    calibration: Calibration,
     presses: Presses,
     held_out: HeldOutPresses,
     candidate: Candidate,
-    model: ColorModel,
     fold: Fold,
 ) -> Iterator[tuple[int, tuple[float, float, float], Reconstruction]]:
-    """Index, circle and result of each press of a fold, by a model that was fitted without the fold."""
+    """Index, circle and result of each press of a fold, by a calibration that was fitted without the fold."""
     suited = held_out.presses[candidate.change_offset]
     change = change_settings(presses, candidate.change_offset)
-    reconstruct = Reconstructor(replace(draft, color_model=model, change=change), depth_sigma=False)
+    reconstruct = Reconstructor(replace(calibration, change=change), depth_sigma=False)
     for i in fold.held_out:
         result = reconstruct.from_image(presses.presses[i].image)
         yield i, _free_circle(suited[i], held_out.found[i], result, candidate.zone), result

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_within
 from gelform.color_models._shared.least_squares import (
     polynomial_terms,
     position_powers,
@@ -38,12 +39,15 @@ class ForwardResponse:
     position_degrees : degree in (x, y) of the linear, quadratic, cubic terms
     shape : (H, W)
     noise : (3,) float64, standard deviation of the color change about it, per channel
+    held_out_noise : the same on presses that it was fitted without, about the slopes that a color model reads there which
+        has not seen them either; RMS of the channels. None where nobody has looked
     """
 
     coefficients: NDArray[np.float64]
     position_degrees: tuple[int, ...]
     shape: tuple[int, int]
     noise: NDArray[np.float64]
+    held_out_noise: float | None = None
 
     @classmethod
     def fit(
@@ -62,6 +66,14 @@ class ForwardResponse:
         parts = [robust_ridge(d, change, samples.weight, ridge=RIDGE, huber=HUBER_CHANGE) for d in designs]
         noise = 1.4826 * np.median(np.abs(designs[0] @ parts[0] - change), axis=0)
         return cls(np.concatenate(parts), tuple(position_degrees), samples.shape, noise)
+
+    def __post_init__(self) -> None:
+        if self.held_out_noise is not None:
+            check_within(self.held_out_noise, "held_out_noise", 0, 1e3)
+
+    def settings(self) -> dict[str, Any]:
+        """What is not an array, as a calibration keeps it."""
+        return {"position_degrees": list(self.position_degrees), "held_out_noise": self.held_out_noise}
 
     @property
     def knows_depth(self) -> bool:

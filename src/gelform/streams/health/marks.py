@@ -16,7 +16,10 @@ OUTLIER, LEAST_CHANGE = 6.0, 0.04  # deviations of noise; of the brightness
 STAYS = 3  # evidences in a row, some ten seconds each
 LEAST_AREA_PX = 4
 LONG, THIN_SHARE = 10.0, 0.4  # a scratch: so many px long, and so much less wide; or ...
-GROOVE_SHARE, BOTH_SIGNS = 0.6, 0.4  # ... less thin, but bright on one side and dark on the other, as a short groove is
+GROOVE_SHARE, BOTH_SIGNS = (
+    0.6,
+    0.4,
+)  # ... less thin, but bright on one side and dark on the other, as a short groove is
 TORN, TORN_AREA = 0.2, 0.0045  # a tear: brightness of all channels together, part of the image
 DARK = 0.06  # dust keeps light away, on average so much; a slight bright spot does no harm
 CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
