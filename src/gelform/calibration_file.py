@@ -296,6 +296,5 @@ def _forward(
 ) -> ForwardResponse | None:
     if settings is None:
         return None
-    noises = arrays["forward_noise"], settings.get("held_out_noise")  # earlier files have none
-    degrees = tuple(settings["position_degrees"])
-    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, *noises)
+    degrees, held_out = tuple(settings["position_degrees"]), settings.get("held_out_noise")
+    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"], held_out)
