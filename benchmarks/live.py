@@ -1,10 +1,12 @@
-"""The live page: first picture, rates and age in a browser, four clients of which one stalls, memory, the page's weight.
+"""The live page: first picture, rates and age in a browser, four clients of which one stalls, the guide, the page itself.
 
-    python benchmarks/live.py                 # about two minutes; needs Chromium and Playwright for the browser's figures
-    python benchmarks/live.py --seconds 5     # quick
+    python benchmarks/live.py            # about four minutes on a quiet machine
+    python benchmarks/live.py --quick    # about one and a half: shorter spans, six presses; writes nothing
 
 `gelform live` runs as a user starts it; its clients are a headless Chromium (WebGL2 in software) and websockets. A figure
 that could not be taken is left out, and said. Writes results/live.json with the machine's load.
+
+axe-core is found by GELFORM_AXE or in node_modules (npm install axe-core).
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +30,22 @@ from websockets.sync.client import connect
 
 from gelform.live.web.app import page_files
 from gelform.live.wire import read_message
-from report import write
+from live_guided import WANTED, guided
+from report import table, write
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run"]
+CHROMIUM = os.environ.get("GELFORM_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags", "image"], "encoding": "raw"}
+STARTS, SETTLE_S = 3, 5.0
 
 
 class Live:
-    """`gelform live` as a process of its own."""
+    """`gelform live` as a process of its own, in a folder of its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: str) -> None:
         self.started = time.monotonic()
-        command = [sys.executable, "-m", "gelform", "live", "--quiet"]
+        command = [sys.executable, "-m", "gelform", "live", "--quiet", "--folder", folder]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()
@@ -49,8 +57,20 @@ class Live:
         return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
 
     def close(self) -> None:
+        """End it as Ctrl-C does."""
         self.process.terminate()
         self.process.wait(10)
+
+
+@contextmanager
+def running() -> Iterator[tuple[Live, Path]]:
+    """The server and its folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        live = Live(folder)
+        try:
+            yield live, Path(folder)
+        finally:
+            live.close()
 
 
 class Viewer(threading.Thread):
@@ -60,21 +80,21 @@ class Viewer(threading.Thread):
         super().__init__(daemon=True)
         self.live, self.most_hz, self.stalled = live, most_hz, stalled
         self.pictures, self.ages_ms, self.state = 0, [], {}
+        self.results: list[float] = []  # times of all results that it was told of, shown or not
         self.first_s: float | None = None
         self.stop = threading.Event()
 
     def run(self) -> None:
-        with connect(
-            f"ws://{self.live.address}/ws", origin=f"http://{self.live.address}", max_size=None
-        ) as s:
-            s.send(json.dumps(WATCH))
+        origin = f"http://{self.live.address}"
+        with connect(f"ws://{self.live.address}/ws", origin=origin, max_size=None, proxy=None) as socket:
+            socket.send(json.dumps(WATCH))
             for _ in range(2):
-                s.send(json.dumps({"do": "credit"}))
+                socket.send(json.dumps({"do": "credit"}))
             while not self.stop.is_set():
                 if self.stalled:
                     time.sleep(0.1)
                     continue
-                self._take(s.recv(timeout=20), s)
+                self._take(socket.recv(timeout=20), socket)
 
     def _take(self, data: Any, socket: Any) -> None:
         if isinstance(data, str):
@@ -83,6 +103,7 @@ class Viewer(threading.Thread):
             return
         header, planes = read_message(data)
         self.pictures += 1
+        self.results += [row[0] for row in header["numbers"]]
         self.ages_ms.append(1e3 * (time.monotonic() - header["time_s"]))
         if "depth" in planes and self.first_s is None:
             self.first_s = time.monotonic() - self.live.started
@@ -90,90 +111,173 @@ class Viewer(threading.Thread):
         socket.send(json.dumps({"do": "credit"}))
 
 
+def first_pictures() -> list[float]:
+    """Seconds from the start of the process to the first depth at a client, of starts one after the other."""
+    found = []
+    for _ in range(STARTS):
+        with running() as (live, _):
+            viewer = Viewer(live)
+            viewer.start()
+            while viewer.first_s is None:
+                time.sleep(0.01)
+            viewer.stop.set()
+            viewer.join(25)
+        found.append(viewer.first_s)
+    return found
+
+
 def clients(live: Live, seconds: float) -> dict[str, Any]:
-    """Four clients, one stalled, one at 2 Hz: what each gets, the server's rate, its memory at both ends."""
-    quick, other, slow, stalled = (
-        Viewer(live),
-        Viewer(live),
-        Viewer(live, most_hz=2),
-        Viewer(live, stalled=True),
-    )
-    for one in (quick, other, slow, stalled):
+    """A client alone; then with another, one at 2 Hz and one that stalls: what each gets, the server's rate and memory."""
+    alone = Viewer(live)
+    alone.start()
+    time.sleep(SETTLE_S)
+    before = alone.pictures
+    time.sleep(seconds / 2)
+    alone_hz = (alone.pictures - before) / (seconds / 2)
+    others = [Viewer(live), Viewer(live, most_hz=2), Viewer(live, stalled=True)]
+    for one in others:
         one.start()
-    time.sleep(3)
-    before, memory = [one.pictures for one in (quick, other, slow)], live.resident_mb()
-    time.sleep(seconds)
-    shown = [(one.pictures - b) / seconds for one, b in zip((quick, other, slow), before)]
-    station = quick.state["stations"][0]
+    time.sleep(SETTLE_S)
+    measured = {"first": alone, "second": others[0], "two_hz": others[1]}
+    counts, seen = {name: one.pictures for name, one in measured.items()}, len(alone.results)
+    memory = [live.resident_mb()]
+    for _ in range(4):
+        time.sleep(seconds / 4)
+        memory.append(live.resident_mb())
+    station = alone.state["stations"][0]
     found = {
-        "first_depth_s": quick.first_s,
+        "alone_hz": alone_hz,
+        "shown_hz": {name: (one.pictures - counts[name]) / seconds for name, one in measured.items()},
+        "results_told_hz": (len(alone.results) - seen) / seconds,
         "reconstructed_hz": station["rate_hz"],
         "reconstruction_ms": station["took_ms"],
-        "shown_hz": dict(zip(("first", "second", "two_hz"), shown)),
-        "age_at_client_ms": statistics.median(quick.ages_ms[-200:]),
-        "memory_mb": [memory, live.resident_mb()],
+        "age_at_client_ms": statistics.median(alone.ages_ms[-200:]),
+        "memory_mb": memory,
     }
-    for one in (quick, other, slow, stalled):
+    for one in (alone, *others):
         one.stop.set()
-    for one in (quick, other, slow, stalled):
+    for one in (alone, *others):
         one.join(25)
     return found
 
 
-def browser(live: Live, seconds: float) -> dict[str, Any]:
-    """One headless Chromium: pictures a second, capture to screen, requests to other hosts."""
+def in_browser(page: Any, seconds: float) -> dict[str, Any]:
+    """Pictures a second, capture to screen."""
+    page.wait_for_timeout(1e3 * SETTLE_S)
+    serial, times, ages = "gelform.frame.header.serial", [], []
+    first, began = page.evaluate(serial), time.monotonic()
+    while time.monotonic() - began < seconds:
+        page.evaluate("gelform.look.ages = []")
+        page.wait_for_timeout(1000)
+        ages += page.evaluate("gelform.look.ages")
+        times.append(page.evaluate("gelform.look.drawnHz"))
+    took = time.monotonic() - began
+    return {
+        "reconstructed_hz": (page.evaluate(serial) - first) / took,
+        "drawn_hz": len(ages) / took,
+        "drawn_hz_median": statistics.median(times),
+        "capture_to_screen_ms": statistics.median(ages),
+        "capture_to_screen_p95_ms": sorted(ages)[int(0.95 * len(ages))],
+        "renderer": page.evaluate("gelform.look.renderer"),
+    }
+
+
+def accessibility(page: Any) -> dict[str, Any]:
+    """Serious and critical findings of axe-core, by theme and page."""
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    found = {"axe": page.evaluate("axe.version")}
+    for _ in ("one theme", "the other"):
+        theme = page.evaluate("document.documentElement.dataset.theme")
+        for tab in ("live", "calibrate"):
+            page.click(f"#tab-{tab}")
+            page.wait_for_timeout(500)
+            rows = page.evaluate("axe.run({ resultTypes: ['violations'] })")["violations"]
+            found[f"{theme} {tab}"] = [row["id"] for row in rows if row["impact"] in ("serious", "critical")]
+        page.click("#theme")
+    page.click("#tab-live")
+    return found
+
+
+def browser(live: Live, folder: Path, seconds: float, presses: int) -> dict[str, Any]:
+    """One headless Chromium: rates, accessibility, the guided calibration, requests to other hosts."""
     from playwright.sync_api import sync_playwright
 
     hosts = set()
-    with sync_playwright() as running, tempfile.TemporaryDirectory() as profile:
-        context = running.chromium.launch_persistent_context(
-            profile, executable_path=shutil.which("chromium"), headless=True, args=FLAGS
-        )
-        page = context.pages[0]
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
+        page = chromium.new_page(viewport={"width": 1300, "height": 900})
         page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
         page.goto(live.url)
-        page.wait_for_timeout(3000)
-        drawn, serial = "gelform.look.ages.length", "gelform.frame.header.serial"
-        page.evaluate("gelform.look.ages = []")
-        first, began = page.evaluate(serial), time.monotonic()
-        rates = []
-        while time.monotonic() - began < seconds:
-            page.wait_for_timeout(1000)
-            rates.append(page.evaluate("gelform.look.drawnHz"))
-        took = time.monotonic() - began
-        found = {
-            "reconstructed_hz": (page.evaluate(serial) - first) / took,
-            "drawn_hz": statistics.median(rates),
-            "capture_to_screen_ms": statistics.median(page.evaluate("gelform.look.ages")),
-            "pictures": page.evaluate(drawn),
-            "other_hosts": sorted(hosts - {live.address}),
-            "renderer": page.evaluate("gelform.look.renderer"),
-        }
-        context.close()
+        found: dict[str, Any] = {"shown": in_browser(page, seconds)}
+        if AXE.is_file():
+            found["accessibility"] = accessibility(page)
+        else:
+            print(f"no axe-core in {AXE}: its figure is left out")
+        found["guided"] = guided(page, folder, presses)
+        found["other_hosts"] = sorted(hosts - {live.address})
+        chromium.close()
     return found
 
 
 def main() -> None:
-    """Measure and write down."""
+    """Measure, print, write down."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seconds", type=float, default=30.0)
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--quick", action="store_true", help="shorter; results/live.json stays as it is")
+    quick = parser.parse_args().quick
+    seconds, presses = (6.0, 6) if quick else (30.0, WANTED)
     figures: dict[str, Any] = {
         "page_kb": sum(map(len, page_files().values())) / 1e3,
         "load_before": os.getloadavg()[0],
         "seconds": seconds,
+        "first_depth_s": first_pictures(),
     }
-    live = Live()
-    try:
-        figures["clients"] = clients(live, seconds)
-        if shutil.which("chromium") is None:
+    with running() as (live, folder):
+        if CHROMIUM is None:
             print("no Chromium: the browser's figures are left out")
         else:
-            figures["browser"] = browser(live, seconds)
-    finally:
-        live.close()
-    write("live", figures)
+            figures["browser"] = browser(live, folder, seconds, presses)
+    with running() as (live, _):
+        figures["clients"] = clients(live, seconds)
+    if not quick:
+        write("live", figures)
     print(json.dumps(figures, indent=1))
+    print(table(["", "reach", "reached"], rows(figures)))
+
+
+def rows(figures: dict[str, Any]) -> list[list[Any]]:
+    """Each figure that was asked for beside the one that was reached."""
+    told = figures["clients"]
+    listed = [
+        ["first picture, warm, s", "2", statistics.median(figures["first_depth_s"][1:])],
+        [
+            "pictures a second of a client: alone / beside three",
+            "the same",
+            f"{told['alone_hz']:.1f} / {told['shown_hz']['first']:.1f}",
+        ],
+        ["of the one at 2 Hz", "2", told["shown_hz"]["two_hz"]],
+        [
+            "memory at the start / end, MB",
+            "flat",
+            f"{told['memory_mb'][0]:.0f} / {told['memory_mb'][-1]:.0f}",
+        ],
+        ["page, kB", "300", figures["page_kb"]],
+    ]
+    if "browser" not in figures:
+        return listed
+    found = figures["browser"]
+    listed += [
+        ["reconstructions a second", "60", found["shown"]["reconstructed_hz"]],
+        ["drawn a second", "20", found["shown"]["drawn_hz"]],
+        ["capture to screen, median ms", "100", found["shown"]["capture_to_screen_ms"]],
+        ["guided calibration, s", "120", found["guided"]["total_s"]],
+        ["its held-out error over the offline one", "1.3", found["guided"]["held_out_ratio"]],
+        ["its error on unseen presses over the offline one", "1.3", found["guided"]["unseen_ratio"]],
+        ["requests to other hosts", "none", ", ".join(found["other_hosts"]) or "none"],
+    ]
+    if "accessibility" in found:
+        serious = sum(len(ids) for key, ids in found["accessibility"].items() if key != "axe")
+        listed.append(["serious findings of axe-core", "0", serious])
+    return listed
 
 
 if __name__ == "__main__":

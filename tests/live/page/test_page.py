@@ -7,6 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+import gelform
+from gelform.live.replay.indexed import indexed
+from gelform.live.replay.player import Player
+from gelform.live.station import Station
 from live_waiting import until
 
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
@@ -109,9 +113,18 @@ def test_the_guide_leads_from_the_ball_to_a_press(page, hub, tmp_path):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_nothing_serious_for_those_who_see_or_point_badly(page, theme):
+def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path):
+    """With all that the page can show: two sensors, a recording that is held, the guide."""
     if not AXE.is_file():
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
+    for k, press in enumerate(simulated.presses[:2]):
+        gelform.save_picture(tmp_path / f"{k}.png", press.image)
+    hub.stations.append(Station(1, "second", lambda: Player(indexed(tmp_path)), hub.changed, stall_s=1e9))
+    hub.stations[1].start()
+    hub.recordings.add(tmp_path)
+    until(lambda: page.locator(".chooser").count() == 2)
+    page.click(".chooser >> nth=1")
+    until(lambda: page.is_visible("#replay"), 20)
     page.evaluate(AXE.read_text(encoding="utf-8"))
     if page.evaluate("document.documentElement.dataset.theme") != theme:
         page.click("#theme")
