@@ -130,7 +130,7 @@ class Hub:
             station.close()
 
 
-def wait_for_frames(station: Station, count: int, timeout_s: float = 5.0) -> Sequence[Any]:
+def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> Sequence[Any]:
     """The next frames of a station, as the camera gives them.
 
     Raises

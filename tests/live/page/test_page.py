@@ -84,6 +84,8 @@ def test_buttons_do_what_they_say(page, hub):
 
 
 def test_every_view_can_be_chosen_and_says_its_code(page):
+    page.select_option("#compare", "mine")
+    until(lambda: page.evaluate("gelform.frame.has('other')"), 20)
     for view in page.evaluate("Object.keys(gelform.views)"):
         page.select_option(".pane select >> nth=0", view)
         page.click(".pane button.code >> nth=0")
@@ -121,7 +123,9 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
         gelform.save_picture(tmp_path / f"{k}.png", press.image)
     hub.stations.append(Station(1, "second", lambda: Player(indexed(tmp_path)), hub.changed, stall_s=1e9))
     hub.stations[1].start()
+    (tmp_path / "session.mcap").write_bytes(bytes(2000))
     hub.recordings.add(tmp_path)
+    hub.recordings.add(tmp_path / "session.mcap")
     until(lambda: page.locator(".chooser").count() == 2)
     page.click(".chooser >> nth=1")
     until(lambda: page.is_visible("#replay"), 20)

@@ -10,7 +10,7 @@ let listed = "";
 
 /** `does`: {send(do, fields), chosen() -> station}. */
 export function startReplay(does) {
-  const button = (id, text, title, act) => element("button", { id, text, title, "aria-label": title, onclick: act });
+  const button = (id, text, title, act) => element("button", { id, text, title, "aria-label": text.length > 1 ? null : title, onclick: act }); // a sign has no name;
   const scrub = element("input", { type: "range", id: "scrub", min: 0, max: 1, step: 1, value: 0, "aria-label": "Frame of the recording" });
   scrub.addEventListener("pointerdown", () => (held = true));
   for (const kind of ["pointerup", "pointercancel"]) scrub.addEventListener(kind, () => (held = false));
@@ -51,7 +51,7 @@ export function drawFiles(station, files, does) {
   byId("files-card").hidden = !files.length;
   const rows = files.map(({ name, bytes }, number) => element("li", {},
     element("button", { class: "quiet open", text: name, title: `Open ${name}`, "aria-pressed": String(station?.replay?.file === name), onclick: () => does.send("open", { name }) }),
-    bytes === null ? "" : element("a", { href: `/recordings/${number}`, download: "", text: size(bytes), title: `Download ${name}`, "aria-label": `Download ${name}` })));
+    bytes === null ? "" : element("a", { href: `/recordings/${number}`, download: "", text: size(bytes), title: `Download ${name}`, "aria-label": `Download ${name}, ${size(bytes)}` })));
   byId("files").replaceChildren(...rows);
   byId("files-back").hidden = !station?.opened;
 }
