@@ -224,9 +224,29 @@ def test_depth_says_how_well_it_is_known(calibration, sensor):
     assert 0.3 < np.mean(contact) < 0.97
 
 
+def test_the_shape_of_a_contact_is_within_the_sigma_of_differences(calibration, sensor):
+    """Depth minus its mean over the contact: near 68 and 95 % within one and two, and better known than against zero."""
+    reconstruct = gelform.Reconstructor(calibration)
+    shares = []
+    for k, (place, depth_mm) in enumerate([((1.0, -0.5), 0.6), ((-2.0, 1.0), 0.4), ((2.5, 1.5), 0.7)]):
+        rng = np.random.default_rng(40 + k)
+        made = simulate_press(sensor, Ball(3.0), depth_mm=depth_mm, center_mm=place, rng=rng)
+        result, region = reconstruct(made.image), made.contact
+        sigma = result.depth_difference_sigma(region)
+        error = result.depth_mm - made.depth_mm
+        error -= error[region].mean()
+        shares.append([np.mean(np.abs(error[region]) < n * sigma[region]) for n in (1, 2)])
+        assert sigma[region].mean() < 0.8 * result.depth_sigma_mm[region].mean()
+    one, two = np.mean(shares, axis=0)
+    assert 0.45 < one < 0.97
+    assert two > 0.85
+
+
 def test_depth_sigma_can_be_left_out(calibration, press):
     result = gelform.Reconstructor(calibration, depth_sigma=False)(press.image)
     assert result.depth_sigma_mm is None
+    with pytest.raises(gelform.GelformError, match="depth_sigma=True"):
+        result.depth_difference_sigma()
 
 
 def test_what_all_slopes_share_moves_depth_in_proportion(calibration, press):

@@ -29,6 +29,7 @@ from gelform.confidence import (
 from gelform.confidence.limits import prepared_causes
 from gelform.contact import contact_from_depth
 from gelform.depth import Integration, integrate
+from gelform.depth_sigma.difference import DepthDifference
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.frames import Frame, check_viewed_image
 from gelform.gradients import slopes_of_solution
@@ -192,7 +193,7 @@ class Reconstructor:
             read = self._read(self._checked(image), change, markers)
             albedo = self._albedo_source(change)
         faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
-        solution, depth_sigma = self._integrate(observed, read.confidence, read.untouched, observed_sigma)
+        solution, depth_sigma, difference = self._integrate(read)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
         if depth_sigma is not None:
             np.minimum(depth_sigma, self._limit.ignorance_mm, out=depth_sigma)
@@ -215,6 +216,7 @@ class Reconstructor:
             markers=read.flow,
             calibration_digest=self.calibration.digest,
             albedo_source=albedo,
+            difference_source=difference,
         )
 
     def explain(self, image: ArrayLike) -> Explanation:
@@ -268,29 +270,28 @@ class Reconstructor:
         )
 
     def _integrate(
-        self,
-        gradients: NDArray[np.float32],
-        confidence: NDArray[np.float32],
-        untouched: NDArray[np.bool_],
-        gradients_sigma: NDArray[np.float32] | None,
-    ) -> tuple[Integration, NDArray[np.float32] | None]:
-        """Depth of the slopes, weighted and anchored where the solver can, and its standard deviation.
+        self, read: _Read
+    ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
+        """Depth of the slopes, weighted and anchored where the solver can, its standard deviation, and differences'.
 
-        That has two parts: errors of slopes here and there, and what all slopes have in common, which moves depth
-        in proportion.
+        It has two parts: errors of slopes here and there, and what all have in common, which moves depth in proportion.
         """
-        how: dict[str, Any] = {"zero": untouched}
+        how: dict[str, Any] = {"zero": read.untouched}
         if takes_weights(self.solver):
-            how = {"weights": confidence, "anchor": self._anchor(gradients, untouched, confidence)}
+            anchor = self._anchor(read.observed, read.untouched, read.confidence)
+            how = {"weights": read.confidence, "anchor": anchor}
         sigma_of: Work | None = None
-        if self._depth_sigma is not None and gradients_sigma is not None:
-            sigma_of = self._start(partial(self._depth_sigma, gradients_sigma, **how, rest=untouched))
-        solution = integrate(gradients, mm_per_px=self._pitch, solver=self.solver, **how)
-        if sigma_of is None:
-            return solution, None
+        if self._depth_sigma is not None and read.observed_sigma is not None:
+            known = {**how, "rest": read.untouched}
+            sigma_of = self._start(partial(self._depth_sigma, read.observed_sigma, **known))
+        solution = integrate(read.observed, mm_per_px=self._pitch, solver=self.solver, **how)
+        if self._depth_sigma is None or read.observed_sigma is None or sigma_of is None:
+            return solution, None, None
         # Not by cv2.magnitude, which rounds by the address of an array.
         in_proportion = self._gain_sigma * solution.depth_mm
-        return solution, np.sqrt(np.square(sigma_of()) + np.square(in_proportion))
+        sigma = np.sqrt(np.square(sigma_of()) + np.square(in_proportion))
+        parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gain_sigma
+        return solution, sigma, DepthDifference(*parts)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; color models that know none give none."""

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.errors import GelformError
+
 
 def test_normals_are_computed_when_asked_for(result):
     n = result.normals
@@ -48,3 +50,21 @@ def test_parts_of_other_shapes_are_refused(result):
         replace(result, confidence=None)
     with pytest.raises(ValueError, match=r"depth of shape \(H, W\)"):
         replace(result, depth=result.depth_mm[None])
+
+
+def test_a_loaded_result_has_no_difference_sigma_and_says_why(result):
+    with pytest.raises(GelformError, match="is not saved"):
+        result.depth_difference_sigma()
+
+
+def test_differences_are_of_the_contact_unless_a_region_is_given(result):
+    asked = []
+    fresh = replace(result, difference_source=asked.append)
+    fresh.depth_difference_sigma()
+    region = np.zeros(result.shape, dtype=bool)
+    region[2:4, 3:7] = True
+    fresh.depth_difference_sigma(region)
+    np.testing.assert_array_equal(asked[0], fresh.contact)
+    np.testing.assert_array_equal(asked[1], region)
+    with pytest.raises(ValueError, match="region"):
+        fresh.depth_difference_sigma(~np.ones(result.shape, dtype=bool))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +23,8 @@ _sigma_of_pixels = Kernel(
     "f32[rows,columns] variance, f32[h,w,slopes] sigma, f32[2] within, f32[4] fading, f32[h,w] weights, f32 floor, "
     "f32[h,w]? anchor, out f32[16,line] work, out f32[h,w] out",
 )
+# Variance of the probes is averaged over so many blocks (standard deviation).
+SMOOTHING_BLOCKS = 0.6
 LINES = 16  # scratch of `sigma_of_pixels`
 
 # What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels;
@@ -43,7 +46,7 @@ class Blocks:
 
     Attributes
     ----------
-    mask : (h, w) bool; anchored : bool; problem : its couplings
+    mask : (h, w) bool; anchored : bool; problem : its couplings; size : pixels across a block
     region : (h, w), pixels that are zero pixels, inside the mask
     white, common : (h, w, 2)
         Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones; `parts`
@@ -69,6 +72,7 @@ class Blocks:
         _sum_blocks(sigma, weights, mask, hold, region, floor, block, work, sums)
         count = sums[INSIDE]
         total = np.maximum(sums[WEIGHT], 1e-30)
+        self.size = block
         self.mask = count > 0
         self.anchored = anchor is not None
         weight = sums[WEIGHT] / np.maximum(count, 1)
@@ -99,6 +103,27 @@ class Blocks:
         usual = self._usual if self._known is None else fill_unknown(self._usual, self._known)
         density = self.region[..., None] / np.maximum(usual, 1e-30) * (usual > 0)
         return np.asarray(density / density.sum(axis=(0, 1)), dtype=np.float32)
+
+
+def less_mean(depths: NDArray[np.float32], pixels: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
+    """Depths (h, w, probes) of blocks less the mean of each probe over pixels (H, W)."""
+    height, width, probes = depths.shape
+    padded = np.zeros((height * block, width * block), dtype=np.float32)
+    padded[: pixels.shape[0], : pixels.shape[1]] = pixels
+    share = padded.reshape(height, block, width, block).sum(axis=(1, 3)).ravel()
+    flat = depths.reshape(-1, probes)
+    mean = (share / max(float(share.sum()), 1.0)).astype(np.float32) @ flat
+    return np.asarray((flat - mean).reshape(height, width, probes))
+
+
+def smoothed(variance: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Averaged over neighbours inside the mask."""
+    blur = (0, 0), SMOOTHING_BLOCKS
+    if mask.all():
+        return np.asarray(cv2.GaussianBlur(variance, *blur)).reshape(mask.shape)
+    inside = cv2.GaussianBlur(mask.astype(np.float32), *blur).reshape(mask.shape)
+    smooth = cv2.GaussianBlur(np.where(mask, variance, 0).astype(np.float32), *blur).reshape(mask.shape)
+    return np.asarray(smooth / np.maximum(inside, 1e-6), dtype=np.float32)
 
 
 def sigma_of_pixels(

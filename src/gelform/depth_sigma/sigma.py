@@ -23,7 +23,7 @@ from gelform.checks import (
     check_within,
     value_range,
 )
-from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, sigma_of_pixels
+from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, less_mean, sigma_of_pixels, smoothed
 from gelform.depth_sigma.closed_form import (
     correlation_of_blocks,
     fading_within_blocks,
@@ -40,8 +40,6 @@ from gelform.zero import Level, Zero, fitted_surface, zero_region
 BLOCKS = 2300
 BLOCK_PX = 2, 6
 MOST_PX, MOST_PROBES = 20_000, 10_000
-# Variance of the probes is averaged over so many blocks (standard deviation).
-SMOOTHING_BLOCKS = 0.6
 
 
 class DepthSigma:
@@ -122,6 +120,7 @@ class DepthSigma:
         zero: Zero | NDArray[np.bool_] = "mean",
         level: Level | None = None,
         rest: ArrayLike | None = None,
+        against: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
         """Standard deviation of depth, (H, W) float32, mm, of one frame.
 
@@ -132,6 +131,8 @@ class DepthSigma:
             As for `depth_from_gradients`; weights per pixel.
         rest : (H, W) bool, optional
             Where nothing touches, and errors are correlated as they are there; nowhere by default.
+        against : (H, W) bool
+            Of depth minus its mean over these pixels, which all their errors share: that of the shape.
         """
         shape = self.shape
         sigma = _checked_sigma(gradients_sigma, shape)
@@ -147,7 +148,10 @@ class DepthSigma:
         blocks = Blocks(sigma, weight, inside, hold, region, floor, self.block, parts)
         median = blocks.share_in_median() if level == "slope" else None
         depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
-        variance = _smoothed(_variance(depths, blocks, level), blocks.mask)
+        pixels = None
+        if against is not None:
+            pixels = check_mask(against, shape=shape, name="against") & inside
+        variance = smoothed(_variance(depths, blocks, level, pixels), blocks.mask)
         return self._of_pixels(variance, self.parts.within_blocks(sigma, still), weight, floor, hold)
 
     def _of_pixels(
@@ -276,8 +280,10 @@ def _ones(shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
     return np.ones(shape, dtype=dtype)
 
 
-def _variance(depths: NDArray[np.float32], blocks: Blocks, level: Level | None) -> NDArray[np.float32]:
-    """Mean square over the probes of depth (h, w, probes) against its zero."""
+def _variance(
+    depths: NDArray[np.float32], blocks: Blocks, level: Level | None, against: NDArray[np.bool_] | None
+) -> NDArray[np.float32]:
+    """Mean square over the probes of depth (h, w, probes) against its zero, or its mean over pixels (H, W)."""
     if not blocks.anchored:
         zero = blocks.region if blocks.region.any() else blocks.mask.astype(np.float32)
         flat = depths.reshape(-1, depths.shape[2])
@@ -286,14 +292,6 @@ def _variance(depths: NDArray[np.float32], blocks: Blocks, level: Level | None) 
         fields = np.moveaxis(depths, -1, 0)
         surface = fitted_surface(fields, blocks.region > 0, 1 if level == "plane" else 2)
         depths = depths - np.moveaxis(surface, 0, -1)
+    if against is not None:
+        depths = less_mean(depths, against, blocks.size)
     return np.asarray(np.einsum("ijk,ijk->ij", depths, depths) / np.float32(depths.shape[2]))
-
-
-def _smoothed(variance: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Averaged over neighbours inside the mask."""
-    blur = (0, 0), SMOOTHING_BLOCKS
-    if mask.all():
-        return np.asarray(cv2.GaussianBlur(variance, *blur)).reshape(mask.shape)
-    inside = cv2.GaussianBlur(mask.astype(np.float32), *blur).reshape(mask.shape)
-    smooth = cv2.GaussianBlur(np.where(mask, variance, 0).astype(np.float32), *blur).reshape(mask.shape)
-    return np.asarray(smooth / np.maximum(inside, 1e-6), dtype=np.float32)

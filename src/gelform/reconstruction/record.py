@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gelform.background.change import Finding
-from gelform.checks import check_mm_per_px
+from gelform.checks import check_mask, check_mm_per_px
 from gelform.contact import Contact, contacts_from_mask
 from gelform.errors import GelformError
 from gelform.markers import MarkerFlow
@@ -46,7 +46,7 @@ class Reconstruction:
     markers : how far the gel's marker dots have moved; None where the gel has none
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : of the calibration that was used
-    albedo_source : gives the albedo when it is asked for; not saved
+    albedo_source, difference_source : give `albedo` and `depth_difference_sigma` when they are asked for; not saved
     """
 
     depth: NDArray[np.float32]
@@ -69,6 +69,9 @@ class Reconstruction:
     wall_time_ns: int | None = None
     calibration_digest: str = ""
     albedo_source: Callable[[], NDArray[np.float32]] | None = field(default=None, repr=False)
+    difference_source: Callable[[NDArray[np.bool_]], NDArray[np.float32]] | None = field(
+        default=None, repr=False
+    )
 
     def __post_init__(self) -> None:
         shape = np.shape(self.depth)
@@ -109,6 +112,31 @@ class Reconstruction:
         None for other models, which do not tell a darker gel from a steeper one, and for loaded results.
         """
         return None if self.albedo_source is None else self.albedo_source()
+
+    def depth_difference_sigma(self, region: ArrayLike | None = None) -> NDArray[np.float32]:
+        """Standard deviation (H, W), mm, of the depth minus its mean over a region: that of the shape.
+
+        Depth is measured against gel at rest, and most of its error is alike over a contact: it is in `depth_sigma_mm`
+        and not in a difference of two depths of the contact. Takes as long as a frame.
+
+        Parameters
+        ----------
+        region : (H, W) bool; all of `contact` by default
+
+        Raises
+        ------
+        GelformError
+            The result was loaded from a file, or has no depth_sigma_mm.
+        ValueError, TypeError
+            No mask of that shape, or one without a pixel.
+        """
+        if self.difference_source is None:
+            raise GelformError(
+                "Expected a result fresh from a Reconstructor that states depth_sigma_mm: how errors of depth hang "
+                "together is not saved. Reconstruct the frame again, with depth_sigma=True and a calibration of balls."
+            )
+        pixels = check_mask(self.contact if region is None else region, shape=self.shape, name="region")
+        return self.difference_source(pixels)
 
     @property
     def depth_mm(self) -> NDArray[np.float32]:
