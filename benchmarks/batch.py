@@ -1,59 +1,73 @@
-"""Frames a second of a batch of PNG files, the memory of its workers, and how long going on takes.
+"""Data sets: frames a second, memory of a worker, kills, corrupt inputs, a full disk, a million entries, lossy video.
 
-    python benchmarks/batch.py            # 20,000 frames of 240x320; writes results/batch.json
-    python benchmarks/batch.py --quick    # 100 frames, writes nothing; the start of the processes counts
+    python benchmarks/batch.py                    # all of it into results/batch.json: about 45 minutes on 2 cores
+    python benchmarks/batch.py rates              # one part of it: rates, memory, scan, kills, corrupt, disk, lossy
+    python benchmarks/batch.py --quick            # small everything, writes nothing: about 4 minutes
 
-Input and output lie in a temporary folder (TMPDIR). The frames are a simulated sensor's, a few different ones under many
-names, so that making them takes no longer than reading them.
+The rows of Ray are left out, and said to be, where ray is not installed. All files lie in a temporary folder (TMPDIR).
+The frames are a simulated sensor's, a few different ones under many names, so that making them takes no longer than reading
+them.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import batch_faults
 import gelform
 from gelform.batch import BatchSettings, verify_output
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
-from gelform.batch.records import COLUMNS, PartRecord, write_record
+from gelform.batch.records import PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
+from gelform.batch.table import COLUMNS
 from gelform.exporters.folders import write_png
 from gelform.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
-from report import table, write
+from report import RESULTS, write
 
 SHAPE, DIFFERENT = (240, 320), 40
 PER_FOLDER = 2000
+WORKERS = os.cpu_count() or 1
+FAST: dict[str, Any] = {"solver": "dct", "depth_sigma": False, "keep": ("depth",)}
 SETTINGS = {
-    "dct, depth only, npz": BatchSettings(keep=("depth",), solver="dct", depth_sigma=False),
-    "dct, depth only, png": BatchSettings(form="png", solver="dct", depth_sigma=False),
-    "weighted, npz": BatchSettings(),
-    "weighted, without sigma, npz": BatchSettings(depth_sigma=False),
+    "dct, depth only, npz": BatchSettings(**FAST),
+    "dct, depth only, Zarr uint16": BatchSettings("zarr", dtype="uint16", **FAST),
+    "dct, depth only, png": BatchSettings("png", **FAST),
+    "default (weighted), npz": BatchSettings(),
 }
+REACH_PER_S = {
+    "dct, depth only, npz": 600,
+    "dct, depth only, Zarr uint16": 500,
+    "default (weighted), npz": 250,
+}
+ON_RAY = "dct, depth only, Zarr uint16"
 RATE = """
 import sys, time, resource
-from gelform.batch import run_batch
-sys.path.insert(0, {here!r})
+from gelform.batch import Engine, run_batch
+source, calibration, output, name, engine, workers, here = sys.argv[1:]
+sys.path.insert(0, here)
 from batch import SETTINGS
 if __name__ == "__main__":
     begin = time.perf_counter()
-    summary = run_batch({source!r}, {calibration!r}, {output!r}, SETTINGS[{name!r}], workers={workers})
+    summary = run_batch(source, calibration, output, SETTINGS[name], engine=Engine(engine, int(workers)))
     seconds = time.perf_counter() - begin
     assert summary.complete and not summary.errors
-    workers_kb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    print(summary.frames / seconds, workers_kb / 1024)
+    print(summary.frames / seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
 """
 
 
@@ -76,29 +90,48 @@ def make_input(folder: Path, count: int) -> Path:
     return folder / "cal.npz"
 
 
-def rate(folder: Path, calibration: Path, name: str, workers: int) -> dict[str, Any]:
+def rate(folder: Path, source: Path, name: str, engine: str = "pool") -> dict[str, Any]:
     """Frames a second from the start of the run to its table, and the most that a worker's memory held."""
     with tempfile.TemporaryDirectory(dir=folder) as output:
-        code = RATE.format(
-            here=str(Path(__file__).parent),
-            source=str(folder / "in"),
-            calibration=str(calibration),
-            output=str(Path(output) / "out"),
-            name=name,
-            workers=workers,
-        )
-        program = folder / "run.py"
-        program.write_text(code)
-        ran = subprocess.run([sys.executable, program], check=True, capture_output=True, text=True)
+        program, written = folder / "run.py", Path(output) / "out"
+        program.write_text(RATE)
+        here = Path(__file__).parent
+        arguments = [source, folder / "cal.npz", written, name, engine, WORKERS, here]
+        command = [sys.executable, program, *map(str, arguments)]
+        ran = subprocess.run(command, check=True, capture_output=True, text=True)
         frames_per_s, worker_mb = map(float, ran.stdout.split())
-        verified = verify_output(Path(output) / "out")
-        assert not verified[1]
-        assert not verified[2]
-    return {"settings": name, "workers": workers, "frames_per_s": frames_per_s, "worker_mb": worker_mb}
+        assert verify_output(written)[1:] == (0, [])
+    measured = {"settings": name, "engine": engine, "workers": WORKERS, "frames_per_s": frames_per_s}
+    return measured | ({"worker_mb": worker_mb} if engine == "pool" else {})
 
 
-def going_on(folder: Path, entries: int) -> dict[str, Any]:
+def rates(folder: Path, quick: bool) -> dict[str, Any]:
+    """Of each setting; of Ray beside the pool."""
+    count = 200 if quick else 20_000
+    make_input(folder, count)
+    rows = [rate(folder, folder / "in", name) for name in SETTINGS]
+    found: dict[str, Any] = {"frames": count, "shape": SHAPE, "reach_frames_per_s": REACH_PER_S, "rows": rows}
+    if find_spec("ray") is None:
+        return found | {"ray": "not installed"}
+    rows.append(rate(folder, folder / "in", ON_RAY, "ray"))
+    pool = next(row for row in rows if row["settings"] == ON_RAY)
+    return found | {
+        "ray_over_pool": rows[-1]["frames_per_s"] / pool["frames_per_s"],
+        "reach_ray_over_pool": 0.6,
+    }
+
+
+def memory(folder: Path, quick: bool) -> dict[str, Any]:
+    """Of a worker, for a tenth of the data set and for all of it."""
+    make_input(folder, 4000 if quick else 20_000)
+    name = "dct, depth only, Zarr uint16"
+    some, every = (rate(folder, source, name)["worker_mb"] for source in (folder / "in/0000", folder / "in"))
+    return {"settings": name, "worker_mb_of_2000": some, "worker_mb_of_all": every, "reach_mb": 600}
+
+
+def scan(folder: Path, quick: bool) -> dict[str, Any]:
     """Seconds to list, plan and look at an output of many frames that is done; inputs and outputs are empty files."""
+    entries = 20_000 if quick else 1_000_000
     source, output = folder / "many", folder / "many-out"
     for k in range(entries):
         path = source / f"{k // 10_000:04d}" / f"{k:08d}.png"
@@ -106,20 +139,20 @@ def going_on(folder: Path, entries: int) -> dict[str, Any]:
             path.parent.mkdir(parents=True)
             (output / "frames" / path.parent.name).mkdir(parents=True)
         os.close(os.open(path, os.O_CREAT))
-    plan = plan_of(listing_of(source), 256)
-    for part in plan:
+    for part in plan_of(listing_of(source), 256):
         rows = [_row(part.sequence, name, part.start + k) for k, name in enumerate(part.names)]
         for row in rows:
             os.close(os.open(output / row["output"], os.O_CREAT))
         write_record(output, part.number, PartRecord(part.input_digest(), tuple(rows)))
+    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = time.perf_counter()
     plan = plan_of(listing_of(source), 256)
     listed_s = time.perf_counter() - begin
-    todo = list(_not_done(output, plan, BatchSummary(), False))
+    assert not list(_not_done(output, plan, BatchSummary(), False))
     seconds = time.perf_counter() - begin
-    assert not todo
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"entries": entries, "listing_s": listed_s, "resume_scan_s": seconds, "peak_mb": peak_mb}
+    found = {"entries": entries, "listing_s": listed_s, "resume_scan_s": seconds, "reach_s": 60}
+    return found | {"peak_mb": peak_mb, "peak_mb_before": before_mb, "reach_mb": 1000}
 
 
 def _row(sequence: str, name: str, index: int) -> dict[str, Any]:
@@ -129,27 +162,56 @@ def _row(sequence: str, name: str, index: int) -> dict[str, Any]:
     return {**dict.fromkeys(COLUMNS, ""), **where, **figures, "bytes": 0, "sha256": "0" * 64}
 
 
-def measured(count: int, entries: int, workers: Sequence[int]) -> dict[str, Any]:
-    """All of it in one temporary folder."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        calibration = make_input(folder, count)
-        rates = [rate(folder, calibration, one, number) for one in SETTINGS for number in workers]
-        return {"frames": count, "shape": SHAPE, "rates": rates, "going_on": going_on(folder, entries)}
+def with_input(
+    measure: Callable[[Path, int], dict[str, Any]], frames: int, rounds: int, quick: bool
+) -> Callable[[Path], dict[str, Any]]:
+    """A measurement that wants some frames in a folder first."""
+
+    def measured(folder: Path) -> dict[str, Any]:
+        make_input(folder, frames // 5 if quick else frames)
+        return measure(folder, 2 if quick else rounds)
+
+    return measured
+
+
+def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
+    """Name -> what measures in a temporary folder."""
+    return {
+        "rates": lambda folder: rates(folder, quick),
+        "memory": lambda folder: memory(folder, quick),
+        "scan": lambda folder: scan(folder, quick),
+        "kills": with_input(batch_faults.kills, 400, 20, quick),
+        "corrupt": with_input(batch_faults.corrupt, 2000, 1, quick),
+        "disk": with_input(batch_faults.disk, 400, 1, quick),
+        "lossy": with_input(batch_faults.lossy, DIFFERENT, 1, False),
+    }
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def main() -> None:
     """Measure, print and, where it is not the quick mode, write."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("part", nargs="*", help=f"of {', '.join(parts(True))}; all without")
     parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
-    workers = [os.cpu_count() or 1]
-    figures = measured(100, 1000, workers) if quick else measured(20_000, 1_000_000, workers)
-    rows = [list(one.values()) for one in figures["rates"]]
-    print(table(("settings", "workers", "frames/s", "MB of a worker"), rows))
-    print(table(tuple(figures["going_on"]), [list(figures["going_on"].values())]))
-    if not quick:
-        write("batch", figures)
+    arguments = parser.parse_args()
+    there = RESULTS / "batch.json"
+    figures = json.loads(there.read_text()) if there.exists() else {}
+    figures.pop("machine", None)
+    for name in arguments.part or parts(True):
+        begin = time.perf_counter()
+        with tempfile.TemporaryDirectory() as folder:
+            figures[name] = parts(arguments.quick)[name](Path(folder))
+        figures[name]["took_s"] = round(time.perf_counter() - begin)
+        print(f"\n{name}")
+        for row in figures[name].get("rows", [figures[name]]):
+            print("  " + ", ".join(f"{key} {_text(value)}" for key, value in row.items()), flush=True)
+        if not arguments.quick:
+            write("batch", figures)
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ def written_file(
     check_free(path, overwrite=overwrite, error=error)
     temporary = path.parent / f".gelform-{secrets.token_hex(6)}.tmp"
     try:
-        with open(temporary, "xb") as handle:
+        with open(temporary, "x+b") as handle:
             yield handle
             handle.flush()
             os.fsync(handle.fileno())

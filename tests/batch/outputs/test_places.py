@@ -1,11 +1,13 @@
 """What is recorded of a file is what is there."""
 
+import errno
 import hashlib
+import io
 
 import pytest
 
 from gelform.batch.inputs.plan import Part
-from gelform.batch.outputs.places import OutputFile, Place, output_file
+from gelform.batch.outputs.places import OutputFile, Place, RememberingFile, output_file
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 
@@ -19,3 +21,22 @@ def test_a_file_as_written(tmp_path):
     (tmp_path / "frames/a/b/y").mkdir()
     with pytest.raises(DataError, match="got the folder"):
         place.write(place.folder / "y", b"")
+
+
+class FullDisk(io.BytesIO):
+    """Takes ten bytes."""
+
+    def write(self, content):
+        if self.tell() + len(content) > 10:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(content)
+
+
+def test_the_first_error_is_remembered():
+    file = RememberingFile(FullDisk())
+    assert file.write(b"12345678") == 8
+    file.check()
+    assert file.write(b"12345678") == 8
+    assert file.write(b"1") == 1
+    with pytest.raises(OSError, match="No space left"):
+        file.check()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.batch.extras import needed
 from gelform.batch.outputs.maps import blank_maps, maps_of
-from gelform.batch.outputs.places import FRAMES, OutputFile, Place, output_file
+from gelform.batch.outputs.places import FRAMES, OutputFile, Place, RememberingFile, output_file
 from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
@@ -41,14 +41,18 @@ class DepthVideo:
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(levels), format="gray16le")
         frame.pts, frame.time_base = self._count, Fraction(1, RATE_HZ)
         self._file.mux(self._stream.encode(frame))
+        self._handle.check()
         self._count += 1
         return {} if prepared is None else {"output": self._place.name_of(self._path)}
 
     def __enter__(self) -> DepthVideo:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        handle = self._open.enter_context(written_file(self._path, overwrite=True))
+        self._handle = RememberingFile(self._open.enter_context(written_file(self._path, overwrite=True)))
+        self._open.callback(self._handle.check)
         bitexact = {"fflags": "bitexact"}  # no random identifiers
-        self._file = self._open.enter_context(self._av.open(handle, "w", format="matroska", options=bitexact))
+        self._file = self._open.enter_context(
+            self._av.open(self._handle, "w", format="matroska", options=bitexact)
+        )
         self._stream = self._file.add_stream("ffv1", rate=RATE_HZ, options=OPTIONS)
         self._stream.height, self._stream.width = self._place.shape
         self._stream.pix_fmt = "gray16le"

@@ -13,7 +13,7 @@ from typing import Any
 
 from gelform.batch.extras import needed
 from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
-from gelform.batch.outputs.places import FRAMES, Maps, OutputFile, Place, output_file
+from gelform.batch.outputs.places import FRAMES, Maps, OutputFile, Place, RememberingFile, output_file
 from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
@@ -44,13 +44,15 @@ class Hdf5Files:
             if self._count == len(dataset):  # of a video, whose frames were not counted
                 dataset.resize(self._count + 1, axis=0)
             dataset[self._count] = values
+        self._handle.check()
         self._count += 1
         return {} if prepared is None else {"output": self._place.name_of(self._path)}
 
     def __enter__(self) -> Hdf5Files:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        handle = self._open.enter_context(written_file(self._path, overwrite=True))
-        self._file = self._open.enter_context(self._h5py.File(handle, "w"))
+        self._handle = RememberingFile(self._open.enter_context(written_file(self._path, overwrite=True)))
+        self._open.callback(self._handle.check)
+        self._file = self._open.enter_context(self._h5py.File(self._handle, "w"))
         for name, blank in self._blank.items():
             dataset = self._file.create_dataset(
                 name,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from numpy.typing import NDArray
 
@@ -77,3 +77,55 @@ def output_file(output: Path, path: Path) -> OutputFile:
             sha.update(piece)
             size += len(piece)
     return OutputFile(path.relative_to(output).as_posix(), size, sha.hexdigest())
+
+
+class RememberingFile:
+    """A file for libraries in C that lose or only print why a write failed.
+
+    The first error is kept for `check`; what is written after it goes nowhere.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._problem: OSError | None = None
+
+    def check(self) -> None:
+        """Raise the OSError that a write met."""
+        if self._problem is not None:
+            raise self._problem
+
+    def write(self, content: Any) -> int:
+        """All of it, or nothing after an error."""
+        return int(self._tried(lambda: self._file.write(content), len(content)))
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """As of a file; writes what was buffered."""
+        return int(self._tried(lambda: self._file.seek(offset, whence), offset))
+
+    def truncate(self, size: int | None = None) -> int:
+        """As of a file."""
+        return int(self._tried(lambda: self._file.truncate(size), size or 0))
+
+    def flush(self) -> None:
+        """As of a file."""
+        self._tried(self._file.flush, None)
+
+    def tell(self) -> int:
+        """As of a file."""
+        return int(self._tried(self._file.tell, 0))
+
+    def read(self, size: int = -1) -> bytes:
+        """As of a file."""
+        return bytes(self._tried(lambda: self._file.read(size), b""))
+
+    def readinto(self, buffer: Any) -> int:
+        """As of a file."""
+        return int(self._tried(lambda: self._file.readinto(buffer), 0))  # type: ignore[attr-defined]
+
+    def _tried(self, action: Callable[[], Any], otherwise: Any) -> Any:
+        if self._problem is None:
+            try:
+                return action()
+            except OSError as problem:
+                self._problem = problem
+        return otherwise

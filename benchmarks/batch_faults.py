@@ -1,0 +1,204 @@
+"""What is done to a batch on purpose: processes killed, inputs torn, a disk filled, a video compressed. See `batch.py`."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import gelform
+from gelform.batch import BatchSettings, run_batch, verify_output
+from gelform.errors import DataError
+
+SETTINGS = BatchSettings("npz", keep=("depth",), solver="dct", depth_sigma=False, part_frames=16)
+DRIVER = """
+import sys
+from gelform.batch import Engine, run_batch
+source, calibration, output, engine, here = sys.argv[1:]
+sys.path.insert(0, here)
+from batch_faults import SETTINGS
+if __name__ == "__main__":
+    run_batch(source, calibration, output, SETTINGS, engine=Engine(engine, 2), table="csv")
+"""
+CODECS = [  # name of encoder, pixels, options
+    ("libsvtav1", "yuv420p", {"crf": "30", "g": "2"}),
+    ("libsvtav1", "yuv420p", {"crf": "10", "g": "2"}),
+    ("libx264", "yuv420p", {"crf": "23"}),
+    ("libx264", "yuv444p", {"crf": "10"}),
+    ("libx264rgb", "rgb24", {"crf": "0"}),
+    ("mjpeg", "yuvj420p", {"qscale": "3"}),
+]
+
+
+def kills(folder: Path, rounds: int) -> dict[str, Any]:
+    """SIGKILL at random moments of a worker and of the driver, then the same command: the bytes of an undisturbed run."""
+    (folder / "driver.py").write_text(DRIVER)
+    rows, rng = [], np.random.default_rng(16)
+    for engine in ("pool", "ray"):
+        if engine == "ray" and find_spec("ray") is None:
+            rows.append({"engine": engine, "killed": "left out: not installed"})
+            continue
+        begin = time.monotonic()
+        started(folder, folder / engine, engine).wait()
+        usual_s, whole = time.monotonic() - begin, tree(folder / engine)
+        for who in ("worker", "driver"):
+            equal = killed = went_on = 0
+            for k in range(rounds):
+                output = folder / f"{engine}-{who}-{k}"
+                done, hit = kill_once(folder, output, engine, who, rng.uniform(0, usual_s))
+                killed, went_on = killed + hit, went_on + done
+                again = started(folder, output, engine).wait() == 0
+                equal += again and tree(output) == whole and verify_output(output)[2] == []
+            row = {"engine": engine, "killed": who, "rounds": rounds, "kills_that_hit": killed}
+            rows.append({**row, "run_went_on_by_itself": went_on, "byte_equal": equal})
+    return {"frames": len(list((folder / "in").rglob("*.png"))), "usual_s": usual_s, "rows": rows}
+
+
+def started(folder: Path, output: Path, engine: str) -> subprocess.Popen[bytes]:
+    """The same command each time."""
+    arguments = [folder / "in", folder / "cal.npz", output, engine, Path(__file__).parent]
+    command = [sys.executable, folder / "driver.py", *arguments]
+    return subprocess.Popen(list(map(str, command)), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def kill_once(folder: Path, output: Path, engine: str, who: str, after_s: float) -> tuple[bool, bool]:
+    """Kill one process of a run; gives whether the run ended well all the same, and whether there was one to kill."""
+    process = started(folder, output, engine)
+    time.sleep(after_s)
+    below = descendants(process.pid)
+    mark = b"spawn_main" if engine == "pool" else b"ray::"
+    victims = [one for one in below if mark in command_of(one)] if who == "worker" else [process.pid]
+    hit = process.poll() is None and bool(victims)
+    if hit:
+        os.kill(victims[int(after_s * 1e6) % len(victims)], signal.SIGKILL)
+    ended_well = process.wait() == 0
+    deadline = time.monotonic() + 60
+    while any(alive(one) for one in below) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(alive(one) for one in below), "processes outlived their driver by a minute"
+    return ended_well, hit
+
+
+def descendants(number: int) -> list[int]:
+    """Processes below one, as far as they are its children still."""
+    try:
+        tasks = Path(f"/proc/{number}/task").iterdir()
+        children = [int(one) for task in tasks for one in (task / "children").read_text().split()]
+    except OSError:
+        return []
+    return [*children, *(one for child in children for one in descendants(child))]
+
+
+def command_of(number: int) -> bytes:
+    """What a process was started with, or calls itself; empty of one that has ended."""
+    try:
+        return Path(f"/proc/{number}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def alive(number: int) -> bool:
+    """Whether a process runs; one that has ended and was not waited for does not."""
+    return bool(command_of(number))
+
+
+def tree(output: Path) -> dict[str, str]:
+    """Every file that is no leftover, with its digest."""
+    files = (path for path in output.rglob("*") if path.is_file() and not path.name.startswith("."))
+    return {str(p.relative_to(output)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def corrupt(folder: Path, rounds: int) -> dict[str, Any]:
+    """One image of a hundred truncated, of another size, empty, or a text: each with its reason, the others done."""
+    images = sorted((folder / "in").rglob("*.png"))
+    ways = {"truncated": "truncated", "size": "shape", "empty": "is empty", "text": "no image"}
+    broken: dict[str, str] = {}
+    for k, path in enumerate(images[::100]):
+        way = list(ways)[k % 4]
+        broken[path.stem] = way
+        content = path.read_bytes()
+        if way == "size":
+            cv2.imwrite(str(path), np.zeros((48, 64, 3), np.uint8))
+        else:
+            path.write_bytes({"truncated": content[: len(content) // 2], "empty": b"", "text": b"no\n"}[way])
+    summary = run_batch(folder / "in", folder / "cal.npz", folder / "out", SETTINGS, table="csv")
+    lines = (folder / "out/frames.csv").read_text().splitlines()[1:]
+    errors = {line.split(",")[1]: line for line in lines if not line.split(",")[3]}
+    reasons = {
+        way: next(errors[stem] for stem in broken if broken[stem] == way)[-120:]
+        for way in set(broken.values())
+    }
+    done = summary.frames - summary.errors
+    exact = errors.keys() == broken.keys() and verify_output(folder / "out")[0] == done
+    return {
+        "frames": len(images),
+        "corrupt": len(broken),
+        "errors": len(errors),
+        "done": done,
+        "exact": exact,
+    } | {"reasons": reasons}
+
+
+def disk(folder: Path, rounds: int) -> dict[str, Any]:
+    """A disk that is full in the middle of a run, for each form: the error, what is wrong then, and the run gone on with."""
+    rows = []
+    for form in ("npz", "zarr", "hdf5", "ffv1"):
+        small = folder / "disk"
+        small.mkdir(exist_ok=True)
+        size = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(small)]
+        if subprocess.run(size, capture_output=True).returncode:
+            return {"left out": "a small file system cannot be mounted here"}
+        settings = BatchSettings(form, keep=("depth",), solver="dct", depth_sigma=False, part_frames=16)
+        try:
+            (small / "filler").write_bytes(bytes(7_800_000))
+            said = ""
+            try:
+                run_batch(folder / "in", folder / "cal.npz", small / "out", settings)
+            except DataError as problem:
+                said = str(problem)[-80:]
+            wrong = [one.what for one in verify_output(small / "out")[2] if "not done" not in one.what]
+            (small / "filler").unlink()
+            subprocess.run(["mount", "-o", "remount,size=1g", str(small)], check=True)
+            complete = run_batch(folder / "in", folder / "cal.npz", small / "out", settings).complete
+            whole = complete and not verify_output(small / "out")[2]
+            rows.append({"form": form, "error": said, "wrong_then": len(wrong), "whole_after": whole})
+        finally:
+            subprocess.run(["umount", "-l", str(small)], check=True)
+    return {"rows": rows}
+
+
+def lossy(folder: Path, rounds: int) -> dict[str, Any]:
+    """Depth from frames that went through a video against depth from the frames themselves."""
+    import av
+
+    reconstruct = gelform.Reconstructor(gelform.load_calibration(folder / "cal.npz"))
+    frames = [gelform.read_image(path) for path in sorted((folder / "in").rglob("*.png"))]
+    exact = [reconstruct.from_image(frame) for frame in frames]
+    rows = []
+    for codec, pixels, options in CODECS:
+        path = folder / ("video.mkv" if codec == "mjpeg" else "video.mp4")
+        with av.open(str(path), "w") as file:
+            stream = file.add_stream(codec, rate=30, options=options)
+            stream.height, stream.width, stream.pix_fmt = *frames[0].shape[:2], pixels
+            for frame in frames:
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+            file.mux(stream.encode())
+        with av.open(str(path)) as file:
+            seen = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+        errors = []
+        for image, truth in zip(seen, exact, strict=True):
+            difference = reconstruct.from_image(image).depth_mm - truth.depth_mm
+            errors.append(1e3 * np.sqrt(np.mean(difference[truth.contact] ** 2)))
+        label = f"{codec} {pixels} {' '.join(f'{name} {value}' for name, value in options.items())}"
+        size = path.stat().st_size / 1e3 / len(frames)
+        rows.append({"video": label, "depth_rms_um_in_contact": float(np.median(errors)), "kb_a_frame": size})
+    return {"frames": len(frames), "rows": rows}
