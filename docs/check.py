@@ -1,6 +1,10 @@
-"""Check the documents: every relative link resolves, every Python block of the README and docs runs.
+"""Check the documents: every relative link resolves, its heading too, every Python block of the README and docs runs.
 
-    python docs/check.py
+    python docs/check.py            # all pages
+    python docs/check.py PAGE.md    # that page alone
+    python docs/check.py --links    # links and commands only: a second
+
+A link from a name to a source file, as [`calibrate`](../src/gelform/calibration/fit.py), has to lead to its definition.
 
 The blocks of a page run in order in one namespace, in a temporary folder of the page's own. A block after a line that holds
 `<!-- not run` is left out: it needs hardware or a user's own files.
@@ -17,14 +21,47 @@ from pathlib import Path
 from gelform.cli import command_names
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    *sorted(ROOT.glob("*.md")),
+    *sorted(page for page in (ROOT / "docs").rglob("*.md") if "_build" not in page.parts),
+]
+LINK = re.compile(r"\[([^\]]*)\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
+BLOCK = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
-def broken_links(page: Path) -> list[str]:
-    """Relative links of a page that lead nowhere."""
-    targets = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
-    relative = [target for target in targets if "://" not in target and not target.startswith("mailto:")]
-    return [f"{page.relative_to(ROOT)}: {t}" for t in relative if not (page.parent / t).exists()]
+def broken_links(page: Path, root: Path = ROOT) -> list[str]:
+    """Relative links of a page that lead nowhere: no file, no such heading, no such name in a source file."""
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    found = [match for match in LINK.findall(text) if "://" not in match[1] and "mailto:" not in match[1]]
+    wrong = [_broken(page, *match) for match in found]
+    return [f"{page.relative_to(root)}: {problem}" for problem in wrong if problem]
+
+
+def _broken(page: Path, words: str, target: str, heading: str) -> str:
+    """What is wrong with one link, or nothing."""
+    path = page.parent / target if target else page
+    if not path.exists():
+        return target
+    if heading and path.suffix == ".md" and heading not in headings(path):
+        return f"{target}#{heading}"
+    name = re.fullmatch(r"`(\w+)`", words)
+    if name and path.suffix == ".py" and not _defines(path, name.group(1)):
+        return f"{target} defines no {name.group(1)}"
+    return ""
+
+
+def headings(page: Path) -> set[str]:
+    """The anchors of a page's headings, as forges make them."""
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    titles = [title.lower().replace("`", "") for title in re.findall(r"^#+ (.+)$", text, re.MULTILINE)]
+    return {re.sub(r"[^\w\- ]", "", title).replace(" ", "-") for title in titles}
+
+
+def _defines(path: Path, name: str) -> bool:
+    """Whether a source file defines a function, class or value of that name."""
+    return bool(
+        re.search(rf"^(?:def|class) {name}\b|^{name}\b.*=", path.read_text(encoding="utf-8"), re.MULTILINE)
+    )
 
 
 def python_blocks(page: Path) -> list[tuple[int, str]]:
@@ -59,10 +96,12 @@ def unknown_commands(page: Path) -> list[str]:
 
 def main() -> int:
     """Check every page; 1 where something is wrong."""
-    wrong = [problem for page in PAGES for problem in (*broken_links(page), *unknown_commands(page))]
+    named = [Path(name).resolve() for name in sys.argv[1:] if name != "--links"]
+    pages = named or PAGES
+    wrong = [problem for page in pages for problem in (*broken_links(page), *unknown_commands(page))]
     for problem in wrong:
         print(f"broken: {problem}")
-    for page in PAGES:
+    for page in [] if "--links" in sys.argv else pages:
         with tempfile.TemporaryDirectory() as folder:
             os.chdir(folder)
             run_blocks(page)

@@ -9,8 +9,10 @@ import pytest
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
 
-def test_there_are_examples():
-    assert len(EXAMPLES) >= 2
+def test_there_is_one_for_each_route():
+    routes = (EXAMPLES[0].parents[1] / "docs" / "routes.md").read_text(encoding="utf-8")
+    assert len(EXAMPLES) >= 8
+    assert [path.name for path in EXAMPLES if f"../examples/{path.name}" not in routes] == []
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -1,0 +1,40 @@
+"""The check of the documents finds links that lead nowhere."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+CHECK = Path(__file__).parents[2] / "docs" / "check.py"
+
+
+@pytest.fixture(scope="module")
+def check():
+    spec = importlib.util.spec_from_file_location("docs_check", CHECK)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("link", "right"),
+    [
+        ("[a](other.md)", True),
+        ("[a](gone.md)", False),
+        ("[a](other.md#its-heading-twice)", True),
+        ("[a](other.md#no-heading)", False),
+        ("[`found`](code.py)", True),
+        ("[`lost`](code.py)", False),
+        ("[a](https://e.org/gone)", True),
+        ("```\n[a](gone.md)\n```", True),
+    ],
+)
+def test_links(check, tmp_path, link, right):
+    (tmp_path / "page.md").write_text(f"# Page\n\n{link}\n")
+    (tmp_path / "other.md").write_text("# Other\n\n## Its `heading`, twice\n")
+    (tmp_path / "code.py").write_text("def found():\n    pass\n")
+    assert (check.broken_links(tmp_path / "page.md", tmp_path) == []) == right
+
+
+def test_every_page_s_links(check):
+    assert [problem for page in check.PAGES for problem in check.broken_links(page)] == []
