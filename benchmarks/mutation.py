@@ -31,6 +31,7 @@ from mutants.python_code import python_mutants
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results"
 EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
+OWN_TIMEOUT_S = 240.0  # of a whole test file, on a machine that does other things too
 PATH_TESTS = ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py")
 RELATED = {  # files of tests that hold what a module does beside its own
     "view": ("tests/test_lens.py",),
@@ -93,15 +94,15 @@ def candidates(module: str, wide: bool) -> list[str]:
 class Trial:
     """Mutants of one file in a copy of the checkout, each run against the tests that execute its line."""
 
-    def __init__(self, module: str, folder: Path, kept: Path, budget_s: float, wide: bool) -> None:
+    def __init__(self, module: str, folder: Path, kept: Path, budget_s: float, wide: bool, own: bool) -> None:
         self.module, self.folder, self.budget_s = module, folder, budget_s
         self.native = module.startswith("native/")
         self.file = folder / (module if self.native else f"src/gelform/{module}.py")
         self.source = self.file.read_text(encoding="utf-8")
         self.mutants = (c_mutants if self.native else python_mutants)(self.source)
-        self.tests = covering_tests(
-            folder, candidates(module, wide), {f"src/gelform/{one}.py" for one in modules()}, kept
-        )
+        self.whole = own_tests(module) if own else None
+        files = {f"src/gelform/{one}.py" for one in modules()}
+        self.tests = [] if own else covering_tests(folder, candidates(module, wide), files, kept)
 
     def judged(self, mutants: Sequence[Mutant]) -> dict[str, Any]:
         """Counts of the mutants that the tests notice, and those that they miss."""
@@ -130,6 +131,8 @@ class Trial:
 
     def _tests(self, one: Mutant) -> list[Test]:
         own = own_tests(self.module)
+        if self.whole:
+            return [Test(self.whole, OWN_TIMEOUT_S / 4, frozenset())]
         if self.native:
             return within_budget(self.tests, own, self.budget_s)
         executing = executing_tests(self.tests, self.file, self.source, one.line)
@@ -202,6 +205,17 @@ def counts_table() -> str:
     return table(["module", "mutants", "tried", "noticed", "equivalent", "missed"], [*rows, total])
 
 
+def equivalent_list() -> str:
+    """The mutants judged equivalent, by reason, as Markdown: how many of which modules."""
+    modules: dict[str, list[str]] = {}
+    for entry in json.loads(EQUIVALENT.read_text(encoding="utf-8")):
+        modules.setdefault(entry["because"], []).append(entry["module"])
+    return "\n".join(
+        f"- {because} ({', '.join(sorted(set(of)))}{f': {len(of)}' if len(of) > 1 else ''})."
+        for because, of in sorted(modules.items(), key=lambda item: (-len(item[1]), item[0]))
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="*", default=modules(), metavar="MODULE")
@@ -210,11 +224,14 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=10, help="seconds of tests of a mutant")
     parser.add_argument("--missed", action="store_true", help="only what the last run missed")
     parser.add_argument("--wide", action="store_true", help="by the tests of the whole room too")
+    parser.add_argument(
+        "--own", action="store_true", help="by its own test file as a whole: quick for few mutants"
+    )
     parser.add_argument("--keep", type=Path, help="folder for what later runs can use again")
     parser.add_argument("--table", action="store_true", help="print the counts so far, and try nothing")
     asked = parser.parse_args()
     if asked.table:
-        print(counts_table())
+        print(counts_table(), equivalent_list(), sep="\n\n")
         return
     with tempfile.TemporaryDirectory() as temporary:
         folder = copied(Path(temporary))
@@ -228,7 +245,10 @@ def main() -> None:
         }
         for module in asked.modules:
             shutil.rmtree((folder / "src" / "gelform" / module).parent / "__pycache__", ignore_errors=True)
-            trial = Trial(module, folder, kept, asked.budget, asked.wide)
+            trial = Trial(module, folder, kept, asked.budget, asked.wide, asked.own)
+            if trial.whole and not passes(folder, [trial.whole], OWN_TIMEOUT_S):
+                print(f"{module}: {trial.whole} does not pass as it is", flush=True)
+                continue
             if asked.missed:
                 figures = again(trial)
             else:

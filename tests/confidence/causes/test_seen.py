@@ -29,6 +29,10 @@ def test_what_is_unexplained_is_the_rms_of_the_channels():
     assert not seen(residual=None).unexplained().any()
 
 
+def test_what_is_nowhere_is_nothing():
+    assert not seen().where(None).any()
+
+
 def test_what_is_beyond_the_response_s_noise_counts_where_it_is_asked_for():
     """3.7 times the noise of 0.03; from 6.5 times on nothing would be left of a slope."""
     residual = np.zeros((40, 72, 3), np.float32)
