@@ -1,11 +1,12 @@
 """Blocks cover everything once, in order, and none is larger than it may be."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelform.color_models._shared.blocks import BLOCK_PX, blocks_of
 
 
+@settings(deadline=None)
 @given(st.integers(0, 50_000), st.integers(1, 20_000))
 def test_they_cover_all_rows_once(count, each_px):
     blocks = list(blocks_of(count, each_px))
