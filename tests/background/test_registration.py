@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.background.registration import PreparedRegistration, registration_from_image
+from gelform.background.registration import PreparedRegistration, _logs, registration_from_image
 
 SHAPE = (144, 192)
 
@@ -99,3 +99,8 @@ def test_certain_motion_is_shorter_than_the_motion(textured, shift):
 def test_sizes_are_checked():
     with pytest.raises(ValueError, match="144"):
         registration_from_image(np.zeros((10, 20, 3), np.uint8), gel(0.0))
+
+
+def test_light_is_the_logarithm_of_the_channels_mean():
+    image = np.full((4, 5, 3), [10.0, 20.0, 60.0])
+    np.testing.assert_allclose(_logs(image), np.log(30 + 10), rtol=1e-5)
