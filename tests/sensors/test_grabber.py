@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+import gelform.sensors.grabber as grabber_module
 from gelform.errors import DataError, SensorError, SourceLostError
 from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
@@ -153,6 +154,28 @@ def test_another_camera_is_not_taken_for_the_lost_one(device):
         device.serial = "A"
         device.give(0)
         assert grabber.newest(-1, WAIT_S) is not None
+
+
+def test_cameras_that_changed_places_are_found_by_serial(monkeypatch):
+    """Opened by its path, plugged in again after another one that has the path now."""
+    ours, other = Device("A"), Device("B")
+    at = {"/dev/video0": ours, "A": ours}
+
+    def open_source(spec, timeout_s=None):
+        if spec not in at:
+            raise SensorError(f"no camera {spec}")
+        return at[spec].open()
+
+    monkeypatch.setattr(grabber_module, "open_source", open_source)
+    with Grabber("/dev/video0") as grabber:
+        ours.give(0)
+        grabber.newest(-1, WAIT_S)
+        at["/dev/video0"] = other
+        ours.give(0, SourceLostError("unplugged"))
+        ours.give(0)
+        assert grabber.newest(0, WAIT_S).index == 1
+        assert grabber.serial == "A"
+    assert other.opened == len(other.closed)
 
 
 def test_a_source_that_stands_still_is_said_to_be_reconnecting(device):

@@ -72,6 +72,7 @@ class Grabber:
             raise ValueError(f"Expected keep >= 1, got {keep}.")
         self._open = source if callable(source) else partial(open_source, source)
         self._open_again = source if callable(source) else partial(open_source, source, timeout_s=AGAIN_S)
+        self._finds_serials = not callable(source)
         self._stall_s = stall_s
         self._changed = threading.Condition()
         self._held: deque[Frame] = deque(maxlen=keep)
@@ -238,23 +239,32 @@ class Grabber:
         wait_s, lost = FIRST_WAIT_S, self.source
         while not self._stop.wait(wait_s):
             wait_s = min(wait_s * WAIT_GROWTH, LONGEST_WAIT_S)
-            try:
-                source = self._open_again()
-            except SensorError as problem:
-                self._set("reconnecting", str(problem))
-                continue
-            if source.serial != lost.serial:
-                source.close()
-                self._set(
-                    "reconnecting",
-                    f"expected the camera {lost.name} (serial {lost.serial}) back, found {source.name}",
-                )
+            source = self._found_again(lost)
+            if source is None:
                 continue
             self._source = source
             with self._changed:
                 self._times_s.clear()
                 self._stats = replace(self._stats, reopened=self._stats.reopened + 1)
             return
+
+    def _found_again(self, lost: Source) -> Source | None:
+        """The lost source, where it is back: by what it was opened with, else by its serial, as paths may change places."""
+        attempts = [self._open_again]
+        if self._finds_serials and lost.serial:
+            attempts.append(partial(open_source, lost.serial))
+        for attempt in attempts:
+            try:
+                source = attempt()
+            except SensorError as problem:
+                self._set("reconnecting", str(problem))
+                continue
+            if source.serial == lost.serial:
+                return source
+            source.close()
+            said = f"expected the camera {lost.name} (serial {lost.serial}) back, found {source.name}"
+            self._set("reconnecting", said)
+        return None
 
     def _set(self, state: str, reason: str) -> None:
         with self._changed:
