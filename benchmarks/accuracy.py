@@ -1,7 +1,8 @@
 """How right it is: integrators on exact slopes, real held-out presses, simulated truth. No scale is ever fitted.
 
-    python benchmarks/accuracy.py            # all (about 5 minutes); writes results/accuracy.json
-    python benchmarks/accuracy.py integrators
+    python benchmarks/accuracy.py            # all (about 45 minutes); writes results/accuracy.json after each part
+    python benchmarks/accuracy.py anchor sigma
+    python benchmarks/accuracy.py --quick    # whether the parts run; `integrators`, `real` and `simulated` have no such mode
 
 The real presses are read from GELFORM_DATA (default ../shared/data); that part is left out, and says so, where
 the folder is absent.
@@ -16,12 +17,15 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import gelform
+from accuracy_objects import anchor, deep, objects
+from accuracy_presses import few, real_deep, sigma
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.calibration.presses.folder import Presses
@@ -277,21 +281,36 @@ def simulated() -> dict[str, Any]:
     return figures
 
 
-PARTS = {"integrators": integrators, "real": real, "simulated": simulated}
+PARTS: dict[str, Any] = {
+    "integrators": lambda quick: integrators(),
+    "real": lambda quick: real(),
+    "sigma": partial(sigma, DATA),
+    "few": partial(few, DATA),
+    "real_deep": partial(real_deep, DATA),
+    "simulated": lambda quick: simulated(),
+    "anchor": anchor,
+    "deep": deep,
+    "objects": objects,
+}
+NEEDS_DATA = ("real", "sigma", "few", "real_deep")
 
 
 def main() -> None:
-    """Run the parts that are named, or all; keep the others' last figures."""
-    wanted = sys.argv[1:] or list(PARTS)
+    """Run the parts that are named, or all; keep the others' last figures. A quick run writes nothing."""
+    quick = "--quick" in sys.argv
+    wanted = [name for name in sys.argv[1:] if name != "--quick"] or list(PARTS)
     path = RESULTS / "accuracy.json"
     figures = json.loads(path.read_text()) if path.is_file() else {}
     figures.pop("machine", None)
     for name in wanted:
-        if name == "real" and not DATA.is_dir():
-            print(f"\nReal presses: left out, no data in {DATA} (set GELFORM_DATA).")
+        if name in NEEDS_DATA and not DATA.is_dir():
+            print(f"\n{name}: left out, no data in {DATA} (set GELFORM_DATA).")
             continue
-        figures[name] = PARTS[name]()
-    write("accuracy", figures)
+        start = time.perf_counter()
+        figures[name] = PARTS[name](quick)
+        print(f"\n{name}: {time.perf_counter() - start:.0f} s")
+        if not quick:
+            write("accuracy", figures)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from .normals import normals_from_gradients as normals_from_gradients
 from .normals import lights_from_normals as lights_from_normals
 from .gradients import gradients_from_normals as gradients_from_normals
 from .gradients import gradients_from_depth as gradients_from_depth
+from .gradients import smoothed_gradients as smoothed_gradients
 from .gradients import curl_from_gradients as curl_from_gradients
 from .gradients import fill_unknown as fill_unknown
 from .depth import depth_from_gradients as depth_from_gradients

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,8 +16,11 @@ from gelform.checks import (
     check_mask,
     check_mm_per_px,
     check_normals,
+    check_positive,
     check_values,
 )
+
+COARSE_PX, AGREED_PX = 3.0, 2.5  # at 240 rows, of `smoothed_gradients`
 
 _slopes_of_depth = Kernel("slopes_of_depth", "f32[h,w] depth, out f32[h,w,2] gradients, f32 per_x, f32 per_y")
 _curl_squares = Kernel("curl_squares", "f32[n,h,w,2] gradients, bool[n,h,w]? known, out f64[2] result")
@@ -47,6 +51,39 @@ def gradients_from_normals(normals: ArrayLike) -> NDArray[np.float32]:
     """
     n = check_normals(normals)
     return -n[..., :2] / n[..., 2:]
+
+
+def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArray[np.float32]:
+    """Slopes with faint detail smoothed away and strong detail kept, for smooth objects and for display.
+
+    Detail `d = g - G3 g` (G3: a Gaussian of 3 px at 240 rows) is kept in the part `k = |b|^2/(|b|^2 + texture^2)`, where
+    `b = G2.5 d` is what of it neighbours agree on: noise of single pixels goes, an edge stays. Engraved detail as
+    faint as the texture is lost with the noise; the result is no longer exactly that of a surface.
+
+    Parameters
+    ----------
+    gradients : (H, W, 2), mm/mm
+    texture : > 0, mm/mm; detail of this size is halved
+
+    Returns
+    -------
+    gradients : (H, W, 2) float32
+    """
+    slopes = check_gradients(gradients)
+    if slopes.ndim != 3:
+        raise ValueError(f"Expected gradients of one frame, (H, W, 2), got {slopes.shape}.")
+    texture = check_positive(texture, "texture")
+    scale = min(slopes.shape[:2]) / 240
+    coarse = _blurred(slopes, COARSE_PX * scale)
+    detail = slopes - coarse
+    agreed = np.square(_blurred(detail, AGREED_PX * scale)).sum(axis=-1, keepdims=True)
+    kept: NDArray[np.float32] = coarse + agreed / (agreed + np.float32(texture) ** 2) * detail
+    return kept
+
+
+def _blurred(slopes: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    blurred = cv2.GaussianBlur(slopes, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred).reshape(slopes.shape)
 
 
 def gradients_from_depth(depth_mm: ArrayLike, *, mm_per_px: float | Sequence[float]) -> NDArray[np.float32]:

@@ -80,6 +80,7 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     ),
     "normals_from_gradients": (gelform.normals_from_gradients, {"gradients": GRADIENTS}),
     "gradients_from_normals": (gelform.gradients_from_normals, {"normals": NORMALS}),
+    "smoothed_gradients": (gelform.smoothed_gradients, {"gradients": GRADIENTS, "texture": 0.02}),
     "gradients_from_depth": (gelform.gradients_from_depth, {"depth_mm": DEPTH, **PITCH}),
     "depth_from_gradients": (gelform.depth_from_gradients, {"gradients": GRADIENTS, **PITCH}),
     "integrate": (
