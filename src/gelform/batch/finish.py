@@ -1,4 +1,4 @@
-"""What is written once all parts are done: the form's own file of everything, and the table; seen again by `verify`."""
+"""What is written once all parts are done: the form's own file of everything, the table, the contact sheet."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 from gelform.batch.manifest import Manifest
 from gelform.batch.outputs.writers import finish_output, finished_problem
 from gelform.batch.records import files_of
+from gelform.batch.sheet import NAME as SHEET
+from gelform.batch.sheet import write_sheet
 from gelform.batch.table import TABLES, table_is_whole, tables_there, write_table
 
 
@@ -17,6 +19,8 @@ def finish(output: Path, manifest: Manifest, table: str, *, again: bool) -> None
         finish_output(output, form, files_of(output, parts))
     if again or not (output / TABLES[table]).exists():
         write_table(output, parts, table)
+    if again or not (output / SHEET).exists():
+        write_sheet(output, manifest)
 
 
 def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:

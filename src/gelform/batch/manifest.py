@@ -143,7 +143,7 @@ def _remove(output: Path) -> None:
     for name in (FRAMES, PARTS):
         if (output / name).is_dir():
             shutil.rmtree(output / name)
-    for name in (*TABLES.values(), INDEX, NAME):
+    for name in (*TABLES.values(), INDEX, "sheet.png", NAME):
         (output / name).unlink(missing_ok=True)
 
 

@@ -20,6 +20,7 @@ from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
 from gelform.batch.locks import only_run
 from gelform.batch.manifest import Manifest, begin
+from gelform.batch.outputs.maps import check_names
 from gelform.batch.outputs.places import FRAMES
 from gelform.batch.records import (
     PARTS,
@@ -53,6 +54,7 @@ class BatchSummary:
     errors : frames with errors, in this run and before
     stopped : whether there were more errors than allowed
     table : name of the table
+    warnings : what the user should know of the input
     complete : whether all parts of all shards are done and the table is written
     """
 
@@ -63,6 +65,7 @@ class BatchSummary:
     errors: int = 0
     stopped: bool = False
     table: str = ""
+    warnings: tuple[str, ...] = ()
     complete: bool = False
 
 
@@ -127,6 +130,7 @@ def run_batch(
     hidden = [] if background is None else [Path(background)]
     listing = listing_of(source, leave_out=hidden, dataset=dataset)
     check_apart(listing, output)
+    check_names([sequence.name for sequence in listing.sequences], settings)
     plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
     parts = shard_of(plan, shard)
     rest = _background(background, calibration)
@@ -137,7 +141,7 @@ def run_batch(
     _made(output)
     with only_run(output, shard) as alone:
         begin(output, manifest, overwrite=overwrite)
-        summary = BatchSummary(parts=len(parts), table=TABLES[table])
+        summary = BatchSummary(parts=len(parts), table=TABLES[table], warnings=listing.warnings)
         todo = list(_not_done(output, parts, summary, retry_errors))
         if alone:
             _clean(output, todo, settings.form)

@@ -102,9 +102,13 @@ def test_a_video_that_is_cut_off_ends_with_a_reason(recorded, cal, tmp_path):
 def test_compression_in_words(recorded):
     root, _ = recorded
     assert compression_of(root, KEY) == ""
+    assert listing_of(root, dataset=KEY).warnings == ()
     told = {"video.codec": "av1", "video.pix_fmt": "yuv420p", "video.crf": 30}
     changed(root, features={KEY: {"dtype": "video", "shape": [64, 80, 3], "info": told}})
     assert compression_of(root, KEY) == "av1 yuv420p crf 30"
+    (warning,) = listing_of(root, dataset=KEY).warnings
+    assert "av1 yuv420p crf 30, with loss" in warning
+    assert "23 um" in warning
 
 
 def test_what_cannot_be_is_said(recorded):

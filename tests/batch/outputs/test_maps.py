@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.batch.outputs.maps import attributes_of, blank_maps, facts_of, maps_of
+from gelform.batch.outputs.maps import attributes_of, blank_maps, check_names, facts_of, maps_of
 from gelform.batch.settings import KEPT, BatchSettings
 from gelform.errors import DataError
 from hostile.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
@@ -46,3 +46,9 @@ def test_figures_of_a_ball(result):
     assert (facts["deepest_x_px"], facts["deepest_y_px"]) == pytest.approx((touch.x_px, touch.y_px), abs=4)
     assert facts["volume_mm3"] == pytest.approx(truth[result.contact].sum() * MM_PER_PX**2, rel=0.03)
     assert facts["contact_mm2"] == pytest.approx(result.contact.sum() * MM_PER_PX**2)
+
+
+def test_a_folder_called_like_an_array_is_refused():
+    check_names(["depth_mm"], BatchSettings())
+    with pytest.raises(DataError, match="where an array known does"):
+        check_names(["day1", "day2/known"], BatchSettings("zarr"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from gelform.batch.inputs.containers import matching
 from gelform.batch.inputs.sequences import Sequence
 from gelform.errors import DataError
 
+PENALTY = "av1 yuv420p crf 30 moves depth in contact by 23 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 8 um"
 INFO, EPISODES, VERSION = "meta/info.json", "meta/episodes", "v3.0"
 
 
@@ -102,6 +103,18 @@ def compression_of(root: Path, key: str) -> str:
     if codec == "ffv1" or (codec in ("h264", "hevc") and crf == 0 and pixels in ("gbrp", "rgb24")):
         return ""
     return f"{codec} {pixels}" + ("" if crf is None else f" crf {crf}")
+
+
+def lossy_warnings(root: Path, sequences: Iterable[Sequence]) -> tuple[str, ...]:
+    """What each camera's compression costs, by measurement (`benchmarks/batch.py lossy`); nothing where it has no loss."""
+    said = []
+    for key in dict.fromkeys(one.dataset for one in sequences):
+        if coded := compression_of(root, key):
+            said.append(
+                f"{key} is {coded}, with loss. Measured against the same frames without: {PENALTY}. Record "
+                "without loss where depth is measured."
+            )
+    return tuple(said)
 
 
 def video_frames(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gelform.batch.inputs.containers import ContainerError
 from gelform.batch.inputs.hdf5_datasets import HDF5_SUFFIXES, hdf5_sequences
-from gelform.batch.inputs.lerobot_set import is_lerobot_set, lerobot_sequences
+from gelform.batch.inputs.lerobot_set import is_lerobot_set, lerobot_sequences, lossy_warnings
 from gelform.batch.inputs.sequences import Sequence, natural
 from gelform.batch.inputs.zarr_datasets import is_zarr, zarr_sequences
 from gelform.checks import check_path
@@ -32,11 +32,13 @@ class Listing:
     root : the folder; what the sequences' names start from
     sequences : in the order in which they are done
     searched : whether every folder below `root` belongs to the input
+    warnings : what the user should know of it
     """
 
     root: Path
     sequences: tuple[Sequence, ...]
     searched: bool = False
+    warnings: tuple[str, ...] = ()
 
     @property
     def digest(self) -> str:
@@ -71,7 +73,8 @@ def listing_of(
     """
     path, hidden = check_path(source), {os.path.realpath(one) for one in leave_out}
     if is_lerobot_set(path):
-        return Listing(path, tuple(lerobot_sequences(path, dataset)), searched=True)
+        episodes = tuple(lerobot_sequences(path, dataset))
+        return Listing(path, episodes, searched=True, warnings=lossy_warnings(path, episodes))
     if path.exists() and is_container(path):
         return Listing(path.parent, tuple(_in_container(path, path.name, dataset)))
     if path.is_dir():

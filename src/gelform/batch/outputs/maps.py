@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,24 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
         "contacts": len(result.contacts),
         "health": " ".join(dict.fromkeys(finding.name for finding in result.health)),
     }
+
+
+def check_names(sequences: Iterable[str], settings: BatchSettings) -> None:
+    """Refuse folders that are called as the arrays beside them would be.
+
+    Raises
+    ------
+    DataError
+        The message names the folder.
+    """
+    if settings.form not in ("zarr", "hdf5"):
+        return
+    arrays = {name for name, *_ in MAPS.values()}
+    for sequence in sequences:
+        if taken := arrays & set(sequence.split("/")):
+            raise DataError(
+                f"The input {sequence} would lie where an array {taken.pop()} does. Rename it, or write npz."
+            )
 
 
 def _map(result: Reconstruction, name: str) -> NDArray[Any]:

@@ -178,6 +178,8 @@ def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
 
 
 def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -> None:
+    for warning in summary.warnings:
+        say(f"gelform: warning: {warning}")
     before = f", {summary.frames_before} were there" if summary.frames_before else ""
     say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
     if summary.stopped:
@@ -186,6 +188,9 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
             f"is kept in {output / 'parts'} with the reasons."
         )
     elif summary.complete:
-        say(f"Complete: {output / summary.table} has a row for each frame.", quiet)
+        say(
+            f"Complete: {output / summary.table} has a row for each frame; look at {output / 'sheet.png'}.",
+            quiet,
+        )
     else:
         say("This shard is done; the table is written when the last one is.", quiet)
