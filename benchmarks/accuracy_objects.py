@@ -41,7 +41,7 @@ OBJECTS: dict[str, tuple[Any, tuple[float, float, float]]] = {
     "punch 6 mm": (Punch(6.0), (0.1, 0.3, 0.6)),
     "punch 2 mm": (Punch(2.0), (0.1, 0.2, 0.3)),
     "cylinder": (Cylinder(3.0, 20.0), (0.2, 0.4, 0.6)),
-    "cone": (Cone(6.0, 1.0), (0.2, 0.4, 0.6)),
+    "cone": (Cone(6.0, 150.0), (0.2, 0.4, 0.6)),
     "ring": (Torus(2.5, 0.8), (0.1, 0.2, 0.4)),
 }
 FACE = 0.97  # of the largest depth: a flat face, or the peak
