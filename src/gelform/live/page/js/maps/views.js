@@ -58,7 +58,7 @@ export const VIEWS = {
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
   sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
   causes: { title: "Why not trusted", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name) => [CAUSE_COLORS[name] ?? "ffffff", name.replace("_", " ")]) }) },
-  other: { title: "Other calibration", planes: ["other", "flags"], from: "other", paint: ramped("other", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
+  other: { title: "Other calibration", planes: ["other", "flags"], from: "other", paint: ramped("other", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
   difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, legend: (s, f) => ({ text: `orange: deeper than by the other, blue: less deep; full colour at ${(s.range / 5).toPrecision(2)} ${f.unit}; apart by ${f.header.other?.apart?.toFixed(4)} ${f.unit} (RMS)` }) },
 };
 export const FLAGS = { CONTACT, KNOWN };

@@ -16,9 +16,9 @@ export function startReplay(does) {
   for (const kind of ["pointerup", "pointercancel"]) scrub.addEventListener(kind, () => (held = false));
   scrub.addEventListener("input", () => does.send("seek", { frame: Number(scrub.value) }));
   byId("replay").append(
-    button("step-back", "⏮", "One frame back (,)", () => does.send("step", { by: -1 })),
-    button("play", "▶", "Play or hold (space)", () => does.send("play", { playing: !does.chosen()?.replay?.playing })),
-    button("step-on", "⏭", "One frame on (.)", () => does.send("step", { by: 1 })),
+    button("step-back", "‹", "One frame back (,)", () => does.send("step", { by: -1 })),
+    button("play", "Play", "Play or hold (space)", () => does.send("play", { playing: !does.chosen()?.replay?.playing })),
+    button("step-on", "›", "One frame on (.)", () => does.send("step", { by: 1 })),
     scrub,
     element("output", { id: "replay-at", for: "scrub" }),
     element("label", {}, element("span", { class: "visually-hidden", text: "Speed" }), element("select", { id: "speed", onchange: (event) => does.send("speed", { speed: Number(event.target.value) }) }, ...SPEEDS.map(([value, text]) => element("option", { value, text })))),
@@ -37,7 +37,7 @@ export function drawReplay(station, frame) {
   if (!held) scrub.value = number;
   scrub.setAttribute("aria-valuetext", `frame ${number} of ${replay.count}`);
   setText(byId("replay-at"), `${number + 1} / ${replay.count}, ${clock(time)} of ${clock(replay.duration_s)}`);
-  setText(byId("play"), replay.playing ? "⏸" : "▶");
+  setText(byId("play"), replay.playing ? "Hold" : "Play");
   byId("play").setAttribute("aria-pressed", String(replay.playing));
   byId("loop").setAttribute("aria-pressed", String(replay.loop));
   if (document.activeElement !== byId("speed")) byId("speed").value = String(replay.speed);
