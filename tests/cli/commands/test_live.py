@@ -36,3 +36,7 @@ def test_it_prints_an_address_that_answers_and_ends_on_interrupt():
 )
 def test_mistakes_are_one_line(fails, arguments, said):
     assert said in fails("live", *arguments)
+
+
+def test_an_unknown_sink_is_named(fails):
+    assert "sinks among rerun, foxglove, got rviz" in fails("live", "--sink", "rviz", "--rate", "5")

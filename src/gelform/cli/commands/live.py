@@ -10,6 +10,7 @@ import typer
 from gelform.cli.console import say
 from gelform.cli.failures import mistakes_in
 from gelform.cli.options import Quiet, positive
+from gelform.errors import GelformError
 
 
 def live(
@@ -39,6 +40,10 @@ def live(
     rate: Annotated[
         float, typer.Option(metavar="HZ", parser=positive, help="Of the simulated sensor.")
     ] = 60.0,
+    sink: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Show it in rerun or foxglove too; may be given twice."),
+    ] = None,
     browser: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -52,17 +57,27 @@ def live(
       gelform live 2BKRXXXX -c mini.npz
       gelform live left right -c left.npz -c right.npz --port 8080
       gelform live session.mp4 -c mini.npz
+      gelform live --sink rerun
     """
+    from gelform.live.sinks.chosen import feed
     from gelform.live.start import Options, start
     from gelform.live.web.server import listen
 
     server = listen(host, port, token=token)
     with mistakes_in("live"):
         hub = start(Options(sources or ["simulated"], calibration or [], folder, rate))
+    try:
+        with mistakes_in("--sink"):
+            feeders, said = feed(hub, sink or [])
+    except GelformError:
+        hub.close()
+        raise
     for _, _, text in hub.notices:
         say(f"warning: {text}")
     typer.echo(server.url)
     say("Open this address. Ctrl-C ends it.", quiet)
+    for one in said:
+        say(one, quiet)
     if browser:
         import webbrowser
 
@@ -70,4 +85,6 @@ def live(
     try:
         server.serve(hub)
     finally:
+        for feeder in feeders:
+            feeder.close()
         hub.close()
