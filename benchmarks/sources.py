@@ -28,7 +28,7 @@ LARGE, LARGE_HZ = (2448, 3264), 25
 SMALL_HZ = 60
 NOISE_LEVELS = 1.5  # on the large pictures, so that they have a camera's number of bytes
 OFF_S = (0.2, 0.8, 1.5)  # how long the camera is off, in turn
-SETTLED = 3  # restarts after which the memory is looked at first
+SETTLED_S = 90.0  # until a stream has all that it holds: ten seconds' means of more than a minute
 
 
 def large_stream(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def large_stream(calibration: gelform.Calibration, seconds: float) -> dict[str, 
     }
 
 
-def restarts(calibration: gelform.Calibration, count: int) -> dict[str, Any]:
+def restarts(calibration: gelform.Calibration, count: int, settled_s: float = SETTLED_S) -> dict[str, Any]:
     """How long after a killed camera listens again its first result is there, and what the memory does."""
     back_s, memory_mb, said = [], [], 0
     with tempfile.TemporaryDirectory() as folder:
@@ -59,6 +59,8 @@ def restarts(calibration: gelform.Calibration, count: int) -> dict[str, Any]:
         _film_of_gel(film, calibration.image_shape, SMALL_HZ, quality=95)
         with _camera(film, SMALL_HZ) as camera, gelform.stream(camera.url, calibration) as stream:
             seen = stream.newest(timeout_s=20)
+            time.sleep(settled_s)
+            memory_mb.append(resident_mb())
             for k in range(count):
                 assert seen is not None
                 camera.kill()
@@ -80,7 +82,8 @@ def restarts(calibration: gelform.Calibration, count: int) -> dict[str, Any]:
         "back_s_median": float(np.median(back_s)),
         "back_s": back_s,
         "said_reconnecting": said,
-        "memory_growth_mb": memory_mb[-1] - memory_mb[min(SETTLED, count) - 1],
+        "memory_growth_mb": memory_mb[-1] - memory_mb[0],
+        "resident_mb": memory_mb,
         "known_share_of_the_last_result": known,
         "load_average": os.getloadavg()[0],
     }

@@ -5,8 +5,8 @@
     python benchmarks/stream.py --only live slow       # some parts; the others keep their figures
     python benchmarks/stream.py --soak 60              # an hour of the simulated sensor: memory and rate
 
-Parts: live (1 min), slow (2 min), restarts and large (2 min each; a real ffmpeg), presses and drift (5 min; sensors drawn at
-random), faults (8 min), alarms (2 min; needs GELFORM_DATA).
+Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; a real ffmpeg), presses and drift (5 min; sensors
+drawn at random), faults (8 min), alarms (2 min; needs GELFORM_DATA).
 
 Sensors, gels, faults, presses and drift are drawn from `--seed`, a new one each time unless it is given: nothing is tuned on
 what is reported. What takes minutes in life is simulated faster: a stream's memory takes its times from the frames.
@@ -153,7 +153,9 @@ def parts_of(asked: argparse.Namespace, rng: np.random.Generator) -> dict[str, C
     return {
         "live": lambda: live(made.calibration(FULL), seconds),
         "slow": lambda: slow_consumer(made.calibration(FULL), seconds),
-        "restarts": lambda: of_ffmpeg(lambda: restarts(made.calibration(FULL), 3 if quick else 20)),
+        "restarts": lambda: of_ffmpeg(
+            lambda: restarts(made.calibration(FULL), *((3, 5.0) if quick else (20,)))
+        ),
         "large": lambda: of_ffmpeg(lambda: large_stream(made.calibration(FULL), 3 if quick else 20)),
         "presses": lambda: slow_presses(made.sensors(), few, rng),
         "drift": lambda: drift(made.sensors(), few, rng),
