@@ -26,14 +26,19 @@ DRAWN = (  # command, the picture it leaves, what one sees
         "Image, normals, slopes, depth in mm, profiles through the deepest point.",
     ),
     (
-        "explain relief/image.png -c cal.npz -o why",
-        "why/image.png",
-        "How far each pixel was trusted, and why.",
+        "explain spoilt.png -c cal.npz -o why",
+        "why/spoilt.png",
+        "How far each pixel was trusted, and why. A highlight and a hair were drawn into the image.",
     ),
     (
         "compare relief/image.png -c cal.npz -c other.npz -o side-by-side",
         "side-by-side/image.png",
         "Two calibrations of one sensor: depth, difference, profile. Here the second is of the ideal model.",
+    ),
+    (
+        "design three-edges --presses 6 -o design.png",
+        "design.png",
+        "A sensor's lights before it is built, and variations of them: the depth error that each would give.",
     ),
 )
 
@@ -75,7 +80,13 @@ def _pictures(folder: Path) -> dict[str, str]:
         drawing = np.zeros((300, 500), np.uint8)
         cv2.putText(drawing, "GEL", (60, 210), cv2.FONT_HERSHEY_SIMPLEX, 6, 255, 22, cv2.LINE_AA)
         np.save(Path(work, "letters.npy"), cv2.GaussianBlur(drawing, (0, 0), 3) * (0.4 / 255))  # mm
-        for command in (*SETS, *(command for command, _, _ in DRAWN[1:])):
+        for command in SETS:
+            _run(command, work)
+        spoilt = cv2.imread(f"{work}/relief/image.png")
+        cv2.circle(spoilt, (90, 60), 9, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.line(spoilt, (200, 40), (260, 190), (8, 8, 8), 3, cv2.LINE_AA)
+        cv2.imwrite(f"{work}/spoilt.png", spoilt)
+        for command, _, _ in DRAWN[1:]:
             _run(command, work)
         found = {}
         for command, picture, _ in DRAWN:
