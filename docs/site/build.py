@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -100,6 +101,15 @@ def write_front(source: Path) -> None:
     (source / "index.md").write_text("\n".join(parts), encoding="utf-8")
 
 
+def copy_raw_images(source: Path, html: Path) -> None:
+    """Pictures that a page names in HTML of its own: Sphinx passes that on and copies nothing."""
+    for page in source.rglob("*.md"):
+        for address in re.findall(r'<img [^>]*src="([^":]+)"', page.read_text(encoding="utf-8")):
+            target = (html / page.relative_to(source)).parent / address
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(page.parent / address, target)
+
+
 def build(folder: Path, *, gallery: bool = True) -> int:
     """Write the sources below a folder and run Sphinx; its exit status, 1 where a page loads from outside."""
     from sphinx.cmd.build import build_main
@@ -115,6 +125,7 @@ def build(folder: Path, *, gallery: bool = True) -> int:
     write_front(source)
     strict = ["-q", "-W", "--keep-going", "-E"]
     status = build_main([*strict, "-b", "html", "-c", str(Path(__file__).parent), str(source), str(html)])
+    copy_raw_images(source, html)
     found = requests_to_outside(html)
     for one in found:
         print(f"loads from outside: {one}")

@@ -1,5 +1,6 @@
 """The site is built without a warning, loads nothing from outside, and its links mean what they do in the repository."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -71,3 +72,8 @@ def test_the_site_is_built(tmp_path):
     assert "../reference/path.html#gelform.depth_from_gradients" in theory
     assert len(list((tmp_path / "html" / "examples").glob("0*.html"))) >= 8
     assert (tmp_path / "html" / "reference" / "streams.html").is_file()
+    pages = [page for page in (tmp_path / "html").rglob("*.html") if "_static" not in page.parts]
+    named = [
+        (p, a) for p in pages for a in re.findall(r'<img [^>]*src="([^":]+)"', p.read_text(encoding="utf-8"))
+    ]
+    assert [address for page, address in named if not (page.parent / address).exists()] == []
