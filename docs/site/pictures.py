@@ -68,7 +68,7 @@ def two_ways() -> Any:
         first, second = right_then_down(slopes), right_then_down(slopes.swapaxes(0, 1)[..., ::-1]).T
         shown(axes[2 * k], first, name, cmap="viridis")
         apart = 1e3 * (first - second)
-        title = f"difference of the two ways: {np.sqrt(np.mean(apart**2)):.2g} um"
+        title = f"ways apart: {np.sqrt(np.mean(apart**2)):.2g} um"
         shown(axes[2 * k + 1], apart, title, cmap="RdBu_r", vmin=-100, vmax=100)
     return figure
 
