@@ -29,6 +29,7 @@ PRESS_MM, RIM_SHARES = (
     (0.45, 0.6, 0.52),
 )  # of the simulated presses: contact radius over ball radius in turn
 GAP_S = 0.5
+HELD_S = 20.0  # a simulated press: lifted once it is accepted, on a slow machine after many a look
 REPORT_SEED = 0
 
 
@@ -95,18 +96,18 @@ class GuideSession:
     def _press_simulated(self) -> None:
         """Press the simulated sensor where the guide asks, once for each target."""
         guide, target, now = self.guide, self.guide.target, time.monotonic()
-        waiting = now - self._pressed_s < 3.0 and self._pressed == guide.count
+        waiting = now - self._pressed_s < HELD_S and self._pressed == guide.count
         if self._simulated is None or target is None or waiting or guide.facts()["enough"]:
             return
         if self._pressed != guide.count:
-            self._pressed, self._pressed_s = guide.count, now - 3.0 + GAP_S
+            self._pressed, self._pressed_s = guide.count, now - HELD_S + GAP_S
             self._simulated.lift()
             return
         self._pressed_s = now
         radius = guide.asked.ball_diameter_mm / 2
         share = RIM_SHARES[guide.count % len(RIM_SHARES)]
         depth = PRESS_MM * radius * share**2 + 0.05
-        self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=2.2)
+        self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)
 
     def _forecast(self) -> None:
         """Look ahead after each new press, in a thread of its own."""
