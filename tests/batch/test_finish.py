@@ -10,6 +10,13 @@ def test_what_went_is_written_again(tree, cal, tmp_path):
     manifest, table = read_manifest(tmp_path / "out"), tmp_path / "out/frames.csv"
     assert problems_of_finish(tmp_path / "out", manifest) == []
     content = table.read_bytes()
+    sheet = tmp_path / "out/sheet.png"
+    drawn = sheet.read_bytes()
+    sheet.write_bytes(drawn[:-1])
+    assert problems_of_finish(tmp_path / "out", manifest) == [sheet]
+    sheet.unlink()
+    finish(tmp_path / "out", manifest, "csv", again=False)
+    assert sheet.read_bytes() == drawn
     table.unlink()
     assert problems_of_finish(tmp_path / "out", manifest) == [table]
     finish(tmp_path / "out", manifest, "csv", again=False)

@@ -8,7 +8,7 @@ from gelform.batch.manifest import Manifest
 from gelform.batch.outputs.writers import finish_output, finished_problem
 from gelform.batch.records import files_of
 from gelform.batch.sheet import NAME as SHEET
-from gelform.batch.sheet import write_sheet
+from gelform.batch.sheet import sheet_bytes, write_sheet
 from gelform.batch.table import TABLES, table_is_whole, tables_there, write_table
 
 
@@ -31,4 +31,7 @@ def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
     bad = [output / TABLES[one] for one in tables if not table_is_whole(output, parts, one)]
     if not tables:
         bad.append(output / TABLES["csv"])
+    sheet = output / SHEET
+    if (sheet.read_bytes() if sheet.is_file() else b"") != sheet_bytes(output, manifest):
+        bad.append(sheet)
     return [path for path in (wrong, *bad) if path is not None]

@@ -20,21 +20,28 @@ LEAST_RANGE_MM = 0.1  # an untouched gel stays dark
 
 
 def write_sheet(output: Path, manifest: Manifest) -> None:
-    """Write `sheet.png`: up to 24 frames, each from 0 (dark) to its own deepest point; nothing where depth was not kept.
+    """Write `sheet.png`; nothing where depth was not kept."""
+    content = sheet_bytes(output, manifest)
+    if content:
+        with written_file(output / NAME, overwrite=True) as file:
+            file.write(content)
+
+
+def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
+    """A PNG of up to 24 frames, each from 0 (dark) to its own deepest point; empty where depth was not kept.
 
     The choice follows from the list of inputs, so that the same data set has the same sheet.
     """
     tiles = [_tile(depth, row) for depth, row in _chosen(output, manifest)]
     if not tiles:
-        return
+        return b""
     blank = np.zeros_like(tiles[0])
     tiles += [blank] * (-len(tiles) % COLUMNS)
     lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
     done, encoded = cv2.imencode(".png", np.vstack(lines))
     if not done:
         raise DataError("OpenCV cannot encode the contact sheet as PNG.")
-    with written_file(output / NAME, overwrite=True) as file:
-        file.write(encoded.tobytes())
+    return bytes(encoded.tobytes())
 
 
 def _chosen(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:
