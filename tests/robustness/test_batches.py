@@ -146,6 +146,24 @@ def test_one_of_a_pool_killed_at_random_moments(work, tmp_path, who):
         assert_goes_on(work, output)
 
 
+def test_a_worker_killed_while_it_starts(work, tmp_path):
+    """The driver ends all the same, though what it hands over (a background, too) is larger than a pipe holds."""
+    save(work / "rest.png", image_of(None))
+    program = (
+        (work / "driver.py").read_text().replace("engine=", f"background={str(work / 'rest.png')!r}, engine=")
+    )
+    (tmp_path / "driver.py").write_text(program)
+    command = [sys.executable, tmp_path / "driver.py", work / "in", work / "cal.npz", tmp_path / "out", 2]
+    process = subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not (workers := workers_of(process)) and time.monotonic() < deadline:
+        time.sleep(0.001)
+    os.kill(workers[0], signal.SIGKILL)
+    assert process.wait(60) != 0
+    assert subprocess.run(list(map(str, command)), timeout=60).returncode == 0
+    assert verify_output(tmp_path / "out") == (IMAGES, 2, [])
+
+
 def test_a_disk_that_fills_up_is_said_and_the_run_goes_on_when_there_is_room(work, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()

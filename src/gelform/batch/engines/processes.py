@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import tempfile
 import threading
 from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
+from pathlib import Path
 from typing import Any
 
 from gelform.batch.inputs.plan import Part
@@ -48,27 +51,31 @@ def done_parts(
             yield part, *_counts(worker.do(part))
         return
     context = get_context("spawn")  # a fork would take the locks and the threads with it
-    stop = context.Event()
-    with ProcessPoolExecutor(workers, context, _start, (job, stop)) as pool:
-        try:
-            waiting = {pool.submit(_do, part): part for part in parts}
-            for future in as_completed(waiting):
-                yield waiting.pop(future), *future.result()
-        except BrokenProcessPool as problem:
-            raise WorkerLostError(
-                "A worker process was killed, perhaps for want of memory. What is done is kept: run the same "
-                "command again, with fewer --workers."
-            ) from problem
-        finally:
-            stop.set()
-            pool.shutdown(wait=True, cancel_futures=True)
+    stop = context.RawValue("b", 0)  # without a lock, which a killed worker would hold for ever
+    with tempfile.TemporaryDirectory(prefix="gelform-batch-") as folder:
+        # By a file: a pipe holds 64 kB, and starting a worker that is killed before it reads the rest would never end.
+        shared = Path(folder) / "job"
+        shared.write_bytes(pickle.dumps(job))
+        with ProcessPoolExecutor(workers, context, _start, (shared, stop)) as pool:
+            try:
+                waiting = {pool.submit(_do, part): part for part in parts}
+                for future in as_completed(waiting):
+                    yield waiting.pop(future), *future.result()
+            except BrokenProcessPool as problem:
+                raise WorkerLostError(
+                    "A worker process was killed, perhaps for want of memory. What is done is kept: run the same "
+                    "command again, with fewer --workers."
+                ) from problem
+            finally:
+                stop.value = 1
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _counts(record: PartRecord) -> tuple[int, int]:
     return len(record.rows), record.errors
 
 
-def _start(job: Job, stop: Any) -> None:
+def _start(shared: Path, stop: Any) -> None:
     """Prepare a worker process: it ends with its parent, and leaves Ctrl-C to it."""
     global _worker, _stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -76,7 +83,7 @@ def _start(job: Job, stop: Any) -> None:
     import cv2
 
     cv2.setNumThreads(1)
-    _worker, _stop = Worker(job), stop
+    _worker, _stop = Worker(pickle.loads(shared.read_bytes())), stop
 
 
 def _end_with_parent() -> None:
@@ -89,6 +96,6 @@ def _end_with_parent() -> None:
 def _do(part: Part) -> tuple[int, int]:
     assert _worker is not None
     try:
-        return _counts(_worker.do(part, _stop.is_set))
+        return _counts(_worker.do(part, lambda: bool(_stop.value)))
     except Stopped:
         return 0, 0
