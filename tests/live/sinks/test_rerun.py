@@ -1,5 +1,7 @@
 """The real Rerun viewer's receiver, without a window: what it wrote down is what was shown."""
 
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -31,7 +33,7 @@ def answers(port):
 def test_a_viewer_gets_images_depth_and_numbers(shown, tmp_path):
     port, saved = free_port(), tmp_path / "seen.rrd"
     command = [sys.executable, "-m", "rerun", "--save", str(saved), "--port", str(port), "--bind", HOST]
-    with subprocess.Popen(command) as receiver:
+    with subprocess.Popen(command, start_new_session=True) as receiver:  # it starts another program
         try:
             until(lambda: answers(port), 60)
             sink = RerunSink(port)
@@ -39,7 +41,7 @@ def test_a_viewer_gets_images_depth_and_numbers(shown, tmp_path):
             sink.close()
             time.sleep(1)
         finally:
-            receiver.terminate()
+            os.killpg(receiver.pid, signal.SIGTERM)
             receiver.wait(20)
     written = saved.read_bytes()
     for entity in ("image", "depth", "peak", "area", "volume"):
