@@ -94,15 +94,17 @@ def candidates(module: str, wide: bool) -> list[str]:
 class Trial:
     """Mutants of one file in a copy of the checkout, each run against the tests that execute its line."""
 
-    def __init__(self, module: str, folder: Path, kept: Path, budget_s: float, wide: bool, own: bool) -> None:
+    def __init__(
+        self, module: str, folder: Path, kept: Path, budget_s: float, wide: bool, by: list[str] | None
+    ) -> None:
         self.module, self.folder, self.budget_s = module, folder, budget_s
         self.native = module.startswith("native/")
         self.file = folder / (module if self.native else f"src/gelform/{module}.py")
         self.source = self.file.read_text(encoding="utf-8")
         self.mutants = (c_mutants if self.native else python_mutants)(self.source)
-        self.whole = own_tests(module) if own else None
+        self.whole = None if by is None else by or [own_tests(module)]
         files = {f"src/gelform/{one}.py" for one in modules()}
-        self.tests = [] if own else covering_tests(folder, candidates(module, wide), files, kept)
+        self.tests = [] if self.whole else covering_tests(folder, candidates(module, wide), files, kept)
 
     def judged(self, mutants: Sequence[Mutant]) -> dict[str, Any]:
         """Counts of the mutants that the tests notice, and those that they miss."""
@@ -132,7 +134,7 @@ class Trial:
     def _tests(self, one: Mutant) -> list[Test]:
         own = own_tests(self.module)
         if self.whole:
-            return [Test(self.whole, OWN_TIMEOUT_S / 4, frozenset())]
+            return [Test(name, OWN_TIMEOUT_S / 4, frozenset()) for name in self.whole]
         if self.native:
             return within_budget(self.tests, own, self.budget_s)
         executing = executing_tests(self.tests, self.file, self.source, one.line)
@@ -225,7 +227,10 @@ def main() -> None:
     parser.add_argument("--missed", action="store_true", help="only what the last run missed")
     parser.add_argument("--wide", action="store_true", help="by the tests of the whole room too")
     parser.add_argument(
-        "--own", action="store_true", help="by its own test file as a whole: quick for few mutants"
+        "--by",
+        nargs="*",
+        metavar="TEST",
+        help="by these tests, its own test file if none is named, not asking what they execute: quick for few",
     )
     parser.add_argument("--keep", type=Path, help="folder for what later runs can use again")
     parser.add_argument("--table", action="store_true", help="print the counts so far, and try nothing")
@@ -245,9 +250,9 @@ def main() -> None:
         }
         for module in asked.modules:
             shutil.rmtree((folder / "src" / "gelform" / module).parent / "__pycache__", ignore_errors=True)
-            trial = Trial(module, folder, kept, asked.budget, asked.wide, asked.own)
-            if trial.whole and not passes(folder, [trial.whole], OWN_TIMEOUT_S):
-                print(f"{module}: {trial.whole} does not pass as it is", flush=True)
+            trial = Trial(module, folder, kept, asked.budget, asked.wide, asked.by)
+            if trial.whole and not passes(folder, trial.whole, OWN_TIMEOUT_S):
+                print(f"{module}: {' '.join(trial.whole)}: does not pass as it is", flush=True)
                 continue
             if asked.missed:
                 figures = again(trial)
