@@ -68,6 +68,11 @@ def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArra
     Returns
     -------
     gradients : (H, W, 2) float32
+
+    Raises
+    ------
+    ValueError
+        Slopes of several frames or not finite, or a texture that is not above 0.
     """
     slopes = check_gradients(gradients)
     if slopes.ndim != 3:
