@@ -16,8 +16,8 @@ from gelform.checks import (
     check_mask,
     check_mm_per_px,
     check_normals,
-    check_positive,
     check_values,
+    check_within,
 )
 
 COARSE_PX, AGREED_PX = 3.0, 2.5  # at 240 rows, of `smoothed_gradients`
@@ -63,7 +63,7 @@ def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArra
     Parameters
     ----------
     gradients : (H, W, 2), mm/mm
-    texture : > 0, mm/mm; detail of this size is halved
+    texture : 1e-6 to 1e6, mm/mm; detail of this size is halved
 
     Returns
     -------
@@ -72,17 +72,17 @@ def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> NDArra
     Raises
     ------
     ValueError
-        Slopes of several frames or not finite, or a texture that is not above 0.
+        Slopes of several frames or not finite, or a texture out of range.
     """
     slopes = check_gradients(gradients)
     if slopes.ndim != 3:
         raise ValueError(f"Expected gradients of one frame, (H, W, 2), got {slopes.shape}.")
-    texture = check_positive(texture, "texture")
+    halved = np.float32(check_within(texture, "texture", 1e-6, 1e6)) ** 2
     scale = min(slopes.shape[:2]) / 240
     coarse = _blurred(slopes, COARSE_PX * scale)
     detail = slopes - coarse
     agreed = np.square(_blurred(detail, AGREED_PX * scale)).sum(axis=-1, keepdims=True)
-    kept: NDArray[np.float32] = coarse + agreed / (agreed + np.float32(texture) ** 2) * detail
+    kept: NDArray[np.float32] = coarse + agreed / (agreed + halved) * detail
     return kept
 
 

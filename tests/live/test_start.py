@@ -4,6 +4,7 @@ import pytest
 
 from gelform.errors import CalibrationError, DataError
 from gelform.live.start import Options, start
+from gelform.sensors.cameras import there
 from live_waiting import until
 
 
@@ -76,7 +77,7 @@ def test_two_simulated_sensors_are_touched_apart_from_each_other():
         hub.close()
 
 
-def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path):
+def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monkeypatch):
     """A file below /dev that another process holds stands for the camera: OpenCV gets no picture from it either."""
     import subprocess
     import sys
@@ -85,6 +86,7 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path):
     shared = Path("/dev/shm")
     if not sys.platform.startswith("linux") or not shared.is_dir():
         pytest.skip("needs Linux with /dev/shm")
+    monkeypatch.setattr(there, "_is_video_device", lambda path: True)  # the kernel knows that it is a file
     camera = shared / f"gelform-test-{tmp_path.name}"
     camera.write_bytes(b"")
     with camera.open("rb") as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
