@@ -38,6 +38,9 @@ CHROMIUM = os.environ.get("GELFORM_CHROMIUM") or shutil.which("chromium") or shu
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags", "image"], "encoding": "raw"}
 STARTS, SETTLE_S = 3, 5.0
+COMPUTED_S = (
+    25.0  # by when the simulated objects are there, which are computed while the first ones are shown
+)
 
 
 class Live:
@@ -163,7 +166,7 @@ def clients(live: Live, seconds: float) -> dict[str, Any]:
 
 def in_browser(page: Any, seconds: float) -> dict[str, Any]:
     """Pictures a second, capture to screen."""
-    page.wait_for_timeout(1e3 * SETTLE_S)
+    page.wait_for_timeout(1e3 * COMPUTED_S)
     serial, times, ages = "gelform.frame.header.serial", [], []
     first, began = page.evaluate(serial), time.monotonic()
     while time.monotonic() - began < seconds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -105,17 +106,28 @@ def _tilted(posed: Posed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices and triangles of a face after its rotation, the foremost at height 0."""
     if isinstance(posed.indenter, Mesh):
         vertices, triangles = np.asarray(posed.indenter.vertices_mm), np.asarray(posed.indenter.triangles)
+        used = np.unique(triangles)
     else:
-        vertices, triangles = _triangulated(posed.indenter, posed.extent_mm, posed.samples)
+        made = _triangulated if _is_hashable(posed.indenter) else _triangulated.__wrapped__
+        vertices, triangles, used = made(posed.indenter, posed.extent_mm, posed.samples)
     turned = vertices @ rotation(posed.spin_deg, posed.tilt_deg).T
-    turned[:, 2] -= turned[np.unique(triangles), 2].max()
+    turned[:, 2] -= turned[used, 2].max()
     return np.ascontiguousarray(turned), triangles
 
 
+def _is_hashable(indenter: Indenter) -> bool:
+    try:
+        hash(indenter)
+    except TypeError:
+        return False
+    return True
+
+
+@lru_cache(maxsize=1)  # a press tilts one face again and again; its triangles take up to 50 MB
 def _triangulated(
     indenter: Indenter, extent_mm: float, samples: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """A face as triangles, with walls down to its depth where it ends."""
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """A face as vertices and triangles, with walls down to its depth where it ends; and which vertices are in one."""
     axis = np.linspace(-extent_mm, extent_mm, 2 * samples + 1)
     face = indenter.face_mm(axis[None, :], axis[:, None])
     if not np.isfinite(face).any():
@@ -129,4 +141,4 @@ def _triangulated(
         [np.stack([corner, corner + 1, corner + n], 1), np.stack([corner + 1, corner + n + 1, corner + n], 1)]
     )
     there = np.isfinite(face).ravel()[triangles].any(axis=1)
-    return vertices, triangles[there]
+    return vertices, triangles[there], np.unique(triangles[there])

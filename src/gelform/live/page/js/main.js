@@ -29,7 +29,8 @@ const look = { ageMs: 0, drawnHz: 0, bytesPerS: 0, renderer: "", encoding: LOOPB
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
 const stages = [];
-let facts = null, number = 0, due = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
+const SOFTWARE_MS = 45;
+let facts = null, number = 0, due = 0, drawnAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
 
 const station = () => facts?.stations[number] ?? null;
 const stage = () => stages[number];
@@ -52,10 +53,16 @@ function missing(view) {
 
 // -- drawing ------------------------------------------------------------------------------------------------------------
 
-function redraw() { if (!due) due = requestAnimationFrame(draw); }
+/** At the next refresh of the screen; where the processor draws it, 20 times a second, so that it has time for the sensor. */
+function redraw() {
+  if (due) return;
+  const wait = stages.some((one) => one.surface.software) ? drawnAt + SOFTWARE_MS - performance.now() : 0;
+  due = wait > 0 ? -setTimeout(() => { due = requestAnimationFrame(draw); }, wait) : requestAnimationFrame(draw);
+}
 
 function draw() {
   due = 0;
+  drawnAt = performance.now();
   const frame = frameNow();
   if (frame && page === "calibrate") guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: () => guideOverlay(facts?.guides[number]) });
   if (page === "live") {

@@ -4,20 +4,19 @@ import { ramp } from "../maps/colors.js";
 import { Orbit } from "./orbit.js";
 import { LINE_FRAGMENT, LINE_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.js";
 
-const MOST_VERTICES = 100_000, MOST_IN_SOFTWARE = 20_000;
+const MOST_VERTICES = 100_000, MOST_IN_SOFTWARE = 20_000, SCALE_IN_SOFTWARE = 0.6;
 
 export class Surface {
   /** Throws where the browser has no WebGL2. */
   constructor(canvas, redraw) {
     this.canvas = canvas;
-    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
+    this.software = inSoftware();
+    const gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: true, powerPreference: "low-power" });
     if (!gl) throw new Error("no WebGL2");
     this.gl = gl;
     this.lost = false;
     canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.lost = true; });
     canvas.addEventListener("webglcontextrestored", () => { this.lost = false; this.prepare(); redraw(); });
-    const named = gl.getExtension("WEBGL_debug_renderer_info");
-    this.software = /swiftshader|llvmpipe|software/i.test(named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : "");
     this.prepare();
     this.orbit = new Orbit(canvas, redraw);
   }
@@ -116,13 +115,21 @@ export class Surface {
   }
 
   fit() {
-    const scale = this.software ? 1 : Math.min(2, devicePixelRatio || 1);
+    const scale = this.software ? SCALE_IN_SOFTWARE : Math.min(2, devicePixelRatio || 1);
     const width = Math.max(1, Math.round(this.canvas.clientWidth * scale)), height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
     if (this.canvas.width !== width || this.canvas.height !== height) { this.canvas.width = width; this.canvas.height = height; }
     this.gl.viewport(0, 0, width, height);
   }
 
   bind(unit, what) { this.gl.activeTexture(this.gl.TEXTURE0 + unit); this.gl.bindTexture(this.gl.TEXTURE_2D, what); }
+}
+
+/** Whether WebGL is computed by the processor. Asked of a canvas of its own, before the real one is made with antialiasing or without. */
+function inSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), named = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
 }
 
 function program(gl, vertex, fragment) {
