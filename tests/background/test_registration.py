@@ -104,3 +104,10 @@ def test_sizes_are_checked():
 def test_light_is_the_logarithm_of_the_channels_mean():
     image = np.full((4, 5, 3), [10.0, 20.0, 60.0])
     np.testing.assert_allclose(_logs(image), np.log(30 + 10), rtol=1e-5)
+
+
+@pytest.mark.parametrize("touched", [np.zeros((0, 80), bool), np.zeros((64, 0), bool), np.zeros((64, 80))])
+def test_what_is_no_mask_is_refused(touched):
+    image = np.full((64, 80, 3), 90.0)
+    with pytest.raises((ValueError, TypeError), match="Expected touched"):
+        registration_from_image(image, image, touched)

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
+from gelform.checks import check_image, check_mask
 
 OFFSET = 10.0  # grey levels, as where the color change divides
 BLURS_PX = (6.0, 3.0, 1.5, 1.5)  # coarse to fine; with the first a shift of about 8 px is still seen
@@ -77,10 +77,12 @@ def registration_from_image(
     Raises
     ------
     ValueError, TypeError
-        An image is no (H, W, 3) of numbers in 0-255, or they differ in size.
+        An image is no (H, W, 3) of numbers in 0-255, or they differ in size; `touched` is no mask of that size.
     """
     rest = check_image(background, name="background")
     now = check_image(image, shape=rest.shape[:2])
+    if touched is not None:
+        touched = check_mask(touched, shape=rest.shape[:2], name="touched", may_be_empty=True)
     return PreparedRegistration(rest)(now, touched)
 
 

@@ -142,14 +142,16 @@ def check_map(
     return array
 
 
-def check_mask(mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask") -> NDArray[np.bool_]:
-    """Return a boolean mask (H, W) with at least one True pixel."""
+def check_mask(
+    mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask", may_be_empty: bool = False
+) -> NDArray[np.bool_]:
+    """Return a boolean mask (H, W) with at least one True pixel, unless it may be empty."""
     array = as_array(mask, name)
     if array.dtype != np.bool_:
         raise TypeError(f"Expected {name} as bool, got {array.dtype}. Convert it: {name} > 0.")
     if array.shape != tuple(shape):
         raise ValueError(f"Expected {name} of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
-    if not array.any():
+    if not (may_be_empty or array.any()):
         raise ValueError(f"Expected {name} with at least one True pixel, got none.")
     return array
 
