@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -108,8 +109,9 @@ def _tilted(posed: Posed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         vertices, triangles = np.asarray(posed.indenter.vertices_mm), np.asarray(posed.indenter.triangles)
         used = np.unique(triangles)
     else:
-        made = _triangulated if _is_hashable(posed.indenter) else _triangulated.__wrapped__
-        vertices, triangles, used = made(posed.indenter, posed.extent_mm, posed.samples)
+        hashable = _is_hashable(posed.indenter)
+        triangulated: Callable[..., Any] = _triangulated if hashable else _triangulated.__wrapped__
+        vertices, triangles, used = triangulated(posed.indenter, posed.extent_mm, posed.samples)
     turned = vertices @ rotation(posed.spin_deg, posed.tilt_deg).T
     turned[:, 2] -= turned[used, 2].max()
     return np.ascontiguousarray(turned), triangles
