@@ -10,6 +10,7 @@ from gelform.depth_sigma.closed_form import (
     fading_within_blocks,
     variance_of_white,
     variance_within_blocks,
+    white_as_blurred,
 )
 
 
@@ -64,3 +65,8 @@ def test_what_blocks_miss_fades_where_an_anchor_holds(block, aspect):
     for x, left in zip((3e-3, 0.07, 0.7, 30), missed[1:]):
         ratio = (1 + c[0] * x) / (1 + c[1] * x + c[2] * x**2 + c[3] * x**3)
         assert ratio == pytest.approx(left / missed[0], rel=0.02)
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-9, 1e-4])
+def test_a_correlation_far_below_a_pixel_is_none(length):
+    assert white_as_blurred(1.0, 6, length) == pytest.approx(white_as_blurred(1.0, 6, 0.0), abs=1e-6)

@@ -120,7 +120,8 @@ def correlation_of_blocks(correlation_px: float, block: int) -> tuple[float, flo
 
 
 def _extent(length: float) -> float:
-    """Sum of exp(-d^2/(2 length^2)) along a row."""
+    """Sum of exp(-d^2/(2 length^2)) along a row: 1 below a twentieth of a pixel, where the square could underflow."""
+    length = max(length, 0.05)
     distance = np.arange(-int(8 * length) - 1, int(8 * length) + 2)
     return float(np.sum(np.exp(-(distance**2) / (2 * length**2))))
 
