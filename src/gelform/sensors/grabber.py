@@ -11,12 +11,14 @@ from functools import partial
 from os import PathLike
 
 from gelform.errors import SensorError, SourceLostError
+from gelform.checks import check_within
 from gelform.frames import Frame
 from gelform.sensors.source import Source, open_source
 
 STALL_S = 0.5  # without a frame: robots' recorders give up then
 FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # between attempts to open a source again
 AGAIN_S = 0.25  # for the connection to a host that answered before: one that is off swallows attempts
+MOST_KEPT = 1_000_000  # frames
 RATE_FRAMES = 60  # the rate is measured over so many frames
 
 
@@ -68,14 +70,13 @@ class Grabber:
         keep: int = 1,
         stall_s: float = STALL_S,
     ) -> None:
-        if keep < 1:
-            raise ValueError(f"Expected keep >= 1, got {keep}.")
+        check_within(keep, "keep", 1, MOST_KEPT)
         self._open = source if callable(source) else partial(open_source, source)
         self._open_again = source if callable(source) else partial(open_source, source, timeout_s=AGAIN_S)
         self._finds_serials = not callable(source)
         self._stall_s = stall_s
         self._changed = threading.Condition()
-        self._held: deque[Frame] = deque(maxlen=keep)
+        self._held: deque[Frame] = deque(maxlen=int(keep))
         self._times_s: deque[float] = deque(maxlen=RATE_FRAMES)
         self._state, self._reason = "starting", ""
         self._stats = GrabberStats()
