@@ -48,6 +48,7 @@ NEIGHBOURS = {
     ("reconstruction", "contact"),
     ("reconstruction", "normals"),
     ("design", "calibration"),
+    ("batch", "robots"),  # LeRobot's levels
 }
 INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra

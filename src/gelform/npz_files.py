@@ -10,6 +10,7 @@ import io
 import json
 import os
 import secrets
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -26,15 +27,17 @@ from gelform.errors import DataError, GelformError
 MAX_BYTES = 1 << 30
 MAX_META_BYTES = 1 << 26
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
-_UNREADABLE = (
+# What zipfile, zlib and numpy's reader of arrays raise where an archive is not as it was written.
+DAMAGED_ARCHIVE = (
     zipfile.BadZipFile,
     zlib.error,
     EOFError,
-    ValueError,
-    KeyError,
     NotImplementedError,
     RuntimeError,
+    SyntaxError,
+    tokenize.TokenError,
 )
+_UNREADABLE = (*DAMAGED_ARCHIVE, ValueError, KeyError)
 
 
 @contextmanager

@@ -15,9 +15,9 @@ def test_what_went_is_written_again(tree, cal, tmp_path):
     sheet.write_bytes(drawn[:-1])
     assert problems_of_finish(tmp_path / "out", manifest) == [sheet]
     sheet.unlink()
-    finish(tmp_path / "out", manifest, "csv", again=False)
+    finish(tmp_path / "out", manifest, "csv", tree, again=False)
     assert sheet.read_bytes() == drawn
     table.unlink()
     assert problems_of_finish(tmp_path / "out", manifest) == [table]
-    finish(tmp_path / "out", manifest, "csv", again=False)
+    finish(tmp_path / "out", manifest, "csv", tree, again=False)
     assert table.read_bytes() == content

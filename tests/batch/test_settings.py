@@ -10,7 +10,7 @@ from gelform.batch import KEPT, BatchSettings
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, ffv1, got 'jpg'"),
+        ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, ffv1, lerobot, got 'jpg'"),
         ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
         ({"keep": ()}, "Expected maps to keep"),
         ({"keep": ("all", "depth")}, "Expected maps to keep"),

@@ -12,8 +12,7 @@ from typing import Any
 from gelform import __version__
 from gelform.batch.inputs.listing import Listing
 from gelform.batch.outputs.hdf5_files import INDEX
-from gelform.batch.outputs.places import FRAMES
-from gelform.batch.records import PARTS
+from gelform.batch.outputs.places import FRAMES, PARTS
 from gelform.batch.settings import BatchSettings
 from gelform.batch.table import TABLES
 from gelform.errors import DataError

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelform.batch.outputs.places import OutputFile
+from gelform.batch.outputs.places import PARTS, OutputFile
 from gelform.errors import DataError
 from gelform.npz_files import written_file
 
-PARTS = "parts"
 PARTS_IN_A_FOLDER = 1000
 
 

@@ -20,14 +20,10 @@ from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
 from gelform.batch.locks import only_run
 from gelform.batch.manifest import Manifest, begin
+from gelform.batch.outputs.lerobot_out import check_lerobot_source
 from gelform.batch.outputs.maps import check_names
-from gelform.batch.outputs.places import FRAMES
-from gelform.batch.records import (
-    PARTS,
-    outputs_there,
-    read_record,
-    record_path,
-)
+from gelform.batch.outputs.places import FRAMES, PARTS
+from gelform.batch.records import outputs_there, read_record, record_path
 from gelform.batch.settings import BatchSettings
 from gelform.batch.table import TABLES, table_form
 from gelform.batch.work import Job
@@ -40,6 +36,7 @@ from gelform.sensors.backgrounds import read_background
 
 LOOKED_AT = 5  # sequences, for frames of the calibrated size
 MAX_ERRORS = 1000
+LEFTOVERS = ".gelform-*.tmp"
 
 
 @dataclass
@@ -131,6 +128,8 @@ def run_batch(
     listing = listing_of(source, leave_out=hidden, dataset=dataset)
     check_apart(listing, output)
     check_names([sequence.name for sequence in listing.sequences], settings)
+    if settings.form == "lerobot":
+        check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
     plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
     parts = shard_of(plan, shard)
     rest = _background(background, calibration)
@@ -148,7 +147,7 @@ def run_batch(
         job = Job(calibration, rest, output, settings)
         _do(job, todo, engine, max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
-            finish(output, manifest, table, again=bool(todo))
+            finish(output, manifest, table, listing.root, again=bool(todo))
             summary.complete = True
     return summary
 
@@ -232,13 +231,13 @@ def _not_done(
 
 def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
     """Delete the temporary files that a killed run left."""
-    folders = {output / FRAMES / part.sequence for part in todo}
-    folders |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
-    for folder in folders:
-        deep = (
-            form == "zarr" and FRAMES in folder.relative_to(output).parts
-        )  # shards lie in folders of their own
-        for left in folder.glob("**/.gelform-*.tmp" if deep else ".gelform-*.tmp"):
+    deep = {output / FRAMES} if form == "lerobot" else set()  # which copies more than the parts write
+    shallow = {output / FRAMES / part.sequence for part in todo} - deep
+    if form == "zarr":  # whose shards lie in folders of their own
+        deep, shallow = shallow, deep
+    shallow |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
+    for folders, pattern in ((deep, f"**/{LEFTOVERS}"), (shallow, LEFTOVERS)):
+        for left in (one for folder in folders for one in folder.glob(pattern)):
             left.unlink(missing_ok=True)
 
 

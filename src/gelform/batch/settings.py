@@ -9,10 +9,10 @@ from typing import Any
 from gelform.solvers import SOLVERS
 
 KEPT = ("depth", "known", "depth_sigma", "gradients", "confidence", "contact")
-FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1")
+FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
 DTYPES = ("float32", "uint16")
-LEVELS_ALONE = ("png", "ffv1")  # which hold nothing but depth in 16 bits
-WHOLE_SEQUENCES = ("ffv1",)  # which are one file and so one part
+LEVELS_ALONE = ("png", "ffv1", "lerobot")  # which hold nothing but depth in 16 bits
+WHOLE_SEQUENCES = ("ffv1", "lerobot")  # which are one file and so one part
 MOST_BACKGROUND_FRAMES = 200
 
 
@@ -23,10 +23,10 @@ class BatchSettings:
     Attributes
     ----------
     form : "npz" and "png", a file per frame; "zarr" and "hdf5", whose chunks are frames; "ffv1", a video of 16 bits per
-        sequence
+        sequence; "lerobot", a LeRobot data set with a column of depth more than the input's
     keep : maps among KEPT; ("all",), npz alone: the whole result, which `gelform.load_result` reads
     dtype : of what is kept; "uint16" is depth alone, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png and ffv1,
-        never in npz
+        never in npz; in lerobot 1000 + depth in um
     solver : as of a `Reconstructor`
     depth_sigma : whether depth's standard deviation is worked out, which also decides where contact is; without it a
         frame takes a quarter less time

@@ -41,13 +41,11 @@ def written_whole(target: Path) -> Iterator[Path]:
             target.rmdir()
         partial.rename(target)
     except OSError as error:
-        shutil.rmtree(partial, ignore_errors=True)
         raise DataError(
             f"Cannot write {target}: {error.strerror or error}. Nothing of it was kept."
         ) from error
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)  # where it has not got its name
 
 
 def check_room(folder: Path) -> None:

@@ -137,9 +137,8 @@ def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[st
         try:
             for job in jobs:
                 yield job.result()
-        except BaseException:
+        finally:
             pool.shutdown(wait=True, cancel_futures=True)
-            raise
 
 
 @contextmanager

@@ -7,18 +7,17 @@ hold, for bins of the slope's angle and direction, a quadratic polynomial in the
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 from os import PathLike
-from tokenize import TokenError
 from typing import Any
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_path, check_positive
 from gelform.errors import DataError
+from gelform.npz_files import DAMAGED_ARCHIVE
 
 HEIGHT, WIDTH = 480, 640
 MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # the file's "r" is channel 0 of an OpenCV image: blue
@@ -26,6 +25,7 @@ MAX_BYTES = 1 << 28
 MAX_BINS = 2000
 TOUCHED_MM = 0.1
 ASPECT_TOLERANCE = 0.02
+_DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +115,7 @@ def is_taxim_forward(path: str | PathLike[str]) -> bool:
     try:
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             return set(MEMBERS) <= set(file.files)
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        BadZipFile,
-        AttributeError,
-        TypeError,
-    ):  # no archive: an array, or nothing
+    except _DAMAGED:  # no archive: an array, or nothing
         return False
 
 
@@ -147,18 +140,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
             if missing:
                 raise DataError(f"{path} lacks {', '.join(missing)}: expected Taxim's {', '.join(MEMBERS)}.")
             bins, *channels = (np.asarray(file[name], dtype=np.float64) for name in MEMBERS)
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        BadZipFile,
-        AttributeError,
-        TypeError,
-        SyntaxError,
-        RuntimeError,
-        TokenError,
-        zlib.error,
-    ) as problem:
+    except _DAMAGED as problem:
         raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {problem}.") from problem
     count = int(bins) if bins.ndim == 0 and np.isfinite(bins) else 0
     if not 2 <= count <= MAX_BINS or any(one.shape != (count, count, 6) for one in channels):

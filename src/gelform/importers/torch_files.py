@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import pickletools
 import zipfile
-import zlib
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_path
 from gelform.errors import DataError
+from gelform.npz_files import DAMAGED_ARCHIVE
 
 MAX_BYTES = 64 * 2**20
 MAX_PICKLE_BYTES = 2**20
@@ -77,7 +77,7 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
             return _tensors(archive, path)
     except zipfile.BadZipFile as problem:
         raise DataError(_not_a_zip(path)) from problem
-    except (OSError, EOFError, zlib.error, RuntimeError, NotImplementedError) as problem:
+    except (OSError, *DAMAGED_ARCHIVE) as problem:
         raise DataError(f"{path} is truncated or damaged: {problem}. Copy it again.") from problem
 
 

@@ -35,7 +35,7 @@ def written(results, tmp_path):
         **settings,
     ):
         images = tuple(map(str, range(COUNT))) if counted else ()
-        part = Part(0, sequence, tmp_path, images=images, names=images, total=len(images))
+        part = Part(0, sequence, tmp_path, images=images, names=images, total=len(images), rate_hz=30)
         facts = {"mm_per_px": MM_PER_PX, "calibration_digest": "abc"}
         place = Place(folder, part, BatchSettings(form, part_frames=part_frames, **settings), SHAPE, facts)
         with WRITERS[form](place) as writer:

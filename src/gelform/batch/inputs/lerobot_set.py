@@ -16,7 +16,7 @@ from gelform.batch.inputs.sequences import Sequence
 from gelform.errors import DataError
 
 PENALTY = "av1 yuv420p crf 30 moves depth in contact by 23 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 8 um"
-INFO, EPISODES, VERSION = "meta/info.json", "meta/episodes", "v3.0"
+INFO, STATS, EPISODES, VERSION = "meta/info.json", "meta/stats.json", "meta/episodes", "v3.0"
 
 
 def is_lerobot_set(path: Path) -> bool:
@@ -34,7 +34,7 @@ def lerobot_info(root: Path) -> dict[str, Any]:
     """
     try:
         info: dict[str, Any] = json.loads((root / INFO).read_bytes())
-        version, _ = info["codebase_version"], info["features"]
+        version, _ = info["codebase_version"], (info["features"], info["fps"])
     except (OSError, ValueError, KeyError, TypeError) as problem:
         raise DataError(f"{root / INFO} cannot be read as LeRobot's: {problem!r}.") from problem
     if version != VERSION:
@@ -68,35 +68,67 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
 
 
 def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of the camera that is meant.
+    """A sequence for each episode of each camera that is meant, of videos or of images in the tables.
 
     Raises
     ------
     DataError
-        The data set cannot be read; no video of that name: those that there are, are listed.
+        The data set cannot be read; no camera of that name: those that there are, are listed.
     """
     info = lerobot_info(root)
-    videos = {
-        key: (tuple(feature["shape"]), "video")
+    cameras = {
+        key: (tuple(feature["shape"]), feature["dtype"])
         for key, feature in info["features"].items()
-        if feature.get("dtype") == "video" and not (feature.get("info") or {}).get("is_depth_map")
+        if feature.get("dtype") in _PLACES and not _is_depth(feature)
     }
-    sequences = []
-    for key in matching(root, videos, wanted):
-        chunk, file, begin = (
-            f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")
+    return [
+        Sequence(
+            f"{key}/episode_{episode:06d}",
+            root / path,
+            dataset=key,
+            offset=offset,
+            count=length,
+            rate_hz=round(info["fps"]),
         )
-        for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
-            video = info["video_path"].format(video_key=key, chunk_index=row[chunk], file_index=row[file])
-            name = f"{key}/episode_{row['episode_index']:06d}"
-            offset = round(row[begin] * info["fps"])
-            sequences.append(Sequence(name, root / video, dataset=key, offset=offset, count=row["length"]))
-    return sequences
+        for key in matching(root, cameras, wanted)
+        for episode, path, offset, length in _PLACES[cameras[key][1]](root, info, key)
+    ]
+
+
+def _is_depth(feature: dict[str, Any]) -> bool:
+    told = feature.get("info") or {}
+    return bool(told.get("is_depth_map") or told.get("video.is_depth_map"))
+
+
+def _in_videos(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
+    """Of each episode: its number, the video below the data set, the first frame in it, and how many there are."""
+    chunk, file, begin = (f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp"))
+    for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
+        path = info["video_path"].format(video_key=key, chunk_index=row[chunk], file_index=row[file])
+        yield row["episode_index"], path, round(row[begin] * info["fps"]), row["length"]
+
+
+def _in_tables(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
+    """The same of a table: its rows are episodes one after the other."""
+    columns = ["data/chunk_index", "data/file_index", "dataset_from_index"]
+    first: dict[str, int] = {}
+    for row in lerobot_episodes(root, ["episode_index", "length", *columns]):
+        path = info["data_path"].format(chunk_index=row[columns[0]], file_index=row[columns[1]])
+        begin = row["dataset_from_index"]
+        yield row["episode_index"], path, begin - first.setdefault(path, begin), row["length"]
+
+
+_PLACES = {"video": _in_videos, "image": _in_tables}
 
 
 def compression_of(root: Path, key: str) -> str:
-    """Codec, pixels and quality of a camera's video in words, such as "av1 yuv420p crf 30"; empty where it has no loss."""
+    """Codec, pixels and quality of a camera's video in words, such as "av1 yuv420p crf 30"; empty where it has no loss.
+
+    LeRobot writes the images in its tables as PNG, without loss.
+    """
     feature = lerobot_info(root)["features"].get(key, {})
+    if feature.get("dtype") == "image":
+        return ""
     told = {name.removeprefix("video."): value for name, value in (feature.get("info") or {}).items()}
     codec, pixels = str(told.get("codec", "unknown codec")), str(told.get("pix_fmt", "unknown pixels"))
     crf = told.get("crf")

@@ -33,6 +33,7 @@ class Part:
     total : frames of the whole sequence; 0 where they are not counted yet
     dataset, offset : where the sequence is in a larger file (see `Sequence`); empty for images, videos and recordings
     count : frames of such a part
+    rate_hz : frames a second of a LeRobot data set; else 0
     """
 
     number: int
@@ -46,6 +47,7 @@ class Part:
     dataset: str = ""
     offset: int = 0
     count: int = 0
+    rate_hz: int = 0
 
     @property
     def frames(self) -> int:
@@ -125,6 +127,6 @@ def _pieces(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
 
 def _ranges(sequence: Sequence, part_frames: int) -> Iterator[dict[str, Any]]:
     """Of a dataset; one that cannot be read is one part, which says why."""
-    inside = {"dataset": sequence.dataset, "offset": sequence.offset}
+    inside = {"dataset": sequence.dataset, "offset": sequence.offset, "rate_hz": sequence.rate_hz}
     for start in range(0, max(1, sequence.count), part_frames):
         yield {**inside, "start": start, "count": min(part_frames, sequence.count - start)}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gelform.background.average import background_from_frames
 from gelform.batch.inputs.containers import image_from_values
 from gelform.batch.inputs.hdf5_datasets import hdf5_values
+from gelform.batch.inputs.lerobot_images import stored_images
 from gelform.batch.inputs.lerobot_set import video_frames
 from gelform.batch.inputs.plan import Part
 from gelform.batch.inputs.zarr_datasets import is_zarr, zarr_values
@@ -98,7 +99,7 @@ def _from_the_first(part: Part, count: int) -> Iterator[NamedFrame]:
 
 def _dataset(part: Part, start: int, count: int) -> Iterator[NamedFrame]:
     """Frames of a sequence in a larger file, each with what it is or why it cannot be read."""
-    index, timed = start, part.path.suffix == ".mp4"
+    index, timed = start, part.rate_hz > 0
     try:
         for seconds, values in _values(part, start, count):
             try:
@@ -115,6 +116,8 @@ def _dataset(part: Part, start: int, count: int) -> Iterator[NamedFrame]:
 def _values(part: Part, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
     if part.path.suffix == ".mp4":
         return video_frames(part.path, part.offset, start, count)
+    if part.path.suffix == ".parquet":
+        return stored_images(part.path, part.dataset, part.offset, start, count)
     values = zarr_values if is_zarr(part.path) else hdf5_values
     return ((0.0, one) for one in values(part.path, part.dataset, part.offset + start, count))
 

@@ -18,6 +18,7 @@ class Sequence:
     images : names of the images in natural order; empty for all others, of which a video's frames are not counted yet
     dataset : path inside the file or store; of LeRobot the camera; empty for images, videos and recordings
     offset, count : which frames of the dataset; count is 0 where the file cannot be read, which reading it says
+    rate_hz : frames a second of LeRobot's episodes; 0 of all others
     """
 
     name: str
@@ -26,6 +27,7 @@ class Sequence:
     dataset: str = ""
     offset: int = 0
     count: int = 0
+    rate_hz: int = 0
 
 
 def natural(name: str) -> tuple[list[str | int], str]:

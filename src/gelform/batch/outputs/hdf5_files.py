@@ -13,7 +13,15 @@ from typing import Any
 
 from gelform.batch.extras import needed
 from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
-from gelform.batch.outputs.places import FRAMES, Maps, OutputFile, Place, RememberingFile, output_file
+from gelform.batch.outputs.places import (
+    FRAMES,
+    Maps,
+    OutputFile,
+    Place,
+    RememberingFile,
+    output_file,
+    write_output,
+)
 from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
@@ -70,6 +78,22 @@ class Hdf5Files:
         self._open.__exit__(*error)  # a full disk becomes a DataError of `written_file`
         if error[0] is None:
             self.files.append(output_file(self._place.output, self._path))
+
+
+def write_hdf5_index(output: Path, files: list[str], source: Path) -> None:
+    """Write the file of all sequences."""
+    write_output(output, output / INDEX, hdf5_index(output, files))
+
+
+def no_hdf5_index(output: Path) -> bool:
+    """Whether that file is not there."""
+    return not (output / INDEX).is_file()
+
+
+def wrong_hdf5_index(output: Path, files: list[str]) -> Path | None:
+    """That file, where it is missing or has other bytes now."""
+    path = output / INDEX
+    return None if path.is_file() and path.read_bytes() == hdf5_index(output, files) else path
 
 
 def hdf5_index(output: Path, files: list[str]) -> bytes:

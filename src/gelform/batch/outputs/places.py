@@ -14,7 +14,7 @@ from gelform.batch.inputs.plan import Part
 from gelform.batch.settings import BatchSettings
 from gelform.npz_files import written_file
 
-FRAMES = "frames"
+FRAMES, PARTS = "frames", "parts"
 Maps = Mapping[str, NDArray[Any]]
 
 
@@ -54,10 +54,7 @@ class Place:
         DataError
             The disk is full, or the folder cannot be written to.
         """
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with written_file(path, overwrite=True) as file:
-            file.write(content)
-        return OutputFile(self.name_of(path), len(content), hashlib.sha256(content).hexdigest())
+        return write_output(self.output, path, content)
 
 
 @dataclass(frozen=True)
@@ -67,6 +64,21 @@ class OutputFile:
     path: str
     bytes: int
     sha256: str
+
+
+def write_output(output: Path, path: Path, content: bytes) -> OutputFile:
+    """Write a file below an output whole or not at all, and the folders above it.
+
+    Raises
+    ------
+    DataError
+        The disk is full, or the folder cannot be written to.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_file(path, overwrite=True) as file:
+        file.write(content)
+    name = path.relative_to(output).as_posix()
+    return OutputFile(name, len(content), hashlib.sha256(content).hexdigest())
 
 
 def output_file(output: Path, path: Path) -> OutputFile:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from gelform.batch.extras import needed
 from gelform.batch.outputs.depth_video import RATE_HZ
+from gelform.batch.outputs.lerobot_video import CODEC
 from gelform.exporters.quantised import depth_from_levels
+from gelform.robots.lerobot_depth import depth_from_lerobot_levels
 
 Row = Mapping[str, Any]
 
@@ -65,10 +68,19 @@ def _ffv1(path: Path, index: int) -> NDArray[Any]:
         return np.asarray(next(frames).to_ndarray(format="gray16le"))
 
 
+def _lerobot(path: Path, index: int) -> NDArray[Any]:
+    """As depth: the codes are not those of `exporters.quantised`."""
+    with needed("av", "lerobot", "LeRobot").open(str(path)) as file:
+        frames = file.decode(file.streams.video[0])
+        codes = next(islice(frames, index, None)).to_ndarray(format=CODEC.pix_fmt)
+    return depth_from_lerobot_levels(codes)
+
+
 READERS: dict[str, Callable[[Path, int], NDArray[Any] | None]] = {
     "npz": _npz,
     "png": _png,
     "zarr": _zarr,
     "hdf5": _hdf5,
     "ffv1": _ffv1,
+    "lerobot": _lerobot,
 }

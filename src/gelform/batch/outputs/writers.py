@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from gelform.batch.outputs.depth_video import DepthVideo
 from gelform.batch.outputs.frame_files import FrameFiles
-from gelform.batch.outputs.hdf5_files import INDEX, Hdf5Files, hdf5_index
+from gelform.batch.outputs.hdf5_files import Hdf5Files, no_hdf5_index, write_hdf5_index, wrong_hdf5_index
+from gelform.batch.outputs.lerobot_out import (
+    names_of_set,
+    set_is_missing,
+    write_lerobot_set,
+    wrong_file_of_set,
+)
+from gelform.batch.outputs.lerobot_video import LerobotVideo
 from gelform.batch.outputs.places import OutputFile, Place
 from gelform.batch.outputs.zarr_arrays import ZarrArrays
-from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
 
@@ -49,23 +55,34 @@ WRITERS: dict[str, Callable[[Place], PartWriter]] = {
     "zarr": ZarrArrays,
     "hdf5": Hdf5Files,
     "ffv1": DepthVideo,
+    "lerobot": LerobotVideo,
 }
-FINISHED: dict[str, tuple[str, Callable[[Path, list[str]], bytes]]] = {"hdf5": (INDEX, hdf5_index)}
 
 
-def finish_output(output: Path, form: str, files: list[str]) -> None:
-    """Write what a form needs once all parts are done, from their files: HDF5's file of all sequences."""
-    if form in FINISHED:
-        name, content = FINISHED[form]
-        with written_file(output / name, overwrite=True) as file:
-            file.write(content(output, files))
+class Finish(NamedTuple):
+    """What a form has beside the parts' files, made when all of them are done.
+
+    Attributes
+    ----------
+    write : takes the output, the files that the parts wrote, and the input's folder
+    missing : takes the output; whether a file of it is not there, at a glance
+    wrong : takes the output and the parts' files; the first file of it that is missing or has other bytes now
+    names : takes the output; the paths below it of what was written among the frames
+    """
+
+    write: Callable[[Path, list[str], Path], None]
+    missing: Callable[[Path], bool]
+    wrong: Callable[[Path, list[str]], Path | None]
+    names: Callable[[Path], set[str]] = lambda _: set()
 
 
-def finished_problem(output: Path, form: str, files: list[str]) -> Path | None:
-    """The file that `finish_output` wrote, where it is missing or has other bytes now."""
-    if form not in FINISHED:
-        return None
-    name, content = FINISHED[form]
-    path = output / name
-    same = path.is_file() and path.read_bytes() == content(output, files)
-    return None if same else path
+FINISHED: dict[str, Finish] = {
+    "hdf5": Finish(write_hdf5_index, no_hdf5_index, wrong_hdf5_index),
+    "lerobot": Finish(write_lerobot_set, set_is_missing, wrong_file_of_set, names_of_set),
+}
+NO_FINISH = Finish(lambda *_: None, lambda _: False, lambda *_: None)
+
+
+def finish_of(form: str) -> Finish:
+    """That of a form; one that does nothing where the parts' files are all."""
+    return FINISHED.get(form, NO_FINISH)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,21 +15,12 @@ from gelform.calibration.presses.press_set import Listed, ReadOptions, Source
 from gelform.calibration.presses.tables import check_ball_diameter, diameter, number, table_rows
 from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
+from gelform.npz_files import DAMAGED_ARCHIVE
 from gelform.sensors.backgrounds import background_in, read_background
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
 
 MAX_PACK_BYTES = 4 << 30
-# What zipfile, zlib and numpy's reader of headers raise where a file is not as it was written.
-_DAMAGED = (
-    OSError,
-    EOFError,
-    RuntimeError,
-    NotImplementedError,
-    SyntaxError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_DAMAGED = (OSError, *DAMAGED_ARCHIVE)
 TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 
 
@@ -120,7 +109,7 @@ def taxim_pack_in(path: Path) -> Path | None:
     try:
         with zipfile.ZipFile(pack) as archive:
             return pack if {"f0.npy", "imgs.npy"} <= set(archive.namelist()) else None
-    except (OSError, zipfile.BadZipFile):
+    except _DAMAGED:
         return None
 
 

@@ -50,7 +50,10 @@ def batch(
         ),
     ] = 0,
     form: Annotated[
-        str, typer.Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1.")
+        str,
+        typer.Option(
+            "--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1, lerobot (its input with depth)."
+        ),
     ] = "npz",
     dtype: Annotated[
         str | None, typer.Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
@@ -96,6 +99,7 @@ def batch(
       gelform batch sessions/ -c cal.npz -o depth --workers 4
       gelform batch "day*/*.mp4" -c cal.npz -o depth --background-frames 10 --format png
       gelform batch demos.hdf5 --dataset "data/*/obs/gelsight" -c cal.npz -o depth --format zarr --dtype uint16
+      gelform batch press_set --dataset observation.images.gel -c cal.npz -o with_depth --format lerobot
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
     from gelform.batch import run_batch

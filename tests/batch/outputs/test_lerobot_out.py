@@ -1,0 +1,148 @@
+"""A LeRobot data set with depth: all that was there, one feature more in every table, whole after any interruption."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gelform.batch import BatchSettings, run_batch, verify_output
+from gelform.batch.outputs.lerobot_out import check_lerobot_source, write_lerobot_set
+from gelform.errors import DataError
+
+KEY, STORED = "observation.images.gel", "observation.images.still"
+SETTINGS = BatchSettings("lerobot", keep=("depth",), solver="dct", depth_sigma=False)
+DEPTH = f"{KEY}_depth"
+
+
+@pytest.fixture
+def done(lerobot, cal, tmp_path, visible):
+    """The data set and its output."""
+    root, _ = lerobot
+    (root / ".cache").mkdir()
+    (root / ".cache/left").write_text("x")
+    (root / "README.md").write_text("of the data set\n")
+    before = visible(root)
+    summary = run_batch(root, cal, tmp_path / "out", SETTINGS, dataset=KEY, table="csv")
+    assert (summary.complete, summary.frames, summary.errors) == (True, 9, 0)
+    assert visible(root) == before
+    return root, tmp_path / "out"
+
+
+def rows_of(path):
+    from pyarrow import parquet
+
+    return parquet.read_table(path).to_pylist()
+
+
+def test_everything_else_is_as_it_was(done, visible):
+    root, output = done
+    before, after = visible(root), visible(output / "frames")
+    del before[".cache/left"]  # hidden: no part of it
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {"meta/info.json", "meta/stats.json", "meta/episodes/chunk-000/file-000.parquet"}
+    new = set(after) - set(before)
+    assert new == {f"videos/{DEPTH}/chunk-000/file-{k:03d}.mp4" for k in range(3)}
+    assert "README.md" in after
+    assert verify_output(output) == (9, 0, [])
+
+
+def test_the_tables_say_where_depth_is(done):
+    root, output = done
+    old, new = (json.loads((one / "meta/info.json").read_text()) for one in (root, output / "frames"))
+    assert new["features"].pop(DEPTH)["shape"] == [64, 80, 1]
+    assert new == old
+    where = "meta/episodes/chunk-000/file-000.parquet"
+    for before, after in zip(rows_of(root / where), rows_of(output / "frames" / where), strict=True):
+        assert before.items() <= after.items()
+        assert after[f"videos/{DEPTH}/file_index"] == after["episode_index"]
+        assert after[f"videos/{DEPTH}/from_timestamp"] == 0
+        assert after[f"videos/{DEPTH}/to_timestamp"] == pytest.approx(after["length"] / 30)
+        assert after[f"stats/{DEPTH}/count"] == [after["length"]]
+
+
+def test_statistics_of_all_episodes(done):
+    _, output = done
+    rows = rows_of(output / "frames/meta/episodes/chunk-000/file-000.parquet")
+    stats = json.loads((output / "frames/meta/stats.json").read_text())
+    assert stats["action"] == {"mean": [0.0, 0.0]}
+    found = {name: np.ravel(value)[0] for name, value in stats[DEPTH].items()}
+    of = {name: [np.ravel(row[f"stats/{DEPTH}/{name}"])[0] for row in rows] for name in found}
+    weights = np.array(of["count"])
+    assert (found["count"], found["min"], found["max"]) == (9, min(of["min"]), max(of["max"]))
+    mean = np.average(of["mean"], weights=weights)
+    squares = np.average(np.square(of["std"]) + np.square(of["mean"]), weights=weights)
+    assert (found["mean"], found["std"]) == pytest.approx((mean, np.sqrt(squares - mean**2)))
+    assert found["max"] > 1100  # something was pressed
+
+
+def test_two_cameras_at_once(lerobot, cal, tmp_path):
+    root, _ = lerobot
+    assert run_batch(root, cal, tmp_path / "out", SETTINGS, dataset="*", table="csv").complete
+    features = json.loads((tmp_path / "out/frames/meta/info.json").read_text())["features"]
+    assert {DEPTH, f"{STORED}_depth"} <= set(features)
+    files = (tmp_path / "out/frames/videos").rglob("file-001.mp4")
+    first, second = (one.read_bytes() for one in files)
+    assert first == second  # they showed the same
+
+
+def test_a_run_that_ended_before_its_tables_goes_on(done, lerobot, cal, visible):
+    """info.json comes last: LeRobot finds no half of a data set."""
+    root, output = done
+    whole = visible(output)
+    left = output / "frames/data/.gelform-123.tmp"
+    left.write_bytes(b"half")
+    (output / "frames/data/chunk-000/file-001.parquet").write_bytes(b"half")
+    for name in ("parts/lerobot/files.json", "frames/meta/info.json", "frames/meta/stats.json"):
+        (output / name).unlink()
+    assert verify_output(output)[2]
+    summary = run_batch(root, cal, output, SETTINGS, dataset=KEY, table="csv")
+    assert (summary.complete, summary.frames) == (True, 0)
+    assert visible(output) == whole
+    assert not left.exists()
+
+
+def test_a_file_that_was_altered_is_found(done):
+    _, output = done
+    path = output / "frames/data/chunk-000/file-000.parquet"
+    content = bytearray(path.read_bytes())
+    content[100] ^= 1
+    path.write_bytes(content)
+    (problem,) = verify_output(output)[2]
+    assert problem.path == path
+    (output / "frames/videos/stray.mp4").write_bytes(b"x")
+    path.write_bytes(bytes(content[:100]) + bytes([content[100] ^ 1]) + bytes(content[101:]))
+    (problem,) = verify_output(output)[2]
+    assert (problem.path.name, problem.what) == ("stray.mp4", "no part knows of it.")
+
+
+def test_a_frame_with_an_error_is_level_zero(lerobot, cal, tmp_path, encode):
+    root, frames = lerobot
+    encode(root / f"videos/{KEY}/chunk-000/file-000.mp4", frames[:-1])
+    summary = run_batch(root, cal, tmp_path / "out", SETTINGS, dataset=KEY, table="csv")
+    assert (summary.complete, summary.errors) == (True, 1)
+    rows = rows_of(tmp_path / "out/frames/meta/episodes/chunk-000/file-000.parquet")
+    assert [np.ravel(row[f"stats/{DEPTH}/min"])[0] == 0 for row in rows] == [True, False, False]
+    assert rows[0]["episode_index"] == 2
+
+
+def test_what_cannot_be_is_refused(lerobot, tree, cal, tmp_path):
+    root, _ = lerobot
+    with pytest.raises(DataError, match="Expected a LeRobot data set as input of the format lerobot"):
+        run_batch(tree, cal, tmp_path / "out", SETTINGS)
+    info = json.loads((root / "meta/info.json").read_text())
+    info["features"][DEPTH] = {"dtype": "video", "shape": [64, 80, 1], "info": {"is_depth_map": True}}
+    (root / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(DataError, match=f"has {DEPTH} already"):
+        check_lerobot_source(root, {KEY})
+    info["video_path"] = "films/{video_key}.mp4"
+    (root / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(DataError, match="Expected videos at"):
+        check_lerobot_source(root, {KEY})
+
+
+def test_a_table_without_a_camera_stays(done, tmp_path):
+    """Nothing is added where no part wrote."""
+    root, _ = done
+    write_lerobot_set(tmp_path / "other", [], root)
+    before, after = ((one / "meta/info.json").read_text() for one in (root, tmp_path / "other/frames"))
+    assert json.loads(before) == json.loads(after)
