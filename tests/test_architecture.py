@@ -44,6 +44,7 @@ NEIGHBOURS = {
     ("checks", "_native"),
     ("metrics", "ball"),
     ("view", "lens"),
+    ("color_models", "solvers"),
     ("calibration_file", "confidence"),
     ("reconstruction", "contact"),
     ("reconstruction", "normals"),

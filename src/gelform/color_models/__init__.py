@@ -8,6 +8,7 @@ A model is fitted on samples of ball presses, where the gradient is known, and p
 No colour change means no slope, in every model.
 """
 
+from gelform.color_models.depth_aware import DepthAwareModel
 from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
@@ -24,6 +25,7 @@ COLOR_MODELS: dict[str, type[FittableColorModel]] = {
     "near_light": NearLightModel,
     "polynomial": PolynomialModel,
     "hierarchical": HierarchicalModel,
+    "depth_aware": DepthAwareModel,
     "interpolation": InterpolationModel,
     "mlp": MlpModel,
     "lookup": LookupModel,
@@ -39,6 +41,7 @@ __all__ = [
     "COLOR_MODELS",
     "IMPORTED_MODELS",
     "ColorModel",
+    "DepthAwareModel",
     "FittableColorModel",
     "HierarchicalModel",
     "InterpolationModel",

@@ -9,7 +9,7 @@ per term).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -95,33 +95,11 @@ class HierarchicalModel:
             raise ValueError(
                 f"Expected position degrees >= 0 and ridge > 0, got {position_degrees} and {ridge}."
             )
-        samples = _thinned(samples)
         target = samples.gradients
         if start is not None:
             start.check_like(len(position_degrees), samples.shape)
             target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
-        terms = monomials(3, len(position_degrees))
-        light = None if samples.background is None else _light_at_nodes(samples.background)
-        orders = [
-            _places(order, position_degrees, samples.shape, light)
-            for order in range(1, len(position_degrees) + 1)
-        ]
-        places, penalties = zip(*(orders[len(term) - 1] for term in terms))
-        change = np.asarray(samples.color_change, dtype=np.float64)
-        scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
-        at = _interpolation(samples.x_px, samples.y_px, samples.shape)
-        products = _products(change / scale, terms)
-        there = [_at_pixels(place, *at) for place, _ in orders]
-        design = np.empty((len(target), sum(len(p) for p in penalties)), dtype=np.float32)
-        parts = np.split(design, np.cumsum([len(p) for p in penalties])[:-1], axis=1)
-        for term, product, part in zip(terms, products, parts):
-            np.multiply(there[len(term) - 1], product[:, None], out=part, casting="same_kind")
-        found = penalised_huber(
-            design, target, samples.weight, ridge * np.concatenate(penalties), huber=HUBER_SLOPE
-        )
-        split = np.split(found, np.cumsum([len(p) for p in penalties])[:-1])
-        own = [place @ found / scale ** len(term) for place, found, term in zip(places, split, terms)]
-        nodes = np.stack(own, axis=2)
+        nodes, _ = fitted_nodes(replace(samples, gradients=target), position_degrees, ridge)
         return cls(nodes if start is None else nodes + start.nodes, len(position_degrees), samples.shape)
 
     @classmethod
@@ -166,18 +144,43 @@ class HierarchicalModel:
         return cls(arrays["nodes"], settings["degree"], (height, width))
 
 
-def _thinned(samples: Samples) -> Samples:
-    """Every n-th sample, some 20 000: neighbours in a press are copies of each other."""
-    step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
-    return Samples(
-        samples.color_change[::step],
-        samples.x_px[::step],
-        samples.y_px[::step],
-        samples.gradients[::step],
-        samples.weight[::step],
-        samples.shape,
-        samples.background,
-    )
+def fitted_nodes(
+    samples: Samples,
+    position_degrees: tuple[int, ...],
+    ridge: float,
+    beside: NDArray[Any] | None = None,
+    beside_penalties: NDArray[Any] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The regression of `HierarchicalModel.fit`, where wanted with columns (N, K) of another kind beside its own.
+
+    Returns
+    -------
+    nodes : (rows, columns, terms, 2), as `HierarchicalModel.nodes`
+    coefficients : (K, 2), of the columns beside; their ridge is `ridge` times `beside_penalties` (K,)
+    """
+    step = max(1, round(len(samples.x_px) / MAX_SAMPLES))  # neighbours in a press are copies of each other
+    change, weight = np.asarray(samples.color_change[::step], dtype=np.float64), samples.weight[::step]
+    terms = monomials(3, len(position_degrees))
+    light = None if samples.background is None else _light_at_nodes(samples.background)
+    degrees = range(1, len(position_degrees) + 1)
+    orders = [_places(order, position_degrees, samples.shape, light) for order in degrees]
+    places, penalties = zip(*(orders[len(term) - 1] for term in terms))
+    scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=weight))) + 1e-12
+    at = _interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
+    there = [_at_pixels(place, *at) for place, _ in orders]
+    extra = np.empty((len(change), 0)) if beside is None else beside[::step]
+    penalties = (*penalties, np.empty(0) if beside_penalties is None else beside_penalties)
+    ends = np.cumsum([len(p) for p in penalties])
+    design = np.empty((len(change), ends[-1]), dtype=np.float32)
+    *parts, last = np.split(design, ends[:-1], axis=1)
+    for term, product, part in zip(terms, _products(change / scale, terms), parts):
+        np.multiply(there[len(term) - 1], product[:, None], out=part, casting="same_kind")
+    last[...] = extra
+    ridges = ridge * np.concatenate(penalties)
+    found = penalised_huber(design, samples.gradients[::step], weight, ridges, huber=HUBER_SLOPE)
+    *split, others = np.split(found, ends[:-1])
+    own = [place @ found / scale ** len(term) for place, found, term in zip(places, split, terms)]
+    return np.stack(own, axis=2), others
 
 
 def _node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

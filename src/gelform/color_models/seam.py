@@ -22,6 +22,7 @@ class Samples:
     weight : (N,) float64, >= 0
     shape : (H, W) of the images they come from
     background : (H, W, 3) float32, the untouched image, for models that learn from the light at a place; or None
+    depth_px : (N,) float32, >= 0, depth that a plain model reads there, in pixels, for models that learn from it; or None
     """
 
     color_change: NDArray[Any]
@@ -31,6 +32,7 @@ class Samples:
     weight: NDArray[Any]
     shape: tuple[int, int]
     background: NDArray[Any] | None = None
+    depth_px: NDArray[Any] | None = None
 
 
 class PreparedColorModel(Protocol):

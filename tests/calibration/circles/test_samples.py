@@ -1,5 +1,7 @@
 """Samples carry what color models learn from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,31 @@ def test_presses_share_the_samples_and_rest_gives_half_as_many():
     x, y = rested.x_px[count:], rested.y_px[count:]
     distance = [np.hypot(x - c.x_px, y - c.y_px) / c.radius_px for c in contacts]
     assert np.maximum(*distance).min() > 2
+
+
+def test_depths_come_with_the_pixels_that_they_belong_to():
+    depth = np.arange(SHAPE[0] * SHAPE[1], dtype=np.float32).reshape(SHAPE)
+    press, contact = replace(press_of(), depth_px=depth), ContactCircle(40.0, 30.0, 10.0, 1.0, 9.0)
+    samples = with_rest_samples(contact_samples([press], [contact], 0.8), [press], [contact])
+    np.testing.assert_array_equal(samples.depth_px, depth[samples.y_px.astype(int), samples.x_px.astype(int)])
+    assert contact_samples([press_of()], [contact], 0.8).depth_px is None
+
+
+class WholeFrames:
+    """A model that reads the mean colour of the frame into every slope."""
+
+    whole_frames = True
+
+    def prepare(self, background, shape):
+        assert background.shape == (*shape, 3)
+        return self
+
+    def gradients_from_color(self, color_change):
+        return np.broadcast_to(color_change.mean(), (*color_change.shape[:2], 2)), None
+
+
+def test_a_model_of_whole_frames_gets_the_whole_frame():
+    press = press_of()
+    press.color_change[:30] = 0.5
+    rows, cols = np.array([0, 59]), np.array([3, 4])
+    np.testing.assert_allclose(press.gradients(WholeFrames(), rows, cols), 0.25)

@@ -8,6 +8,7 @@ import pytest
 from gelform.calibration.selection.candidates import (
     DEFAULT_ZONE,
     ZONES,
+    Candidate,
     Start,
     candidates_for,
     candidates_from,
@@ -110,3 +111,12 @@ def test_zones_are_parts_of_the_contact_and_a_fine_polynomial_judges_them():
     assert ZONES[0] > 0.5
     assert ZONES[-1] < 1
     assert zone_judge(100) == zone_judge(18) != zone_judge(17)
+
+
+def test_a_model_that_asks_gets_the_depth_that_a_plain_one_reads(prepared, found):
+    some = range(0, len(prepared), 2)
+    presses, circles = [prepared[i] for i in some], [found[i] for i in some]
+    samples = Candidate("depth_aware", 0.8).samples(presses, circles, total=3000)
+    inside = samples.gradients.any(axis=1)
+    assert samples.depth_px[inside].mean() > 5 * samples.depth_px[~inside].mean() >= 0
+    assert Candidate("hierarchical", 0.8).samples(presses, circles, total=3000).depth_px is None

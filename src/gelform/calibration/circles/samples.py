@@ -33,6 +33,7 @@ class PreparedPress:
     ball_radius_px : float
     usable : (H, W) bool, False on marker dots; None where all pixels are
     background : (H, W, 3) float32, the untouched image that all presses share; or None
+    depth_px : (H, W) float32, the depth that a plain model reads, px; None until a model asks for it
     """
 
     name: str
@@ -41,6 +42,7 @@ class PreparedPress:
     ball_radius_px: float
     usable: NDArray[np.bool_] | None = None
     background: NDArray[np.float32] | None = None
+    depth_px: NDArray[np.float32] | None = None
 
     def pixels(
         self, contact: ContactCircle, zone: float, count: int | None = None
@@ -70,8 +72,16 @@ class PreparedPress:
     def gradients(
         self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """The slopes that a model reads there."""
+        """The slopes that a model reads there; of the whole frame where a pixel alone does not tell it enough."""
+        if getattr(model, "whole_frames", False):
+            rest = np.zeros(self.color_change.shape) if self.background is None else self.background
+            prepared = model.prepare(rest, rest.shape[:2])
+            return prepared.gradients_from_color(self.color_change)[0][rows, cols].astype(np.float64)
         return model.gradients_at(self.color_change[rows, cols], cols, rows)
+
+    def depths_at(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.float32]:
+        """The depth there, px; none where it was not asked for."""
+        return np.empty(0, np.float32) if self.depth_px is None else self.depth_px[rows, cols]
 
 
 def contact_samples(
@@ -85,10 +95,12 @@ def contact_samples(
     parts = []
     for press, contact in zip(presses, contacts):
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
-        parts.append((press.color_change[rows, cols], cols, rows, press.ball_gradients(contact, rows, cols)))
-    change, x, y, gradients = (np.concatenate([part[i] for part in parts]) for i in range(4))
+        gradients = press.ball_gradients(contact, rows, cols)
+        parts.append((press.color_change[rows, cols], cols, rows, gradients, press.depths_at(rows, cols)))
+    change, x, y, gradients, depth = (np.concatenate([part[i] for part in parts]) for i in range(5))
     first = presses[0]
-    return Samples(change, x, y, gradients, np.ones(len(x)), first.size.shape, first.background)
+    known = None if first.depth_px is None else depth
+    return Samples(change, x, y, gradients, np.ones(len(x)), first.size.shape, first.background, known)
 
 
 def with_rest_samples(
@@ -105,8 +117,9 @@ def with_rest_samples(
         far = distance > REST_DISTANCE * contact.radius_px
         if press.usable is not None:
             far &= press.usable[rows, cols]
-        parts.append((press.color_change[rows[far], cols[far]], cols[far], rows[far]))
-    change, x, y = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        rows, cols = rows[far], cols[far]
+        parts.append((press.color_change[rows, cols], cols, rows, press.depths_at(rows, cols)))
+    change, x, y, depth = (np.concatenate([part[i] for part in parts]) for i in range(4))
     return replace(
         samples,
         color_change=np.concatenate([samples.color_change, change]),
@@ -114,4 +127,5 @@ def with_rest_samples(
         y_px=np.concatenate([samples.y_px, y]),
         gradients=np.concatenate([samples.gradients, np.zeros((len(x), 2))]),
         weight=np.concatenate([samples.weight, np.full(len(x), REST_WEIGHT)]),
+        depth_px=None if samples.depth_px is None else np.concatenate([samples.depth_px, depth]),
     )

@@ -7,7 +7,7 @@ model's own class (`variants` and `slow`); here nothing is listed again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gelform.calibration.circles.find import ContactCircle
@@ -86,7 +86,18 @@ class Candidate:
         *,
         total: int = TOTAL_SAMPLES,
     ) -> Samples:
-        """What it is fitted on: pixels inside the contacts' zones, and untouched ones."""
+        """What it is fitted on: pixels inside the contacts' zones, and untouched ones; with depths for a model that asks."""
+        samples = self._samples(presses, contacts, total)
+        depth_reader = getattr(COLOR_MODELS[self.model], "depth_reader", None)
+        if depth_reader is None:
+            return samples
+        read = depth_reader(samples, **dict(self.settings))
+        measured = [replace(press, depth_px=read(press.color_change)) for press in presses]
+        return self._samples(measured, contacts, total)
+
+    def _samples(
+        self, presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], total: int
+    ) -> Samples:
         return with_rest_samples(
             contact_samples(presses, contacts, self.zone, total=total), presses, contacts
         )
