@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from gelform import anchor as room
 from gelform.anchor import REACH_MM, REST_SIGMA_MM, RestAnchor
 from gelform.depth import depth_from_gradients
 from gelform.gradients import gradients_from_depth
+from kernel_agreement import assert_kernel_agrees
 
 SHAPE, PITCH, CLEAN = (120, 160), 0.1, 0.05
 
@@ -144,3 +147,75 @@ def test_spots_that_are_not_trusted_leave_it_as_it_is():
     far = np.hypot(*away) > 45  # gel beside it is held less
     assert found[far] == pytest.approx(plain[far], rel=0.01)
     assert not found[spot].any()
+
+
+def covered(coarse, pixels):
+    """How much of each coarse pixel (rows) each pixel is (columns)."""
+    edges = np.arange(coarse + 1) * pixels / coarse
+    k = np.arange(pixels)
+    part = np.minimum(k + 1, edges[1:, None]) - np.maximum(k, edges[:-1, None])
+    return np.maximum(part, 0) * coarse / pixels
+
+
+@pytest.mark.parametrize("shape", [(12, 16), (13, 19), (3, 7), (1, 9)])
+def test_coarse_maps_are_means_over_areas(shape):
+    rng = np.random.default_rng(0)
+    coarse = max(1, shape[0] // 4), max(1, shape[1] // 4)
+    slopes, weights = rng.normal(size=(*shape, 2)).astype(np.float32), rng.random(shape).astype(np.float32)
+    chosen, work = rng.random(shape) < 0.5, np.empty(1000, np.float32)
+
+    def mean(values):
+        return np.einsum(
+            "iy,jx,yx...->ij...", covered(coarse[0], shape[0]), covered(coarse[1], shape[1]), values
+        )
+
+    out = np.empty((*coarse, 2), np.float32)
+    assert_kernel_agrees(room._coarse_slopes, lambda *_: mean(slopes), slopes, None, work, out)
+    weighted = mean(slopes * weights[..., None])
+    assert_kernel_agrees(room._coarse_slopes, lambda *_: weighted, slopes, weights, work, out)
+    maps = np.empty(coarse, np.float32), np.empty(coarse, np.float32)
+    both = mean(weights), mean(chosen.astype(float))
+    assert_kernel_agrees(room._coarse_trust, lambda *_: both, weights, chosen, work, *maps)
+    alike = np.ones(coarse), both[1]
+    assert_kernel_agrees(room._coarse_trust, lambda *_: alike, None, chosen, work, *maps)
+
+
+def hold_by_scipy(depth, share, far, hold, least, pressed, face):
+    """Of regions that share an edge; those that touched gel encloses are free where they are off rest in the mean."""
+    rest = share >= min(least, share.max())
+    z = depth.astype(np.float64) - np.median(depth[rest])
+    weight = hold / (1 + (z / pressed) ** 2) ** 2 * (1 if far is None else far)
+    labels, count = ndimage.label(rest)
+    border = np.ones(depth.shape, bool)
+    border[1:-1, 1:-1] = False
+    for label in range(1, count + 1):
+        region = labels == label
+        if not (region & border).any() and abs(z[region].mean()) > face:
+            weight[region] = 0
+    return weight
+
+
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("shape", [(21, 30), (1, 5), (7, 1)])
+def test_the_hold_of_a_coarse_depth(shape, far):
+    rng = np.random.default_rng(1)
+    share = np.where(rng.random(shape) < 0.6, 1, rng.random(shape)).astype(np.float32)
+    depth = rng.normal(0, 0.03, shape).astype(np.float32)
+    near = rng.random(shape).astype(np.float32) if far else None
+    limits = 0.2, 0.9, 0.05, 0.02
+    expected = hold_by_scipy(depth, share, near, *limits)
+    assert far or shape[0] == 1 or shape[1] == 1 or (expected == 0).any()
+    arguments = depth, share, near, np.empty(20 * depth.size, np.float32), np.empty(shape, np.float32)
+    assert_kernel_agrees(room._rest_hold, lambda *_: expected, *arguments, *limits)
+
+
+@pytest.mark.parametrize(
+    ("coarse", "shape"), [((3, 5), (12, 20)), ((3, 4), (13, 19)), ((1, 2), (3, 9)), ((1, 1), (5, 2))]
+)
+def test_a_coarse_map_is_spread_bilinearly(coarse, shape):
+    rng = np.random.default_rng(2)
+    values, chosen = rng.random(coarse).astype(np.float32), rng.random(shape) < 0.7
+    places = [np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in zip(shape, coarse)]
+    spread = ndimage.map_coordinates(values.astype(float), np.meshgrid(*places, indexing="ij"), order=1)
+    work, out = np.empty(4 * shape[1], np.float32), np.empty(shape, np.float32)
+    assert_kernel_agrees(room._spread_over_chosen, lambda *_: chosen * spread, values, chosen, work, out)

@@ -140,7 +140,7 @@ EXPORT int contact_regions(const float *pressure, const float *bed, const float 
     flat_faces += judge_row(&rule, pressure + at, bed + at, around, map + at, w);
   }
   for (ptrdiff_t y = 0; flat_faces > 0 && y < h; y++) mark_core(map, y, (uint8_t *)work, h, w);
-  const int32_t count = find_runs(map, HALF | CORE, runs, h, w);
+  const int32_t count = find_runs(map, HALF | CORE, CORNERS, runs, h, w);
   count_seeds(runs, count, pressure, seed, w);
   memset(contact, 0, (size_t)(h * w));
   for (int32_t k = 0; k < count; k++) {
@@ -157,7 +157,7 @@ EXPORT int label_regions(const bool *mask, uint16_t *labels, int32_t *work, ptrd
   struct run *runs = (struct run *)work;
   int regions = 0;
   if (n < runs_work(h, w)) return WRONG_SIZE;
-  const int32_t count = find_runs((const uint8_t *)mask, 1, runs, h, w);
+  const int32_t count = find_runs((const uint8_t *)mask, 1, CORNERS, runs, h, w);
   for (int32_t k = 0; k < count; k++) regions += runs[k].parent == k;
   if (regions > UINT16_MAX) return regions;
   memset(labels, 0, (size_t)(h * w) * sizeof *labels);

@@ -1,4 +1,4 @@
-// Connected regions of a map, of runs of pixels in its rows that are joined where they touch, corners included.
+// Connected regions of a map, of runs of pixels in its rows that are joined where they touch.
 #ifndef GELFORM_RUNS_H
 #define GELFORM_RUNS_H
 #include "../common.h"
@@ -35,8 +35,10 @@ static inline ptrdiff_t next_set(const uint8_t *row, ptrdiff_t x, ptrdiff_t w, u
   return x;
 }
 
+enum { EDGES = 0, CORNERS = 1 };  // what pixels have to share to touch: an edge, or a corner at least
+
 // Runs of pixels that have one of the bits, from the first row to the last, joined into regions; how many runs.
-static inline int32_t find_runs(const uint8_t *map, uint8_t bits, struct run *runs, ptrdiff_t h, ptrdiff_t w) {
+static inline int32_t find_runs(const uint8_t *map, uint8_t bits, int touch, struct run *runs, ptrdiff_t h, ptrdiff_t w) {
   int32_t count = 0, above = 0;  // above: the first run of the row before that may touch what follows
   for (ptrdiff_t y = 0; y < h; y++) {
     const uint8_t *row = map + y * w;
@@ -44,9 +46,9 @@ static inline int32_t find_runs(const uint8_t *map, uint8_t bits, struct run *ru
     for (ptrdiff_t x = next_set(row, 0, w, bits); x < w; x = next_set(row, x, w, bits)) {
       const ptrdiff_t from = x;
       while (x < w && row[x] & bits) x++;
-      while (above < before && runs[above].to < from) above++;
+      while (above < before && runs[above].to <= from - touch) above++;
       runs[count] = (struct run){(int32_t)y, (int32_t)from, (int32_t)x, count, (int32_t)(x - from), 0};
-      for (int32_t k = above; k < before && runs[k].from <= x; k++) join(runs, k, count);
+      for (int32_t k = above; k < before && runs[k].from < x + touch; k++) join(runs, k, count);
       count++;
     }
     above = before;

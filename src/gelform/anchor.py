@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.gradients import fill_unknown
-from gelform.medians import medians_where
+from gelform.pool import Pool
 from gelform.solvers.dct import DctSolver
 
 # How close to 0 gel of untouched colour is, far from what is pressed.
@@ -28,6 +29,24 @@ COARSER = 4
 UNTOUCHED_SHARE, TOUCHED_SHARE = 0.9, 0.5
 # Mean confidence of coarse pixels: from which on all slopes count alike, and up to which they count for nothing.
 TRUSTED, LEAST_TRUST = 0.5, 0.05
+
+_coarse_slopes = Kernel(
+    "coarse_slopes",
+    "f32[h,w,2] slopes, f32[h,w]? weights, out f32[n] work, out f32[rows,columns,2] coarse",
+)
+_coarse_trust = Kernel(
+    "coarse_trust",
+    "f32[h,w]? weights, bool[h,w] chosen, out f32[n] work, out f32[rows,columns] trust, out f32[rows,columns] share",
+)
+_rest_hold = Kernel(
+    "rest_hold",
+    "f32[h,w] depth, f32[h,w] share, f32[h,w]? far, out f32[n] work, out f32[h,w] weight, f32 hold, f32 least, "
+    "f32 pressed, f32 face",
+)
+_spread_over_chosen = Kernel(
+    "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
+)
+WORDS_OF_COVER, WORDS_OF_RUN, WORDS_OF_REGION = 16, 6, 4  # of native/anchor
 
 
 class RestAnchor:
@@ -47,6 +66,10 @@ class RestAnchor:
         rows, columns = self._coarse
         self._coarse_mm = mm_per_px * (shape[0] / rows + shape[1] / columns) / 2
         self._solver = DctSolver(self._coarse, (mm_per_px * shape[1] / columns, mm_per_px * shape[0] / rows))
+        runs = rows * ((columns + 1) // 2)
+        of_frame = WORDS_OF_COVER * columns + 4 * shape[1]
+        of_coarse = runs * (WORDS_OF_RUN + WORDS_OF_REGION) + 4 * rows * columns
+        self._pool = Pool(lambda: np.empty(max(of_frame, of_coarse), dtype=np.float32))
 
     def __call__(
         self,
@@ -61,54 +84,42 @@ class RestAnchor:
 
         Untouched pixels hold with `(clean mm_per_px / REST_SIGMA_MM)^2`, times the weight of a robust loss,
         `(1 + (z/PRESSED_MM)^2)^-2`, of their coarse depth z (S. Geman and D. McClure, Bull. Int. Statist.
-        Inst. 52, 1987), and times `1 - exp(-(d/REACH_MM)^2)`, d their distance from touched gel.
+        Inst. 52, 1987), and times `1 - exp(-(d/REACH_MM)^2)`, d their distance from touched gel. Where so much is
+        touched that no coarse pixel is at rest, those count as rest that are untouched most.
         """
-        rows, columns = self._coarse
-        slopes = self._coarse_slopes(gradients, confidence)
-        share = cv2.resize(untouched.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-        depth = self._solver(slopes.reshape(rows, columns, 2)).depth_mm
-        share = share.reshape(rows, columns)
-        rest = share >= min(UNTOUCHED_SHARE, float(share.max()))
-        depth -= medians_where(depth[..., None], rest)[0]
-        weight = np.float32(self.hold) / (1 + (depth / np.float32(PRESSED_MM)) ** 2) ** 2
-        weight *= self._far_from(share < min(TOUCHED_SHARE, float(share.max())))
-        weight[_faces(rest, depth)] = 0
-        anchor: NDArray[np.float32] = cv2.resize(weight, self.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        anchor *= untouched
+        trust, share = np.empty((2, *self._coarse), dtype=np.float32)
+        weight, anchor = np.empty(self._coarse, np.float32), np.empty(self.shape, np.float32)
+        with self._pool.one() as work:
+            _coarse_trust(confidence, untouched, work, trust, share)
+            slopes = self._coarse_slopes(gradients, confidence, trust, work)
+            depth = self._solver(slopes).depth_mm
+            far = self._far_from(share < min(TOUCHED_SHARE, float(share.max())))
+            limits = self.hold, UNTOUCHED_SHARE, PRESSED_MM, FACE_MM
+            _rest_hold(depth, share, far, work, weight, *limits)
+            _spread_over_chosen(weight, untouched, work, anchor)
         return anchor
 
-    def _far_from(self, touched: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """0-1 on the coarse grid: 0 at touched gel, 1 far from it."""
+    def _far_from(self, touched: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+        """0-1 on the coarse grid: 0 at touched gel, 1 far from it; None where nothing is touched."""
         if not touched.any():
-            return np.ones(self._coarse, dtype=np.float32)
+            return None
         distance = cv2.distanceTransform((~touched).view(np.uint8), cv2.DIST_L2, 3).reshape(self._coarse)
-        far: NDArray[np.float32] = -np.expm1(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
+        far: NDArray[np.float32] = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
         return far
 
     def _coarse_slopes(
-        self, gradients: NDArray[np.float32], confidence: NDArray[np.float32] | None
+        self,
+        gradients: NDArray[np.float32],
+        confidence: NDArray[np.float32] | None,
+        trust: NDArray[np.float32],
+        work: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         """Means of the slopes, by confidence where some are not trusted; the rest filled from their neighbours."""
-        size = self._coarse[::-1]
-        trust = None if confidence is None else cv2.resize(confidence, size, interpolation=cv2.INTER_AREA)
-        if confidence is None or trust is None or trust.min() >= TRUSTED:
-            return np.asarray(cv2.resize(gradients, size, interpolation=cv2.INTER_AREA))
-        slopes = cv2.resize(gradients * confidence[..., None], size, interpolation=cv2.INTER_AREA)
-        slopes = slopes.reshape(*self._coarse, 2) / np.maximum(trust, np.float32(1e-12)).reshape(
-            *self._coarse, 1
-        )
-        known = (trust >= LEAST_TRUST).reshape(self._coarse)
+        slopes = np.empty((*self._coarse, 2), dtype=np.float32)
+        if confidence is None or trust.min() >= TRUSTED:
+            _coarse_slopes(gradients, None, work, slopes)
+            return slopes
+        _coarse_slopes(gradients, confidence, work, slopes)
+        slopes /= np.maximum(trust, np.float32(1e-12))[..., None]
+        known = trust >= LEAST_TRUST
         return fill_unknown(slopes, known) if known.any() else slopes
-
-
-def _faces(rest: NDArray[np.bool_], depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Regions of untouched colour that touched gel encloses, off rest by more than `FACE_MM` in the mean."""
-    count, labels = cv2.connectedComponents(np.ascontiguousarray(rest).view(np.uint8), connectivity=4)
-    labels = labels.reshape(rest.shape)
-    sums = np.bincount(labels.ravel(), depth.ravel(), count)
-    face = np.abs(sums) > FACE_MM * np.bincount(labels.ravel(), minlength=count)
-    for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
-        face[edge] = False
-    face[0] = False
-    faces: NDArray[np.bool_] = face[labels]
-    return faces

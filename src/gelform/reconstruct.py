@@ -27,17 +27,19 @@ from gelform.confidence import (
     with_model_sigma,
 )
 from gelform.confidence.limits import prepared_causes
-from gelform.contact import contact_from_depth
-from gelform.depth import Integration, integrate
+from gelform.contact import contact_unchecked
+from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.difference import DepthDifference
+from gelform.depth_sigma.inputs import checked_sigma
 from gelform.depth_sigma.sigma import DepthSigma
+from gelform.depth_sigma.total import add_in_proportion
 from gelform.frames import Frame, check_viewed_image
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFlow, MarkerFollower
 from gelform.pool import Pool, keep_freed_memory
 from gelform.reconstruction import Reconstruction
-from gelform.solvers.inputs import checked_solver, takes_weights
+from gelform.solvers.inputs import check_slopes, checked_solver, takes_weights
 from gelform.view import image_from_frame
 
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
@@ -195,8 +197,6 @@ class Reconstructor:
         faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
         solution, depth_sigma, difference = self._integrate(read)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
-        if depth_sigma is not None:
-            np.minimum(depth_sigma, self._limit.ignorance_mm, out=depth_sigma)
         faults.widen(depth_sigma, self._limit.ignorance_mm)
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
@@ -205,7 +205,7 @@ class Reconstructor:
             gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
             observed_gradients=observed,
             confidence=read.confidence,
-            contact=contact_from_depth(depth_mm, mm_per_px=self._pitch, depth_sigma_mm=depth_sigma),
+            contact=contact_unchecked(depth_mm, (self._pitch, self._pitch), depth_sigma),
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
@@ -249,6 +249,7 @@ class Reconstructor:
         hidden = faults.hidden(markers)
         pending = self._untouched_image.pending(image, exposure)
         observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
+        check_slopes(observed)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
         untouched, sigma = self._sigma(change, observed, reference, hidden)
         confidence = self._causes(image, change, observed, reference, hidden, sigma, came)
@@ -283,13 +284,12 @@ class Reconstructor:
         sigma_of: Work | None = None
         if self._depth_sigma is not None and read.observed_sigma is not None:
             known = {**how, "rest": read.untouched}
-            sigma_of = self._start(partial(self._depth_sigma, read.observed_sigma, **known))
-        solution = integrate(read.observed, mm_per_px=self._pitch, solver=self.solver, **how)
+            slopes_sigma = checked_sigma(read.observed_sigma)
+            sigma_of = self._start(partial(self._depth_sigma.unchecked, slopes_sigma, **known))
+        solution = integrate_unchecked(read.observed, mm_per_px=self._pitch, solver=self.solver, **how)
         if self._depth_sigma is None or read.observed_sigma is None or sigma_of is None:
             return solution, None, None
-        # Not by cv2.magnitude, which rounds by the address of an array.
-        in_proportion = self._gain_sigma * solution.depth_mm
-        sigma = np.sqrt(np.square(sigma_of()) + np.square(in_proportion))
+        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self._gain_sigma, self._limit.ignorance_mm)
         parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gain_sigma
         return solution, sigma, DepthDifference(*parts)
 

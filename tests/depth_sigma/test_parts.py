@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelform.depth import depth_from_gradients
-from gelform.depth_sigma.parts import ErrorParts, checked_rest
+from gelform.depth_sigma.parts import ErrorParts
 from gelform.depth_sigma.sigma import DepthSigma
 
 SHAPE, PITCH, SIGMA = (72, 96), 0.2, 0.05
@@ -52,17 +52,10 @@ def test_without_rest_errors_are_as_in_contact_everywhere():
     assert by_default == pytest.approx(plain(sigma, anchor=ANCHOR), rel=1e-5)
 
 
-def test_blocks_take_part_by_their_pixels():
-    rest = np.zeros((6, 9), bool)
-    rest[:, :4] = True
-    white, common = ErrorParts(3, 0.75, 0.0, 0.0).of_blocks(rest, (3, 5))
-    assert white[0, :3, 0] == pytest.approx(np.sqrt([1, 0.5, 0.25]), abs=2e-3)
-    assert common[0, :3, 0] == pytest.approx(np.sqrt([0, 0.5, 0.75]), abs=2e-3)
-
-
-def test_rest_is_a_mask_of_the_frame():
-    assert checked_rest(None, SHAPE) is None
-    with pytest.raises(ValueError, match=r"Expected rest as bool of shape \(72, 96\), got float64"):
-        checked_rest(np.ones(SHAPE), SHAPE)
-    with pytest.raises(ValueError, match=r"of \(4, 5\)"):
-        checked_rest(np.ones((4, 5), bool), SHAPE)
+def test_shares_of_the_errors():
+    parts = ErrorParts(3, 0.75, 0.0, 0.0)
+    assert parts.of_blocks == (0.75, 0.0, 1.0)
+    assert parts.within_blocks == pytest.approx([0.5, 1.0])
+    assert (ErrorParts(3, 1.0, 1.0, 0.0).within_blocks > 0).all()
+    blurred = ErrorParts(3, 0.75, 0.0, 1.5)
+    assert blurred.of_blocks[2] > 1 > blurred.within_blocks[1]

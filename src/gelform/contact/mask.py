@@ -15,6 +15,7 @@ from gelform.checks import check_map, check_mm_per_px, check_number
 from gelform.contact.contacts import runs_work
 from gelform.medians import medians_where
 
+NOISE_FACTOR, MIN_AREA_MM2 = 4.5, 0.05  # by default
 # Standard deviations of a Gaussian, before the surface's bending is taken: the first ...
 SMOOTHINGS_PX = 0.7, 1.5, 2.5
 QUIET = 0.06  # ... that leaves no more noise than this, 1/mm
@@ -73,8 +74,8 @@ def contact_from_depth(
     *,
     mm_per_px: float | Sequence[float],
     depth_sigma_mm: ArrayLike | None = None,
-    noise_factor: float = 4.5,
-    min_area_mm2: float = 0.05,
+    noise_factor: float = NOISE_FACTOR,
+    min_area_mm2: float = MIN_AREA_MM2,
 ) -> NDArray[np.bool_]:
     """Where something holds the gel's surface up.
 
@@ -117,6 +118,17 @@ def contact_from_depth(
     if depth_sigma_mm is not None:
         sigma = check_map(depth_sigma_mm, "depth_sigma_mm", shape=depth.shape, nonnegative=True)
         sigma = np.ascontiguousarray(sigma)
+    return contact_unchecked(depth, pitch, sigma, noise_factor, min_area_mm2)
+
+
+def contact_unchecked(
+    depth: NDArray[np.float32],
+    pitch: tuple[float, float],
+    sigma: NDArray[np.float32] | None,
+    noise_factor: float = NOISE_FACTOR,
+    min_area_mm2: float = MIN_AREA_MM2,
+) -> NDArray[np.bool_]:
+    """`contact_from_depth` of what a Reconstructor made: float32, finite, in C order, the sigma not negative."""
     found = _pressure(depth, sigma, pitch)
     limit = max(noise_factor * _noise(found.pressure), LEAST_PRESSURE)
     return _regions(found, limit, min_area_mm2 / (pitch[0] * pitch[1]))

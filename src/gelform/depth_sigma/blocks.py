@@ -5,31 +5,42 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.background.change import blur_taps
+from gelform.depth_sigma.parts import ErrorParts
 from gelform.gradients import fill_unknown
 from gelform.solvers.system import FLOOR, problem_from_gradients
 
 _sum_blocks = Kernel(
     "sum_blocks",
-    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w] mask, f32[h,w] anchor, bool[h,w] region, f32 floor, i64 block, "
-    "out f32[planes,w] work, out f32[planes,rows,columns] sums",
+    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w] mask, f32[h,w] anchor, bool[h,w] region, bool[h,w]? rest, "
+    "f32 floor, i64 block, out f32[planes,w] work, out f32[planes,rows,columns] sums",
+)
+_errors_of_blocks = Kernel(
+    "errors_of_blocks",
+    "f32[planes,rows,columns] sums, out f32[rows,columns] weight, out f32[rows,columns,2] white, "
+    "out f32[rows,columns,2] common, out f32[rows,columns,2] usual, i64 block, f32 share, f32 rest_share, f32 power, "
+    "i64 h, i64 w",
+)
+_variance_of_depths = Kernel(
+    "variance_of_depths",
+    "f32[h,w,n] depths, bool[h,w] mask, f32[t] taps, out f32[m] work, out f32[h,w] variance",
 )
 _sigma_of_pixels = Kernel(
     "sigma_of_pixels",
-    "f32[rows,columns] variance, f32[h,w,slopes] sigma, f32[2] within, f32[4] fading, f32[h,w] weights, f32 floor, "
-    "f32[h,w]? anchor, out f32[16,line] work, out f32[h,w] out",
+    "f32[rows,columns] variance, f32[h,w,slopes] sigma, bool[h,w]? rest, f32[2] white, f32[2] within, f32[4] fading, "
+    "f32[h,w] weights, f32 floor, f32[h,w]? anchor, i64 block, out f32[22,line] work, out f32[h,w] out",
 )
 # Variance of the probes is averaged over so many blocks (standard deviation).
 SMOOTHING_BLOCKS = 0.6
-LINES = 16  # scratch of `sigma_of_pixels`
+LINES = 22  # scratch of `sigma_of_pixels`
 
-# What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels;
-# then for each slope weight x sigma and its square.
-INSIDE, WEIGHT, SQUARE, HOLD, REGION, FIRST = range(6)
+# What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels, pixels at
+# rest; then for each slope weight x sigma and its square.
+INSIDE, WEIGHT, SQUARE, HOLD, REGION, REST, FIRST = range(7)
 PER_SLOPE = 2
 
 
@@ -49,8 +60,7 @@ class Blocks:
     mask : (h, w) bool; anchored : bool; problem : its couplings; size : pixels across a block
     region : (h, w), pixels that are zero pixels, inside the mask
     white, common : (h, w, 2)
-        Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones; `parts`
-        are the factors by which that of a pixel is either.
+        Standard deviation of the weighted mean slope of a block: of independent errors, and of common ones.
     """
 
     def __init__(
@@ -60,39 +70,27 @@ class Blocks:
         mask: NDArray[np.bool_],
         anchor: NDArray[np.float32] | None,
         region: NDArray[np.bool_],
+        rest: NDArray[np.bool_] | None,
         floor: np.float32,
-        block: int,
-        parts: tuple[NDArray[np.float32], NDArray[np.float32]],
+        parts: ErrorParts,
     ) -> None:
+        block = self.size = parts.block
         shape = block_rows_and_columns(mask.shape, block)
-        slopes = sigma.shape[2]
-        sums = np.empty((FIRST + PER_SLOPE * slopes, *shape), dtype=np.float32)
+        sums = np.empty((FIRST + PER_SLOPE * sigma.shape[2], *shape), dtype=np.float32)
         work = np.empty((len(sums), mask.shape[1]), dtype=np.float32)
         hold = zeros(mask.shape) if anchor is None else anchor
-        _sum_blocks(sigma, weights, mask, hold, region, floor, block, work, sums)
-        count = sums[INSIDE]
-        total = np.maximum(sums[WEIGHT], 1e-30)
-        self.size = block
-        self.mask = count > 0
+        _sum_blocks(sigma, weights, mask, hold, region, rest, floor, block, work, sums)
+        weight = np.empty(shape, dtype=np.float32)
+        self.white, self.common, self._usual = np.empty((3, *shape, 2), dtype=np.float32)
+        errors = weight, self.white, self.common, self._usual
+        _errors_of_blocks(sums, *errors, block, *parts.of_blocks, *mask.shape)
+        self.mask = sums[INSIDE] > 0
         self.anchored = anchor is not None
-        weight = sums[WEIGHT] / np.maximum(count, 1)
-        no_slope = np.zeros((*shape, 2), dtype=np.float32)
         self.problem = problem_from_gradients(
-            no_slope, weight, self.mask, sums[HOLD] if self.anchored else None
+            zeros((*shape, 2)), weight, self.mask, sums[HOLD] if self.anchored else None
         )
         self.region = sums[REGION]
-        # Slopes of less weight than the floor are replaced by a fill from their neighbours: they bring no
-        # error. Holes make independent errors go round: worse by the unevenness of the weights in the block.
-        uneven = np.sqrt(count * sums[SQUARE]) / total
-        uneven[uneven == 0] = 1
-        by_slope = sums[FIRST:].reshape(slopes, PER_SLOPE, *shape).transpose(1, 2, 3, 0)
-        moved, square = np.ascontiguousarray(by_slope)
-        self._usual = moved / total[..., None]
-        self.white = np.sqrt(square) * (uneven / total)[..., None]
-        if slopes == 1:
-            self.white, self._usual = (np.repeat(v, 2, axis=-1) for v in (self.white, self._usual))
-        self.white *= parts[0]
-        self.common = self._usual * parts[1]
+        # Slopes of less weight than the floor are replaced by a fill from their neighbours: they bring no error.
         known = (weight >= FLOOR * weight.max()) | ~self.mask
         self._known = None if known.all() else known
         if self._known is not None:
@@ -116,31 +114,39 @@ def less_mean(depths: NDArray[np.float32], pixels: NDArray[np.bool_], block: int
     return np.asarray((flat - mean).reshape(height, width, probes))
 
 
-def smoothed(variance: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Averaged over neighbours inside the mask."""
-    blur = (0, 0), SMOOTHING_BLOCKS
-    if mask.all():
-        return np.asarray(cv2.GaussianBlur(variance, *blur)).reshape(mask.shape)
-    inside = cv2.GaussianBlur(mask.astype(np.float32), *blur).reshape(mask.shape)
-    smooth = cv2.GaussianBlur(np.where(mask, variance, 0).astype(np.float32), *blur).reshape(mask.shape)
-    return np.asarray(smooth / np.maximum(inside, 1e-6), dtype=np.float32)
+def variance_of_depths(depths: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Mean square (h, w) over the probes of depths (h, w, probes), averaged over neighbours inside the mask."""
+    taps = _taps()
+    work = np.empty(2 * (mask.size + mask.shape[1] + taps.size), dtype=np.float32)
+    variance = np.empty(mask.shape, dtype=np.float32)
+    _variance_of_depths(depths, mask, taps, work, variance)
+    return variance
+
+
+@lru_cache(maxsize=1)
+def _taps() -> NDArray[np.float32]:
+    return blur_taps(SMOOTHING_BLOCKS)
 
 
 def sigma_of_pixels(
     variance: NDArray[np.float32],
     sigma: NDArray[np.float32],
+    rest: NDArray[np.bool_] | None,
+    white: NDArray[np.float32],
     within: NDArray[np.float32],
     fading: NDArray[np.float32],
     weights: NDArray[np.float32],
     floor: np.float32,
     anchor: NDArray[np.float32] | None,
+    block: int,
 ) -> NDArray[np.float32]:
     """Standard deviation of pixels (H, W), with what blocks do not see; less where an anchor holds a pixel.
 
     Parameters
     ----------
-    variance : (H, W) or more, mm^2, of the blocks, resampled to pixels
+    variance : (h, w), mm^2, of the blocks, of `block` x `block` pixels; bilinear between their centres
     sigma : (H, W, 1 or 2), of the slopes
+    rest, white : (H, W) and (2,), the share of sigma that is white within a block: in contact, and at rest
     within : (2,) of p and q: variance within a block for each unit of theirs
         The usual sigma of 3x3 pixels counts, their harmonic mean: one bad pixel among good ones is held by them.
     fading : (4,), how that gets less where an anchor holds: see `fading_within_blocks`
@@ -150,7 +156,7 @@ def sigma_of_pixels(
     """
     out = np.empty(weights.shape, dtype=np.float32)
     work = np.empty((LINES, weights.shape[1] + 2), dtype=np.float32)
-    _sigma_of_pixels(variance, sigma, within, fading, weights, floor, anchor, work, out)
+    _sigma_of_pixels(variance, sigma, rest, white, within, fading, weights, floor, anchor, block, work, out)
     return out
 
 

@@ -10,27 +10,37 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import (
-    as_array,
-    check_map,
     check_mask,
     check_mm_per_px,
     check_numbers,
     check_within,
-    value_range,
 )
-from gelform.depth_sigma.blocks import Blocks, block_rows_and_columns, less_mean, sigma_of_pixels, smoothed
+from gelform.depth_sigma.blocks import (
+    Blocks,
+    block_rows_and_columns,
+    less_mean,
+    sigma_of_pixels,
+    variance_of_depths,
+)
 from gelform.depth_sigma.closed_form import (
     correlation_of_blocks,
     fading_within_blocks,
     variance_of_white,
     variance_within_blocks,
 )
-from gelform.depth_sigma.parts import ErrorParts, checked_rest
+from gelform.depth_sigma.inputs import (
+    MOST_PX,
+    checked_probes,
+    checked_rest,
+    checked_share,
+    checked_sigma,
+    checked_weights,
+)
+from gelform.depth_sigma.parts import ErrorParts
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR
@@ -39,7 +49,6 @@ from gelform.zero import Level, Zero, fitted_surface, zero_region
 # Probes are solved on blocks (sigma is smooth): about so many of them, of so many pixels across.
 BLOCKS = 2300
 BLOCK_PX = 2, 6
-MOST_PX, MOST_PROBES = 20_000, 10_000
 
 
 class DepthSigma:
@@ -90,11 +99,11 @@ class DepthSigma:
             int(check_within(width, "width", 1, MOST_PX)),
         )
         self.pitch = check_mm_per_px(mm_per_px)
-        share = _checked_share(correlation_px, correlated_share)
+        share = checked_share(correlation_px, correlated_share)
         rest_share = share if rest_correlated_share is None else rest_correlated_share
-        rest_share = _checked_share(correlation_px, rest_share)
+        rest_share = checked_share(correlation_px, rest_share)
         check_within(rest_correlation_px, "rest_correlation_px", 0, MOST_PX)
-        probes = _checked_probes(probes)
+        probes = checked_probes(probes)
         block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
         blocks = block_rows_and_columns(self.shape, block)
         rng = rng or np.random.default_rng(0)
@@ -135,37 +144,59 @@ class DepthSigma:
             Of depth minus its mean over these pixels, which all their errors share: that of the shape.
         """
         shape = self.shape
-        sigma = _checked_sigma(gradients_sigma, shape)
-        weight = _ones(shape) if weights is None else _checked_weights(weights, shape)
+        sigma = checked_sigma(gradients_sigma, shape)
+        weight = _ones(shape) if weights is None else checked_weights(weights, shape)
         inside = _ones(shape, bool) if mask is None else check_mask(mask, shape=shape)
         hold = None if anchor is None else check_anchor(anchor, shape)
         region = zero_region(zero, shape)
         still = checked_rest(rest, shape)
         if mask is not None:
             weight = weight * inside
-        floor = np.float32(FLOOR) * np.float32(value_range(weight)[1])
-        parts = self.parts.of_blocks(still, block_rows_and_columns(shape, self.block))
-        blocks = Blocks(sigma, weight, inside, hold, region, floor, self.block, parts)
-        median = blocks.share_in_median() if level == "slope" else None
-        depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
         pixels = None
         if against is not None:
             pixels = check_mask(against, shape=shape, name="against") & inside
-        variance = smoothed(_variance(depths, blocks, level, pixels), blocks.mask)
-        return self._of_pixels(variance, self.parts.within_blocks(sigma, still), weight, floor, hold)
+        return self._of_pixels(sigma, weight, inside, hold, region, still, level, pixels)
+
+    def unchecked(
+        self,
+        gradients_sigma: NDArray[np.float32],
+        *,
+        weights: NDArray[np.float32] | None = None,
+        anchor: NDArray[np.float32] | None = None,
+        zero: NDArray[np.bool_] | None = None,
+        rest: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """The same of a frame that a Reconstructor made: its values were checked where they came in.
+
+        Parameters
+        ----------
+        gradients_sigma : (H, W, 1 or 2), as `checked_sigma` gives it
+        weights, anchor, rest : (H, W), C order; without NaN
+        zero : (H, W); needed without an anchor
+        """
+        weight = _ones(self.shape) if weights is None else weights
+        region = rest if zero is None else zero
+        return self._of_pixels(gradients_sigma, weight, _ones(self.shape, bool), anchor, region, rest)
 
     def _of_pixels(
         self,
-        variance: NDArray[np.float32],
         sigma: NDArray[np.float32],
         weight: NDArray[np.float32],
-        floor: np.float32,
+        inside: NDArray[np.bool_],
         anchor: NDArray[np.float32] | None,
+        region: NDArray[np.bool_],
+        rest: NDArray[np.bool_] | None,
+        level: Level | None = None,
+        against: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
-        """Standard deviation of pixels from the variance of blocks, and sigma (H, W, 1 or 2) of what is white in them."""
-        size = variance.shape[1] * self.block, variance.shape[0] * self.block
-        pixels = cv2.resize(variance, size).reshape(size[1], size[0])
-        return sigma_of_pixels(pixels, sigma, self._within, self._fading, weight, floor, anchor)
+        """Standard deviation of pixels (H, W) from that of blocks."""
+        floor = np.float32(FLOOR) * weight.max()
+        blocks = Blocks(sigma, weight, inside, anchor, region, rest, floor, self.parts)
+        median = blocks.share_in_median() if level == "slope" else None
+        depths = self._solver(blocks.white, blocks.common, blocks.problem, median)
+        variance = variance_of_depths(_against_zero(depths, blocks, level, against), blocks.mask)
+        settings = self.parts.within_blocks, self._within, self._fading
+        return sigma_of_pixels(variance, sigma, rest, *settings, weight, floor, anchor, self.block)
 
 
 def depth_sigma_from_gradients_sigma(
@@ -207,14 +238,14 @@ def depth_sigma_from_gradients_sigma(
     closed form.
     """
     pitch = check_mm_per_px(mm_per_px)
-    sigma = _checked_sigma(gradients_sigma)
+    sigma = checked_sigma(gradients_sigma)
     shape = sigma.shape[0], sigma.shape[1]
     uniform = weights is None and mask is None and anchor is None and level is None
     constant = bool(np.all(sigma == sigma[0, 0]))
     if uniform and constant and correlation_px == 0 and isinstance(zero, str) and zero == "mean":
         per_x, per_y = variance_of_white(shape, pitch)
         return np.sqrt(sigma[0, 0, 0] ** 2 * per_x + sigma[0, 0, -1] ** 2 * per_y).astype(np.float32)
-    settings = shape, pitch, float(correlation_px), float(correlated_share), _checked_probes(probes)
+    settings = shape, pitch, float(correlation_px), float(correlated_share), checked_probes(probes)
     prepared = _prepared(*settings) if rng is None else _prepared.__wrapped__(*settings, rng)
     return prepared(sigma, weights=weights, mask=mask, anchor=anchor, zero=zero, level=level)
 
@@ -238,52 +269,16 @@ def _prepared(
     )
 
 
-def _checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
-    """Standard deviations (H, W, 1 or 2)."""
-    sigma = as_array(gradients_sigma, "gradients_sigma")
-    size = sigma.shape[:2]
-    alike = shape is not None and sigma.shape == tuple(shape)
-    if not alike and (sigma.ndim != 3 or sigma.shape[2] != 2 or shape not in (None, size)):
-        wanted = "(H, W, 2)" if shape is None else f"({shape[0]}, {shape[1]}, 2)"
-        raise ValueError(f"Expected gradients_sigma of shape {wanted}, got {sigma.shape}.")
-    if sigma.size == 0:
-        raise ValueError(f"Expected gradients_sigma of some pixels, got none: shape {sigma.shape}.")
-    if sigma.ndim == 3 and sigma.strides[2] == 0:
-        sigma = sigma[..., 0]  # one map, broadcast to both slopes
-    flat = check_map(sigma.reshape(size[0], -1), "gradients_sigma", nonnegative=True)
-    if value_range(flat)[0] == 0:
-        raise ValueError("Expected gradients_sigma > 0, got 0: no slope is known exactly.")
-    return flat.reshape(*size, -1)
-
-
-def _checked_weights(weights: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
-    array = check_map(weights, "weights", shape=shape, nonnegative=True)
-    if array.ndim != 2:
-        raise ValueError(f"Expected weights of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
-    return array
-
-
-def _checked_probes(probes: int) -> int:
-    """Return a number of random draws that tell a deviation."""
-    return int(check_within(probes, "probes", 2, MOST_PROBES))
-
-
-def _checked_share(correlation_px: float, correlated_share: float) -> float:
-    check_within(correlation_px, "correlation_px", 0, MOST_PX)
-    check_within(correlated_share, "correlated_share", 0, 1)
-    return correlated_share if correlation_px > 0 else 0.0
-
-
 @lru_cache(maxsize=16)
 def _ones(shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
     """A map of ones, shared: nobody writes to it."""
     return np.ones(shape, dtype=dtype)
 
 
-def _variance(
+def _against_zero(
     depths: NDArray[np.float32], blocks: Blocks, level: Level | None, against: NDArray[np.bool_] | None
 ) -> NDArray[np.float32]:
-    """Mean square over the probes of depth (h, w, probes) against its zero, or its mean over pixels (H, W)."""
+    """Depths (h, w, probes) against their zero, or their mean over pixels (H, W)."""
     if not blocks.anchored:
         zero = blocks.region if blocks.region.any() else blocks.mask.astype(np.float32)
         flat = depths.reshape(-1, depths.shape[2])
@@ -291,7 +286,5 @@ def _variance(
     if level in ("plane", "quadratic"):
         fields = np.moveaxis(depths, -1, 0)
         surface = fitted_surface(fields, blocks.region > 0, 1 if level == "plane" else 2)
-        depths = depths - np.moveaxis(surface, 0, -1)
-    if against is not None:
-        depths = less_mean(depths, against, blocks.size)
-    return np.asarray(np.einsum("ijk,ijk->ij", depths, depths) / np.float32(depths.shape[2]))
+        depths = np.ascontiguousarray(depths - np.moveaxis(surface, 0, -1))
+    return depths if against is None else less_mean(depths, against, blocks.size)

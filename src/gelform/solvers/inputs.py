@@ -28,16 +28,16 @@ def takes_weights(solver: str) -> bool:
 
 
 def check_slopes(gradients: NDArray[np.float32]) -> None:
-    """Refuse finite slopes whose squares would not be.
+    """Refuse slopes that are not finite, or whose squares would not be.
 
     Raises
     ------
     ValueError
-        A slope is beyond `HIGHEST_SLOPE`.
+        A slope is NaN or beyond `HIGHEST_SLOPE`.
     """
     low, high = value_range(gradients)
     largest = max(high, -low)
-    if largest > HIGHEST_SLOPE:
+    if not largest <= HIGHEST_SLOPE:
         raise ValueError(
             f"Expected slopes up to {HIGHEST_SLOPE:.0e} mm/mm, got {largest:.1e}: what they add up to is beyond "
             "float32. Mark such pixels with weights of 0 and put any small value there."
