@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
-import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
 from gelform.exporters.folders import write_csv, write_png, write_sensor_toml, written_whole
 from gelform.exporters.simulated_press import write_truth
+from gelform.exporters.worker_processes import interrupt_held, worker_processes
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
 from gelform.simulate.sensor.sensor import settings_from_sensor
@@ -130,37 +126,11 @@ def _made(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[st
         for k in numbers:
             yield _write_press(presses, folder, k)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _as_worker) as pool:
-        with _interrupt_held():
+    with worker_processes(workers) as pool:
+        with interrupt_held():
             jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
-        try:
-            for job in jobs:
-                yield job.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _interrupt_held() -> Iterator[None]:
-    """Ctrl-C reaches all processes, but is for the one that starts them: those started here never see it.
-
-    It waits until the block ends. Where a system cannot hold it (Windows), only a worker's first moments see it.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _as_worker() -> None:
-    """One thread each, deaf to Ctrl-C."""
-    cv2.setNumThreads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for job in jobs:
+            yield job.result()
 
 
 def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:

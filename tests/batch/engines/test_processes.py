@@ -5,7 +5,8 @@ import signal
 
 import pytest
 
-from gelform.batch.engines.processes import WorkerLostError, done_parts
+from gelform.batch.engines import WorkerLostError
+from gelform.batch.engines.processes import done_parts
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
 from gelform.batch.records import read_record

@@ -7,11 +7,11 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from gelform.batch.engines.processes import WorkerLostError
 from gelform.batch.extras import needed
 from gelform.batch.inputs.plan import Part
 from gelform.batch.work import Job, Worker
 from gelform.errors import GelformError
+from gelform.exporters.worker_processes import WorkerLostError
 
 TRIES_AGAIN = 5  # of a part whose worker or machine is lost; it writes the same bytes each time
 WAITING_PER_CPU = 2  # so that a worker never waits for the driver, and no million tasks wait in memory
