@@ -1,4 +1,7 @@
-"""The list of devices, the one that is unplugged (a real ffmpeg, killed), and settings of a camera."""
+"""The list of devices, what is shown of it, the one that is unplugged (a real ffmpeg, killed), settings of a camera."""
+
+import threading
+from dataclasses import replace
 
 import pytest
 
@@ -7,11 +10,14 @@ from gelform.errors import GelformError, SensorError
 from gelform.live import actions
 from gelform.live.devices import Devices, camera_facts, set_camera
 from gelform.live.hub import Hub
+from gelform.live.replay import buttons
+from gelform.live.simulated.show import Show
 from gelform.live.start import Options, start
 from gelform.live.station import Station
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.settings import SETTABLE
 from gelform.sensors.simulated.touches import SimulatedTouches
+from gelform.sensors.source import open_source
 from live_waiting import until
 
 LEFT = Camera("DIGIT", "/dev/video0", "D1", by_path="usb-1")
@@ -66,7 +72,7 @@ def test_a_camera_that_leaves_the_list_is_named_until_it_is_back(monkeypatch):
     there.remove(LEFT)
     facts = devices.facts()
     assert (facts["gone"], facts["gone_name"], facts["back"], facts["asking"]) == (
-        "usb-1",
+        "camera 0",
         "DIGIT",
         False,
         False,
@@ -75,6 +81,75 @@ def test_a_camera_that_leaves_the_list_is_named_until_it_is_back(monkeypatch):
     assert devices.facts()["back"]
     devices.identify(False)
     assert not devices.facts()["gone"]
+
+
+@pytest.fixture
+def choice(hub):
+    """The hub with two cameras on its list; each is a camera of its own that serves one reader alone."""
+    if why_absent() is not None:
+        pytest.skip(str(why_absent()))
+    with FfmpegCamera() as left, FfmpegCamera() as right:
+        urls = {"D1": left.url, "D2": right.url}
+        hub.devices = Devices(
+            hub.stations, lambda: [LEFT, RIGHT], lambda camera, _: open_source(urls[camera.serial])
+        )
+        hub.stations.append(Station(1, "second", lambda: Show(hub.stations[0].source.sensor), hub.changed))
+        hub.stations[1].start()
+        yield hub
+
+
+def numbers_of(hub):
+    return {row["serial"]: row["camera"] for row in hub.devices.facts()["rows"] if row["camera"] is not None}
+
+
+def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choice, calibration):
+    hub, station = choice, choice.stations[0]
+    name = hub.calibrations.add(
+        "of D2", replace(calibration, serial="D2"), hub.calibrations.origin_of("mine")
+    )
+    actions.show_camera(hub, 0, numbers_of(hub)["D2"])
+    until(lambda: not station.facts()["simulated"] and station.facts()["state"] == "running", 20)
+    assert station.setup.name == name
+    assert station.facts()["opened"]
+    assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
+    assert hub.notices[-1][2].endswith("shows DIGIT now, with its calibration of D2.")
+    buttons.open_recording(hub, 0, "")
+    until(lambda: station.facts()["simulated"], 20)
+    assert station.setup.name == "mine"
+    assert set(numbers_of(hub)) == {"D1", "D2"}
+
+
+def test_a_camera_without_a_calibration_shows_its_image(choice):
+    actions.show_camera(choice, 0, numbers_of(choice)["D1"])
+    assert choice.stations[0].setup.calibration is None
+    assert "none on the list has its serial" in choice.notices[-1][2]
+
+
+def test_of_two_pages_that_want_one_camera_the_first_gets_it(choice):
+    number, said = numbers_of(choice)["D1"], []
+    begin = threading.Barrier(2)
+
+    def ask(station):
+        begin.wait()
+        try:
+            actions.show_camera(choice, station, number)
+            said.append("")
+        except GelformError as problem:
+            said.append(str(problem))
+
+    asking = [threading.Thread(target=ask, args=(station,)) for station in (0, 1)]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join(20)
+    assert sorted(said)[0] == ""
+    assert "DIGIT is shown already, as sensor" in sorted(said)[1]
+
+
+def test_a_camera_that_is_not_on_the_list_is_not_opened(hub):
+    with pytest.raises(GelformError, match="not plugged in any more"):
+        actions.show_camera(hub, 0, 9)
+    assert hub.stations[0].facts()["simulated"]
 
 
 def test_without_being_asked_nothing_is_named(monkeypatch):
@@ -127,8 +202,6 @@ def test_a_source_without_settings_says_so(hub, name):
 
 
 def test_a_camera_set_otherwise_than_calibrated_is_said(adjustable, calibration):
-    from dataclasses import replace
-
     station = adjustable.stations[0]
     settings = calibration.settings | {"camera": {"exposure": 50.0}}
     station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")

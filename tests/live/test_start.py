@@ -5,6 +5,7 @@ import pytest
 from gelform.errors import CalibrationError, DataError
 from gelform.live.start import Options, start
 from gelform.sensors.cameras import there
+from gelform.sensors.cameras.camera import Camera
 from live_waiting import until
 
 
@@ -46,6 +47,21 @@ def test_a_camera_that_is_not_there_is_said_and_waited_for():
         assert hub.stations[0].facts()["state"] == "missing"
     finally:
         hub.close()
+
+
+@pytest.mark.parametrize(
+    ("specs", "said"),
+    [
+        (["D1", "D1"], "'D1' twice"),
+        (["D1", "simulated", "DIGIT"], "'D1' and 'DIGIT': one camera"),
+        (["http://127.0.0.1:9/a"] * 2, "'http://127.0.0.1:9/a' twice"),
+        (["NO-SUCH-SERIAL-7"] * 2, "'NO-SUCH-SERIAL-7' twice"),
+    ],
+)
+def test_a_camera_is_named_once(specs, said, monkeypatch):
+    monkeypatch.setattr(there, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
+    with pytest.raises(DataError, match=said):
+        start(Options(specs))
 
 
 def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):

@@ -13,6 +13,7 @@ from gelform.errors import GelformError
 from gelform.live import devices
 from gelform.live.hub import Hub, wait_for_frames
 from gelform.live.replay.player import Player, ReplayedFrame
+from gelform.live.setup import Setup
 from gelform.live.station import Station
 from gelform.live.take.code import Situation, code_of
 from gelform.live.take.recorder import Recorder
@@ -101,6 +102,19 @@ def set_camera(hub: Hub, station: int, name: str, value: float) -> None:
     hub.notice(
         f"{name.replace('_', ' ').capitalize()} of {hub.station(station).grabber.name}: {found:g}, read back."
     )
+
+
+def show_camera(hub: Hub, station: int, camera: int) -> None:
+    """Show a camera of the list in place of what a station shows, with the calibration of its serial if there is one."""
+    chosen, found = hub.station(station), hub.devices.camera(camera)
+    hub.check_idle(station)
+    setup, name = Setup(solver=chosen.setup.solver), hub.calibrations.of_serial(found.serial)
+    if name is not None:
+        setup = setup.with_calibration(hub.calibrations[name], name)
+    hub.devices.show(chosen, found, setup)
+    hub.end_guide(station)
+    how = f"with its calibration {name}" if name else "without a calibration: none on the list has its serial"
+    hub.notice(f"Sensor {station + 1} shows {found.name} now, {how}.")
 
 
 def identify(hub: Hub, on: bool) -> None:

@@ -87,6 +87,16 @@ class Calibrations:
                 self._loaded[name], self._origins[name] = calibration, origin
             return name
 
+    def of_serial(self, serial: str | None) -> str | None:
+        """The name of the last one on the list that was made with the camera of a serial number; None where none was."""
+        for name in reversed(self.names if serial else []):
+            try:
+                if self[name].serial == serial:
+                    return name
+            except GelformError:
+                continue  # what is wrong with its file is said when it is chosen
+        return None
+
     def __getitem__(self, name: str) -> Calibration:
         """The calibration of a name.
 

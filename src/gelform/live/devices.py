@@ -1,22 +1,28 @@
-"""The devices that the page lists, which of them somebody unplugs, and how a camera is set."""
+"""The devices that the page lists and may show, which of them somebody unplugs, and how a camera is set."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from gelform.errors import GelformError
 from gelform.live.replay.player import Player
-from gelform.live.station import Station
+from gelform.live.setup import Setup
+from gelform.live.station import Opening, Station
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
 from gelform.sensors.cameras.sysfs import cameras_in_sysfs
+from gelform.sensors.cameras.usb import UsbCamera
+from gelform.sensors.source import Source
 
 LOOK_EVERY_S = 0.5
 SETTABLE = (*CONTROLS, "led_level")
+
+Opener = Callable[[Camera, Mapping[str, float | str]], Source]
 
 
 def listed_cameras() -> list[Camera]:
@@ -27,20 +33,53 @@ def listed_cameras() -> list[Camera]:
 class Devices:
     """What is plugged in or open, and which of it went away since somebody asked.
 
+    A camera is called by a number that is given here when it is first seen, and stays with the socket that it is plugged
+    into: pages never send a path.
+
     Parameters
     ----------
     stations : those of the hub, whose sources are listed, recordings left out
     cameras : lists the cameras that are plugged in
+    open_camera : opens one of them, with settings
     """
 
     def __init__(
-        self, stations: Sequence[Station], cameras: Callable[[], Sequence[Camera]] = listed_cameras
+        self,
+        stations: Sequence[Station],
+        cameras: Callable[[], Sequence[Camera]] = listed_cameras,
+        open_camera: Opener = UsbCamera,
     ) -> None:
-        self._stations, self._cameras = stations, cameras
-        self._lock = threading.Lock()
+        self._stations, self._cameras, self._open_camera = stations, cameras, open_camera
+        self._lock, self._showing = threading.Lock(), threading.Lock()
+        self._numbers: dict[str, int] = {}
         self._looked_s, self._seen = float("-inf"), tuple[Camera, ...]()
         self._before: dict[str, str] | None = None
         self._gone = ""
+
+    def camera(self, number: int) -> Camera:
+        """The camera of a number of the list; GelformError where it is not plugged in."""
+        for camera in self._plugged_in():
+            if self._number(camera) == number:
+                return camera
+        raise GelformError("That camera is not plugged in any more. Choose one of the list.")
+
+    def show(self, station: Station, camera: Camera, setup: Setup) -> None:
+        """Show a camera on a station; of several pages that ask for it at once the first one gets it.
+
+        Raises
+        ------
+        GelformError
+            It is shown already: a camera gives its pictures to one reader.
+        """
+        with self._showing:
+            for other in tuple(self._stations):
+                if other.camera is not None and _key(other.camera) == _key(camera):
+                    raise GelformError(
+                        f"{camera.name} is shown already, as sensor {other.number + 1}. Any number of pages may look at it."
+                    )
+            wanted: dict[str, float | str] = {}
+            opening = Opening(partial(self._open_camera, camera, wanted), camera=camera, wanted=wanted)
+            station.show(opening, setup)
 
     def identify(self, on: bool) -> None:
         """Remember what is there: what goes away from now on is named. Off: forget it."""
@@ -70,9 +109,13 @@ class Devices:
 
     def _rows(self) -> list[dict[str, Any]]:
         rows = [_row_of_station(one) for one in tuple(self._stations) if not isinstance(one.source, Player)]
-        shown = {row["serial"] or row["name"] for row in rows}
-        others = [camera for camera in self._plugged_in() if (camera.serial or camera.name) not in shown]
-        return [*rows, *(_row_of_camera(camera) for camera in others)]
+        shown = {_key(one.camera) for one in tuple(self._stations) if one.camera is not None}
+        others = [camera for camera in self._plugged_in() if _key(camera) not in shown]
+        return [*rows, *(_row_of_camera(camera, self._number(camera)) for camera in others)]
+
+    def _number(self, camera: Camera) -> int:
+        with self._lock:
+            return self._numbers.setdefault(_key(camera), len(self._numbers))
 
     def _plugged_in(self) -> tuple[Camera, ...]:
         with self._lock:
@@ -125,6 +168,7 @@ def _row_of_station(station: Station) -> dict[str, Any]:
     row: dict[str, Any] = {
         "key": f"station {station.number}",
         "station": station.number,
+        "camera": None,
         "name": station.spec if grabber is None else grabber.name,
         "serial": None if grabber is None else grabber.serial,
         "state": "missing" if grabber is None else grabber.state,
@@ -139,10 +183,16 @@ def _row_of_station(station: Station) -> dict[str, Any]:
     return row | {"there": row["state"] == "running"}
 
 
-def _row_of_camera(camera: Camera) -> dict[str, Any]:
+def _key(camera: Camera) -> str:
+    """What stays with the socket that a camera is plugged into, where the system says that."""
+    return camera.by_path or camera.path
+
+
+def _row_of_camera(camera: Camera, number: int) -> dict[str, Any]:
     return {
-        "key": camera.by_path or camera.path,
+        "key": f"camera {number}",
         "station": None,
+        "camera": number,
         "name": camera.name,
         "serial": camera.serial,
         "state": "not shown",

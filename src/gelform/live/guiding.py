@@ -54,11 +54,8 @@ def use(hub: Hub, station: int) -> None:
 
 
 def stop(hub: Hub, station: int) -> None:
-    """End the guide; what was not fitted is gone."""
-    session = hub.guides.pop(station, None)
-    if session is not None:
-        session.close()
-    hub.changed()
+    """End the guide."""
+    hub.end_guide(station)
 
 
 def _session(hub: Hub, station: int) -> GuideSession:

@@ -97,10 +97,21 @@ class Hub:
                 self.work.pop(station, None)
                 self.changed()
 
-        if station in self.work:
-            raise GelformError("This sensor is busy. Wait until it is done.")
+        self.check_idle(station)
         self.work[station] = (what, 0, 1)
         threading.Thread(target=run, name=what, daemon=True).start()
+
+    def end_guide(self, station: int) -> None:
+        """End the guided calibration of a station; what was not fitted is gone."""
+        session = self.guides.pop(station, None)
+        if session is not None:
+            session.close()
+        self.changed()
+
+    def check_idle(self, station: int) -> None:
+        """Raise GelformError while long work of a station is under way."""
+        if station in self.work:
+            raise GelformError("This sensor is busy. Wait until it is done.")
 
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
         """What the page shows beside frames."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ class Setup:
 
     def with_calibration(self, calibration: Calibration, name: str) -> Setup:
         """The same with another calibration, its own background, nothing compared."""
-        return Setup(Memory(Reconstructor(calibration, solver=self.solver)), name, self.solver)
+        return Setup(_memory(Reconstructor(calibration, solver=self.solver)), name, self.solver)
 
     def with_background(self, background: NDArray[np.float32] | None) -> Setup:
         """The same with today's background; None: the calibration's own.
@@ -108,26 +109,33 @@ class Setup:
         if self.calibration is None:
             return replace(self, background=background)
         run = Reconstructor(self.calibration, background=background, solver=self.solver)
-        return replace(self, memory=Memory(run), background=background, zero_mm=None)
+        return replace(self, memory=_memory(run), background=background, zero_mm=None)
 
     def with_solver(self, solver: str) -> Setup:
         """The same with another solver."""
         if self.calibration is None:
             return replace(self, solver=solver)
         run = Reconstructor(self.calibration, background=self.background, solver=solver)
-        return replace(self, memory=Memory(run), solver=solver, zero_mm=None)
+        return replace(self, memory=_memory(run), solver=solver, zero_mm=None)
 
     def anew(self) -> Setup:
         """The same for another sequence of frames: what the last one has taught is forgotten."""
         if self.calibration is None:
             return self
         run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
-        return replace(self, memory=Memory(run))
+        return replace(self, memory=_memory(run))
 
     def with_other(self, calibration: Calibration | None, name: str) -> Setup:
         """The same, compared with another calibration, or with none."""
         run = None if calibration is None else Reconstructor(calibration, solver=self.solver)
         return replace(self, other=run, other_name=name if run else "")
+
+
+def _memory(reconstruct: Reconstructor) -> Memory:
+    """What a sequence has taught; what takes too long for a frame is examined in a thread of its own."""
+    memory = Memory(reconstruct)
+    memory.examine_by(lambda check: Thread(target=check, name="examine", daemon=True).start())
+    return memory
 
 
 def _stamped(result: Reconstruction, frame: Frame) -> Reconstruction:

@@ -6,21 +6,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+
 from gelform.errors import DataError, SensorError
 from gelform.live import actions
 from gelform.live.calibrations import Calibrations, Origin
 from gelform.live.hub import Hub
-from gelform.live.replay.buttons import use_attached
+from gelform.live.replay.buttons import attached_setup
 from gelform.live.replay.indexed import Indexed, indexed, is_recording
 from gelform.live.replay.player import Player
 from gelform.live.replay.recordings import Recordings
 from gelform.live.simulated.ready import ready_calibration
 from gelform.live.simulated.show import RATE_HZ, Show
-from gelform.live.station import NEVER_S, Station
+from gelform.live.station import NEVER_S, Opening, Station
 from gelform.progress import Progress
+from gelform.sensors.cameras.there import camera_named
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.simulated.settings import simulated_sensor_named
-from gelform.sensors.source import DEFAULT_SENSOR, SIMULATED, Source, open_source
+from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, SIMULATED, Source, open_source
 from gelform.simulate import SimulatedSensor
 
 READY = "simulated sensor"
@@ -51,7 +54,7 @@ def start(options: Options) -> Hub:
     Raises
     ------
     DataError
-        Several calibrations, but not one for each source; a file that is missing.
+        Several calibrations, but not one for each source; a file that is missing; a camera that is named twice.
     CalibrationError
         A calibration cannot be read.
     """
@@ -60,6 +63,10 @@ def start(options: Options) -> Hub:
             f"Expected one calibration for all sources or one for each of the {len(options.sources)}, "
             f"got {len(options.calibrations)}."
         )
+    _check_named_once(options.sources)
+    cv2.setNumThreads(
+        1
+    )  # there is one thread for each sensor: OpenCV's own would wait for those of the others
     given = [Path(spec) for spec in options.sources if is_recording(spec)]
     hub = Hub(
         calibrations=Calibrations(options.calibrations, options.folder),
@@ -72,17 +79,15 @@ def start(options: Options) -> Hub:
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
-        wanted: dict[str, float | str] = {}
-        opener = _opener(hub, spec, sensor or recording, options.rate_hz, number, wanted)
-        stall_s = NEVER_S if recording is not None else STALL_S if sensor is None else SIMULATED_STALL_S
-        station = Station(number, spec, opener, hub.changed, stall_s=stall_s)
-        station.wanted = wanted
+        station = Station(
+            number, spec, _opening(hub, spec, sensor or recording, options.rate_hz, number), hub.changed
+        )
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]
             station.setup = station.setup.with_calibration(hub.calibrations[name], name)
         elif recording is not None:
-            use_attached(hub, station, recording.path)
+            station.setup = attached_setup(hub, station.setup, recording.path)
         station.start()
         if sensor is not None and not names:
             hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")
@@ -94,25 +99,51 @@ def _simulated_sensor(spec: str) -> SimulatedSensor | None:
     return simulated_sensor_named(name or DEFAULT_SENSOR) if kind == SIMULATED else None
 
 
-def _opener(
-    hub: Hub,
-    spec: str,
-    known: SimulatedSensor | Indexed | None,
-    rate_hz: float,
-    number: int,
-    wanted: dict[str, float | str],
-) -> Callable[[], Source]:
-    """Opens the source; the first time is now, so that a mistake is said in the terminal too."""
+def _check_named_once(specs: Sequence[str]) -> None:
+    """Refuse a camera that is named twice, also where that is by two names. A recording may be."""
+    named: dict[str, str] = {}
+    for spec in specs:
+        if spec.partition(":")[0] == SIMULATED or is_recording(spec):
+            continue
+        camera = _camera_of(spec)
+        if camera in named:
+            both = f"{spec!r} twice" if named[camera] == spec else f"{named[camera]!r} and {spec!r}"
+            raise DataError(
+                f"Expected each camera once, got {both}: one camera. Any number of pages may look at it."
+            )
+        named[camera] = spec
+
+
+def _camera_of(spec: str) -> str:
+    """What tells cameras apart: the device that a name means; addresses, and names of what is not there, as they are."""
+    if spec.startswith(ADDRESSES):
+        return spec
+    try:
+        return camera_named(spec).path
+    except SensorError:
+        return spec
+
+
+def _opening(
+    hub: Hub, spec: str, known: SimulatedSensor | Indexed | None, rate_hz: float, number: int
+) -> Opening:
+    """How the source is opened; the first time is now, so that a mistake is said in the terminal too."""
     if isinstance(known, Indexed):
-        return lambda: Player(known)
+        return Opening(lambda: Player(known), NEVER_S)
     if known is not None:
-        return lambda: Show(known, rate_hz=rate_hz, seed=number)
+        return Opening(lambda: Show(known, rate_hz=rate_hz, seed=number), SIMULATED_STALL_S)
+    wanted: dict[str, float | str] = {}
     opened: list[Source] = []
     try:
         opened.append(open_source(spec, paced=True))
     except SensorError as problem:
         hub.notice(f"{problem} It is tried again every second.", "warning")
-    return lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted)
+    return Opening(
+        lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted),
+        STALL_S,
+        None,
+        wanted,
+    )
 
 
 def _made_ready(hub: Hub, number: int, spec: str, sensor: SimulatedSensor) -> Callable[[Progress], None]:

@@ -6,16 +6,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 from gelform.errors import GelformError, SensorError
 from gelform.frames import Frame
 from gelform.live.measures import measures_of
-from gelform.live.replay.indexed import Indexed
 from gelform.live.replay.player import Player
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown
+from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
 from gelform.sensors.recordings.record import KEPT_FRAMES
 from gelform.sensors.source import Source
@@ -29,6 +30,24 @@ NEVER_S = float("inf")  # a recording that is held has not stalled
 Tap = Callable[[Frame, Shown], None]
 
 
+@dataclass(frozen=True)
+class Opening:
+    """How a station comes to its source.
+
+    Attributes
+    ----------
+    open_it : opens the source; called again when it is lost
+    stall_s : after so many seconds without a frame the source counts as lost
+    camera : of this machine, which it opens; None for anything else
+    wanted : settings of the camera that were chosen here: `open_it` sets them again
+    """
+
+    open_it: Callable[[], Source]
+    stall_s: float = STALL_S
+    camera: Camera | None = None
+    wanted: dict[str, float | str] = field(default_factory=dict)
+
+
 class Station:
     """A source, how it is reconstructed, and what it shows.
 
@@ -36,15 +55,13 @@ class Station:
     ----------
     number : how the page names it
     spec : what the user asked for: "simulated", a serial, a path
-    open_it : opens the source; called again when it is lost
+    opening : how it comes to its source, or what opens it
     on_shown : called in the station's thread when there is something newer to show
-    stall_s : after so many seconds without a frame the source counts as lost
 
     Attributes
     ----------
     setup : Setup; assign another one to change it: a recording that is held is reconstructed anew
     newest : Shown or None
-    wanted : settings of the camera that were chosen here: its opener sets them again
     taps : called with every frame and what is shown of it: recorders, guides
     """
 
@@ -52,18 +69,16 @@ class Station:
         self,
         number: int,
         spec: str,
-        open_it: Callable[[], Source],
+        opening: Opening | Callable[[], Source],
         on_shown: Callable[[], None],
-        *,
-        stall_s: float = STALL_S,
     ) -> None:
         self.number, self.spec = number, spec
         self._setup = Setup()
         self.newest: Shown | None = None
         self.taps: list[Tap] = []
-        self.wanted: dict[str, float | str] = {}
         self.paused = False
-        self._given = self._opening = (open_it, stall_s)
+        self._given = self._opening = opening if isinstance(opening, Opening) else Opening(opening)
+        self._given_setup = self._setup
         self._on_shown = on_shown
         self._grabber: Grabber | None = None
         self._missing = ""
@@ -96,10 +111,33 @@ class Station:
         if isinstance(self.source, Player):
             self.source.again()
 
-    def show_recording(self, recording: Indexed | None) -> None:
-        """Show a recording from its start in place of the source; None: the source again."""
-        self._opening = self._given if recording is None else (lambda: Player(recording), NEVER_S)
+    def show(self, opening: Opening, setup: Setup) -> None:
+        """Show another source in place of the one it was started with."""
+        if not self.opened:
+            self._given_setup = self._setup
+        self._opening, self._setup = opening, setup
         self._switched.set()
+
+    def show_given(self) -> None:
+        """Show again what it was started with, reconstructed as it was then."""
+        if self.opened:
+            self._opening, self._setup = self._given, self._given_setup
+            self._switched.set()
+
+    @property
+    def opened(self) -> bool:
+        """Whether it shows another source than the one it was started with."""
+        return self._opening is not self._given
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera of this machine that it shows or is about to open."""
+        return self._opening.camera or getattr(self.source, "camera", None)
+
+    @property
+    def wanted(self) -> dict[str, float | str]:
+        """Settings of the camera that were chosen here."""
+        return self._opening.wanted
 
     @property
     def source(self) -> Source | None:
@@ -139,7 +177,7 @@ class Station:
             "other": setup.other_name,
             "paused": self.paused,
             "replay": self.source.facts() if isinstance(self.source, Player) else None,
-            "opened": self._opening is not self._given,
+            "opened": self.opened,
         }
         if grabber is not None:
             stats = grabber.stats
@@ -160,9 +198,8 @@ class Station:
         while not self._stop.is_set():
             self._switched.clear()
             try:
-                open_it, stall_s = self._opening
-                self._setup = self._setup.anew()
-                with Grabber(open_it, stall_s=stall_s, keep=KEPT_FRAMES) as self._grabber:
+                opening, self._setup = self._opening, self._setup.anew()
+                with Grabber(opening.open_it, stall_s=opening.stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
             except (SensorError, GelformError, OSError) as problem:
                 self._missing, self._grabber = str(problem), None

@@ -10,7 +10,7 @@ import pytest
 import gelform
 from gelform.live.replay.indexed import indexed
 from gelform.live.replay.player import Player
-from gelform.live.station import Station
+from gelform.live.station import NEVER_S, Opening, Station
 from live_waiting import until
 
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
@@ -31,7 +31,7 @@ def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
     top = page.evaluate("gelform.settings.range")
     row, column = np.unravel_index(depth.argmax(), depth.shape)
     for y, x in ((row, column), (row, column + 12), (5, 5)):
-        script = "([x, y]) => [...document.querySelector('.pane canvas').getContext('2d').getImageData(x, y, 1, 1).data]"
+        script = "([x, y]) => [...gelform.panes[0].pixels.getContext('2d').getImageData(x, y, 1, 1).data]"
         found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
         np.testing.assert_allclose(found[:3], wanted, atol=12)
@@ -103,17 +103,6 @@ def test_a_lost_connection_is_said_and_comes_back(page):
     assert page.is_hidden("#banner")
 
 
-def test_the_guide_leads_from_the_ball_to_a_press(page, hub, tmp_path):
-    hub.folder = tmp_path
-    page.click("#tab-calibrate")
-    page.fill("#ball", "5")
-    page.click("#guide-start")
-    until(lambda: page.locator("circle.target").count() == 1, 60)
-    until(lambda: page.evaluate("gelform.facts.guides[0].count") >= 1, 60)
-    page.click("#guide-stop")
-    until(lambda: page.locator("#guide-start").count() == 1)
-
-
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path):
     """With all that the page can show: two sensors, a recording that is held, the guide."""
@@ -121,7 +110,8 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
         gelform.save_picture(tmp_path / f"{k}.png", press.image)
-    hub.stations.append(Station(1, "second", lambda: Player(indexed(tmp_path)), hub.changed, stall_s=1e9))
+    opening = Opening(lambda: Player(indexed(tmp_path)), NEVER_S)
+    hub.stations.append(Station(1, "second", opening, hub.changed))
     hub.stations[1].start()
     (tmp_path / "session.mcap").write_bytes(bytes(2000))
     hub.recordings.add(tmp_path)

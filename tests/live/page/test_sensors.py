@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from ffmpeg_camera import FfmpegCamera, why_absent
+from gelform.live.devices import Devices
 from gelform.live.hub import Hub
 from gelform.live.setup import Setup
 from gelform.live.simulated.show import Show
 from gelform.live.start import Options, start
 from gelform.live.station import Station
+from gelform.sensors.cameras.camera import Camera
+from gelform.sensors.source import open_source
 from live_waiting import until
 
 
@@ -41,7 +44,7 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     assert first["y"] == second["y"]
     assert second["x"] >= first["x"] + first["width"]
     assert len(np.unique(picture(page, "#surface-1").reshape(-1, 3) // 16, axis=0)) > 20
-    assert page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth", "flags"]
+    assert page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth"]
     page.click(".chooser >> nth=1")
     until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"), 20)
     assert page.locator(".chooser >> nth=1").get_attribute("aria-pressed") == "true"
@@ -72,6 +75,23 @@ def test_two_pages_share_a_camera_and_both_hear_which_one_was_unplugged(visit, s
         camera.start()
         for page in pages:
             until(lambda page=page: page.inner_text("#identified").endswith("It is back."), 20)
+
+
+@pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
+def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, visit):
+    with FfmpegCamera() as camera:
+        listed = [Camera("Bench camera", "/dev/video7", "S7")]
+        hub.devices = Devices(hub.stations, lambda: listed, lambda *_: open_source(camera.url))
+        page = visit()
+        page.click("#devices button.show")
+        until(lambda: not hub.stations[0].facts()["simulated"], 20)
+        until(lambda: "No calibration yet" in page.inner_text("#stages"), 20)
+        assert page.locator("#devices button.show").count() == 0
+        assert "none on the list has its serial" in page.inner_text("#toasts")
+        page.click("#devices-back")
+        until(lambda: hub.stations[0].facts()["simulated"], 20)
+        until(lambda: page.is_hidden("#devices-back"))
+        assert page.evaluate("gelform.facts.stations[0].calibration") == "mine"
 
 
 def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):

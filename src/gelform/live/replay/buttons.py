@@ -13,7 +13,8 @@ from gelform.live.hub import Hub
 from gelform.live.replay.indexed import indexed
 from gelform.live.replay.player import Player
 from gelform.live.replay.share import share as share_file
-from gelform.live.station import Station
+from gelform.live.setup import Setup
+from gelform.live.station import NEVER_S, Opening, Station
 from gelform.progress import Progress
 from gelform.sensors.recordings.attachments import attached_background, attached_calibration
 
@@ -21,31 +22,32 @@ from gelform.sensors.recordings.attachments import attached_background, attached
 def open_recording(hub: Hub, station: int, name: str) -> None:
     """Show a recording of the list in place of what a station shows; "" shows again what it was started with."""
     chosen = hub.station(station)
+    hub.check_idle(station)
     if name:
-        path = hub.recordings.path(name)
-        recording = indexed(path)
-        use_attached(hub, chosen, path)
-        chosen.show_recording(recording)
+        recording = indexed(hub.recordings.path(name))
+        setup = attached_setup(hub, chosen.setup, recording.path)
+        hub.end_guide(station)
+        chosen.show(Opening(lambda: Player(recording), NEVER_S), setup)
     else:
-        chosen.show_recording(None)
+        hub.end_guide(station)
+        chosen.show_given()
     hub.changed()
 
 
-def use_attached(hub: Hub, station: Station, path: Path) -> None:
-    """Reconstruct with the calibration, and the background, that a recording carries; as before where it carries none."""
+def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
+    """A setup with the calibration, and the background, that a recording carries; the same where it carries none."""
     calibration = attached_calibration(path)
     if calibration is None:
-        station.setup = replace(station.setup, background=None, zero_mm=None)  # those were of the sensor
-        return
+        return replace(setup, background=None, zero_mm=None)  # those were of the sensor
     origin = Origin(
         f"attached_calibration({str(path)!r})",
         ("from gelform.sensors.recordings import attached_calibration",),
     )
     name = f"{path.resolve().name}: calibration"
     name = hub.calibrations.add_once(name, calibration, origin)
-    setup = station.setup.with_calibration(calibration, name)
+    setup = setup.with_calibration(calibration, name)
     background = attached_background(path)
-    station.setup = setup if background is None else setup.with_background(background)
+    return setup if background is None else setup.with_background(background)
 
 
 def play(hub: Hub, station: int, playing: bool) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from gelform import __version__
 from gelform.calibration_file import Calibration
 from gelform.frames import Frame
 from gelform.live.replay.indexed import Indexed
+from gelform.npz_files import check_free
 from gelform.progress import Progress, no_progress
 from gelform.sensors.recordings.attachments import attachments_of
 from gelform.sensors.recordings.facts import RecordingFacts
@@ -47,17 +50,17 @@ def share(
     facts = RecordingFacts(
         recording.name, recording.serial, recording.settings, recording.rate_hz, digest, __version__
     )
-    out = McapRecording(path, facts, attachments_of(calibration, background))
-    now_ns = time.time_ns()
+    check_free(path, overwrite=False)
+    now_ns, attached = time.time_ns(), attachments_of(calibration, background)
+    unfinished = path.with_name(f".{path.name}.part")  # no name of the list: half a recording is not offered
     try:
-        for number, time_s in enumerate(recording.times_s):
-            progress(number, len(recording), "one file to share")
-            frame = recording.frame(number)
-            stamp = frame.wall_time_ns or now_ns + round(1e9 * time_s)
-            out.write(Frame(frame.image, time_s, stamp, number, frame.encoded))
-    except BaseException:
-        out.close()
-        path.unlink(missing_ok=True)
-        raise
-    out.close()
+        with closing(McapRecording(unfinished, facts, attached)) as out:
+            for number, time_s in enumerate(recording.times_s):
+                progress(number, len(recording), "one file to share")
+                frame = recording.frame(number)
+                stamp = frame.wall_time_ns or now_ns + round(1e9 * time_s)
+                out.write(Frame(frame.image, time_s, stamp, number, frame.encoded))
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
     return path

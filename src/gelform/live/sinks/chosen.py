@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 from gelform.live.hub import Hub
@@ -29,11 +30,9 @@ def feed(hub: Hub, names: list[str]) -> tuple[list[Feeder], list[str]]:
     if unknown:
         raise ValueError(f"Expected sinks among {', '.join(SINKS)}, got {', '.join(unknown)}.")
     made: list[tuple[str, Any]] = []
-    try:
+    with ExitStack() as undone:
         for name in dict.fromkeys(names):
             made.append((name, SINKS[name]()))
-    except Exception:
-        for _, sink in made:
-            sink.close()
-        raise
+            undone.callback(made[-1][1].close)
+        undone.pop_all()  # all were made: they stay
     return [Feeder(hub, sink, name) for name, sink in made], [sink.how for _, sink in made]

@@ -23,7 +23,7 @@ from gelform.live.web.commands import MessageError, done, parsed, station
 from gelform.live.wire import ENCODINGS, message
 
 MAX_CREDIT = 4  # for each station
-SURFACE = ("depth", "flags")
+SURFACE = ("depth",)
 MAX_REPLIES = 32
 STATE_EVERY_S = 0.25
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0

@@ -23,9 +23,12 @@ class MessageError(GelformError):
 
 def station(value: Any) -> int:
     """The number of a sensor."""
-    if type(value) is not int or not 0 <= value < 64:
-        raise MessageError("Expected station as a small whole number.")
-    return value
+    return _small(value, "station")
+
+
+def camera(value: Any) -> int:
+    """The number of a camera on the list of devices."""
+    return _small(value, "camera")
 
 
 def text(value: Any) -> str:
@@ -75,6 +78,7 @@ COMMANDS = {
     "code": Command(actions.code, {"station": station, "view": text, "x_px": number, "y_px": number}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
     "camera": Command(actions.set_camera, {"station": station, "name": text, "value": number}),
+    "show": Command(actions.show_camera, {"station": station, "camera": camera}),
     "identify": Command(actions.identify, {"on": yes_no}),
     "open": Command(replay.open_recording, {"station": station, "name": text}),
     "play": Command(replay.play, {"station": station, "playing": yes_no}),
@@ -123,6 +127,12 @@ def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
     if given.keys() != command.fields.keys():
         raise MessageError(f"Expected the fields {', '.join(command.fields)}.")
     return command.act(hub, **{name: check(given[name]) for name, check in command.fields.items()})
+
+
+def _small(value: Any, name: str) -> int:
+    if type(value) is not int or not 0 <= value < 64:
+        raise MessageError(f"Expected {name} as a small whole number.")
+    return value
 
 
 def _no_constant(name: str) -> None:

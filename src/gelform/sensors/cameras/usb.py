@@ -59,7 +59,7 @@ class UsbCamera:
             check_access(camera)
         known = SENSORS[camera.kind].camera if camera.kind is not None else None
         self._led_levels = known.led_levels if known else 0
-        self.name = camera.name
+        self.camera, self.name = camera, camera.name
         self.serial = camera.serial
         self._lock = threading.Lock()
         self._closed = False

@@ -11,34 +11,35 @@ import { startTheme } from "./page/theme.js";
 import { toast } from "./page/toasts.js";
 import { drawChart } from "./maps/charts.js";
 import { drawContacts } from "./maps/contacts.js";
-import { markerArrows } from "./maps/markers.js";
+import { drawMarkers } from "./maps/markers.js";
 import { drawNumbers, NUMBERS, startNumbers } from "./maps/numbers.js";
 import { Pane } from "./maps/pane.js";
 import { drawProfile, Pointer } from "./maps/profile.js";
 import { VIEWS } from "./maps/views.js";
 import { drawControls, startControls } from "./panels/controls.js";
 import { drawCamera, drawDevices } from "./panels/devices.js";
-import { drawGuide, guideOverlay } from "./panels/guide.js";
+import { drawGuide, drawGuideCircles } from "./panels/guide.js";
 import { drawFiles, drawReplay, startReplay } from "./panels/replay.js";
 import { drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
 import { Stage } from "./surface/stage.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
-const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: markerArrows };
+const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: drawMarkers };
 const look = { ageMs: 0, drawnHz: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
 const stages = [];
-const SOFTWARE_MS = 45;
-let facts = null, number = 0, due = 0, drawnAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
+const SOFTWARE_MS = 45, SLOW_MS = 200; // between two drawings where the processor does it: of pictures; of numbers and curves
+let facts = null, number = 0, due = 0, drawnAt = 0, slowAt = 0, slowDue = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
 
 const station = () => facts?.stations[number] ?? null;
 const stage = () => stages[number];
 const frameNow = () => stage()?.frame ?? null;
+const inSoftware = () => stages.some((one) => one.surface.software);
 const send = (what, fields = {}) => connection.send({ do: what, station: number, ...fields });
 
 function watch() {
-  const planes = new Set(["depth", "flags"]);
+  const planes = new Set(["depth"]);
   for (const pane of [...panes, guidePane]) VIEWS[pane.view].planes.forEach((name) => planes.add(name));
   if (byId("drape").value !== "depth") planes.add(byId("drape").value);
   const all = stages.map((one) => one.number);
@@ -56,28 +57,49 @@ function missing(view) {
 /** At the next refresh of the screen; where the processor draws it, 20 times a second, so that it has time for the sensor. */
 function redraw() {
   if (due) return;
-  const wait = stages.some((one) => one.surface.software) ? drawnAt + SOFTWARE_MS - performance.now() : 0;
+  const wait = inSoftware() ? drawnAt + SOFTWARE_MS - performance.now() : 0;
   due = wait > 0 ? -setTimeout(() => { due = requestAnimationFrame(draw); }, wait) : requestAnimationFrame(draw);
 }
 
 function draw() {
   due = 0;
   drawnAt = performance.now();
-  const frame = frameNow();
-  if (frame && page === "calibrate") guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: () => guideOverlay(facts?.guides[number]) });
+  try {
+    drawPage(frameNow());
+  } finally {
+    if (owed) noteDrawn(frameNow());
+  }
+}
+
+function drawPage(frame) {
+  if (frame && page === "calibrate") guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
-    if (frame) drawChosen(frame);
+    if (frame) drawPictures(frame);
+    if (frame && slowParts()) drawNumbersAndCurves(frame);
     drawStages();
   }
   for (const one of stages) drawEmpty(one.empty, one.frame, facts?.stations[one.number], facts?.work[one.number]);
   drawReplay(station(), frame);
-  if (owed) noteDrawn(frame);
 }
 
-function drawChosen(frame) {
+/** Whether numbers and curves are drawn too: always, but where the processor draws now and then, and the last ones in any case. */
+function slowParts() {
+  const wait = inSoftware() ? slowAt + SLOW_MS - drawnAt : 0;
+  if (wait > 0) {
+    slowDue ||= setTimeout(() => { slowDue = 0; redraw(); }, wait);
+    return false;
+  }
+  slowAt = drawnAt;
+  return true;
+}
+
+function drawPictures(frame) {
   settings.range = stage().range;
   settings.cursor = pointer.at(frame);
   for (const pane of panes) pane.draw(frame, settings);
+}
+
+function drawNumbersAndCurves(frame) {
   drawProfile(byId("profile"), byId("profile-at"), frame, settings.cursor);
   drawTime(frame, stage().series);
   drawNumbers(frame, stage().series);
@@ -135,7 +157,7 @@ connection.addEventListener("state", ({ detail }) => {
   guided = Boolean(facts.guides[number]);
   drawFacts(station(), look);
   drawFiles(station(), facts.files, { send });
-  drawDevices(facts.devices);
+  drawDevices(facts.devices, station(), { send });
   drawCamera(station(), { send });
   redraw();
 });
@@ -226,7 +248,7 @@ function startPage() {
   byId("panes").append(...panes.map((pane) => pane.node));
   startControls({ send, chosen: station, recording: () => facts?.recordings[number], settings, redraw, compared });
   startReplay({ send, chosen: station });
-  byId("files-back").addEventListener("click", () => send("open", { name: "" }));
+  for (const id of ["files-back", "devices-back"]) byId(id).addEventListener("click", () => send("open", { name: "" }));
   byId("identify").addEventListener("click", () => connection.send({ do: "identify", on: !facts.devices.asking }));
   byId("exaggeration").addEventListener("input", (event) => { setText(byId("exaggeration-value"), `× ${event.target.value}`); redraw(); });
   byId("drape").addEventListener("change", () => { watch(); redraw(); });
@@ -234,7 +256,7 @@ function startPage() {
   byId("follow").addEventListener("click", follow);
   byId("reset-view").addEventListener("click", () => stages.forEach((one) => one.surface.orbit.reset()));
   for (const button of document.querySelectorAll("button.code[data-view]")) button.addEventListener("click", () => code(button.dataset.view));
-  addEventListener("resize", redraw);
+  document.addEventListener("laidout", redraw);
 }
 
 startPage();
@@ -244,4 +266,4 @@ if (await signIn()) {
 } else toast("Wrong token. Open the address that the terminal shows.", "error");
 
 // For people at the browser's console, and for the tests: what is shown right now.
-window.gelform = { get frame() { return frameNow(); }, get facts() { return facts; }, get series() { return stage().series; }, get surface() { return stage().surface; }, stages, settings, look, connection, views: VIEWS };
+window.gelform = { get frame() { return frameNow(); }, get facts() { return facts; }, get series() { return stage().series; }, get surface() { return stage().surface; }, stages, panes, guidePane, settings, look, connection, views: VIEWS };

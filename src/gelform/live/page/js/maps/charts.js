@@ -1,13 +1,14 @@
 // Small line charts on canvases: a profile, a number against time, a line behind a number.
 
+import { fit, sizeOf } from "../page/sizes.js";
+
 const LEFT = 58, BOTTOM = 24, TOP = 10, RIGHT = 12;
 
 const styles = (names) => { const all = getComputedStyle(document.documentElement); return names.map((name) => all.getPropertyValue(`--${name}`).trim()); };
 
 function prepared(canvas) {
-  const scale = Math.min(2, devicePixelRatio || 1), width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * scale)) canvas.width = Math.round(width * scale);
-  if (canvas.height !== Math.round(height * scale)) canvas.height = Math.round(height * scale);
+  const scale = Math.min(2, devicePixelRatio || 1), { width, height } = sizeOf(canvas);
+  fit(canvas, scale);
   const context = canvas.getContext("2d");
   context.setTransform(scale, 0, 0, scale, 0, 0);
   context.clearRect(0, 0, width, height);

@@ -1,12 +1,17 @@
 // Where the gel's dots have moved: a line from rest to now, three times as long as the way, with a dot at its end.
 
-import { svgElement } from "../page/dom.js";
-
 const LONGER = 3;
 
-export function markerArrows({ header, width }) {
-  return (header.markers ?? []).flatMap(([x, y, nowX, nowY]) => {
-    const endX = x + LONGER * (nowX - x), endY = y + LONGER * (nowY - y);
-    return [svgElement("line", { class: "marker", x1: x, y1: y, x2: endX, y2: endY }), svgElement("circle", { class: "marker-end", cx: endX, cy: endY, r: width / 200 })];
-  });
+export function drawMarkers(context, { header, width }, px) {
+  const ends = (header.markers ?? []).map(([x, y, nowX, nowY]) => [x, y, x + LONGER * (nowX - x), y + LONGER * (nowY - y)]);
+  if (!ends.length) return;
+  context.beginPath();
+  for (const [x, y, endX, endY] of ends) { context.moveTo(x, y); context.lineTo(endX, endY); }
+  context.lineWidth = 1.5 * px;
+  context.strokeStyle = "#fff";
+  context.stroke();
+  context.beginPath();
+  for (const [, , x, y] of ends) { context.moveTo(x, y); context.arc(x, y, width / 200, 0, 2 * Math.PI); }
+  context.fillStyle = "#ffb454";
+  context.fill();
 }

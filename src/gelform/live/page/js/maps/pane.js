@@ -1,19 +1,21 @@
 // A pane: one view of the frame, its overlays, its legend.
 
 import { ramp } from "./colors.js";
-import { element, svgElement } from "../page/dom.js";
+import { element } from "../page/dom.js";
+import { fit } from "../page/sizes.js";
+import { drawCross, drawDeepest, drawOutlines, drawScaleBar } from "./marks.js";
 import { VIEWS } from "./views.js";
 
 export class Pane {
   /** `actions`: {changed(), code(view), pointed(x, y, kind)}; kind is "move", "leave" or "click". */
   constructor(view, actions) {
     this.actions = actions;
-    this.pixels = element("canvas", { class: "pixels", "aria-hidden": "true" });
-    this.overlay = svgElement("svg", { "aria-hidden": "true", preserveAspectRatio: "none" });
+    this.pixels = element("canvas"); // the map, a pixel for each of its own
+    this.shown = element("canvas", { class: "shown", "aria-hidden": "true" }); // as large as it is shown, with what is drawn over it
     this.select = element("select", { onchange: () => this.show(this.select.value) }, ...Object.entries(VIEWS).map(([value, { title }]) => element("option", { value, text: title })));
     this.legend = element("div", { class: "legend" });
     this.bar = element("canvas", { width: 256, height: 1 });
-    this.map = element("div", { class: "map" }, this.pixels, this.overlay);
+    this.map = element("div", { class: "map" }, this.shown);
     this.code = element("button", { class: "quiet icon code", title: "Python and command line", text: "</>", onclick: () => actions.code(this.view) });
     this.node = element("section", { class: "card pane" }, element("div", { class: "bar" }, element("label", {}, element("span", { class: "visually-hidden", text: "What this pane shows" }), this.select), element("div", { class: "tools" }, this.code)), this.map, this.legend);
     for (const kind of ["pointermove", "pointerleave", "click"]) this.map.addEventListener(kind, (event) => this.point(event, kind.replace("pointer", "")));
@@ -37,17 +39,17 @@ export class Pane {
 
   draw(frame, settings) {
     this.frame = frame;
-    const view = VIEWS[this.view];
-    this.map.style.aspectRatio = `${frame.width} / ${frame.height}`;
+    const view = VIEWS[this.view], aspect = `${frame.width} / ${frame.height}`;
+    if (this.aspect !== aspect) this.map.style.aspectRatio = this.aspect = aspect;
     const source = frame.planes[view.from];
-    const missing = view.planes.filter((name) => name !== "flags" && name !== "image" && !frame.has(name));
+    const missing = view.planes.filter((name) => name !== "image" && !frame.has(name));
     if (!source || missing.length) this.blank(settings);
     else this.paint(frame, view, source, settings);
-    this.drawOverlay(frame, settings);
+    if (fit(this.shown, Math.min(2, devicePixelRatio || 1))) this.compose(frame, settings);
   }
 
   paint(frame, view, source, settings) {
-    const { width, height } = source, context = this.pixels.getContext("2d");
+    const { width, height } = source, context = this.pixels.getContext("2d", { alpha: false, willReadFrequently: true });
     if (this.pixels.width !== width || this.pixels.height !== height || !this.image) {
       this.pixels.width = width;
       this.pixels.height = height;
@@ -84,31 +86,18 @@ export class Pane {
     this.legend.replaceChildren(legend.low, this.bar, legend.high);
   }
 
-  drawOverlay(frame, settings) {
-    const { width, height, header } = frame, drawn = [];
-    this.overlay.setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
-    if (settings.outlines) for (const outline of header.outlines ?? []) drawn.push(svgElement("polygon", { class: "outline", points: outline.join(" ") }));
-    if (settings.cursor) {
-      const [x, y] = settings.cursor;
-      drawn.push(svgElement("line", { class: "cross", x1: 0, x2: width, y1: y, y2: y }), svgElement("line", { class: "cross", x1: x, x2: x, y1: 0, y2: height }));
-    }
-    if (settings.outlines && header.peak_px && header.outlines?.length) drawn.push(svgElement("circle", { class: "deepest", cx: header.peak_px[0], cy: header.peak_px[1], r: width / 90 }));
-    drawn.push(...settings.extra(frame), ...scaleBar(frame, this.map.clientWidth));
-    this.overlay.replaceChildren(...drawn);
+  /** The map at the size of the screen, and the marks over it: one picture for the browser to put there. */
+  compose(frame, settings) {
+    const { width, height } = this.shown, context = this.shown.getContext("2d"), x = width / frame.width, y = height / frame.height;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, width, height);
+    if (this.image) context.drawImage(this.pixels, 0, 0, width, height);
+    context.setTransform(x, 0, 0, y, x / 2, y / 2);
+    const px = Math.min(2, devicePixelRatio || 1) / x;
+    if (settings.outlines) drawOutlines(context, frame, px);
+    if (settings.cursor) drawCross(context, frame, settings.cursor, px);
+    if (settings.outlines) drawDeepest(context, frame, px);
+    settings.extra(context, frame, px);
+    drawScaleBar(context, frame, px);
   }
-}
-
-/** A bar of a round length in mm at the bottom left. */
-function scaleBar(frame, shownWidth) {
-  const pitch = frame.header.mm_per_px?.[0];
-  if (!pitch || !shownWidth) return [];
-  const wanted = (frame.width * pitch) / 5, decade = 10 ** Math.floor(Math.log10(wanted));
-  const length = [5, 2, 1].map((k) => k * decade).find((l) => l <= wanted) ?? decade;
-  const x = frame.width * 0.035, y = frame.height * 0.95, unit = frame.width / shownWidth;
-  const text = svgElement("text", { x, y: y - 6 * unit });
-  text.style.fontSize = `${12 * unit}px`;
-  text.style.strokeWidth = `${3 * unit}px`;
-  text.textContent = `${length} mm`;
-  const line = (width, color) => svgElement("line", { x1: x, x2: x + length / pitch, y1: y, y2: y, stroke: color, "stroke-width": width * unit });
-  return [line(5, "rgb(0 0 0 / 70%)"), line(3, "#fff"), text];
 }

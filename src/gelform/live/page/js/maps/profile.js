@@ -32,11 +32,11 @@ export class Pointer {
 
 /** The depth of a row and a column: {x, alongX, y, alongY}, places in the unit of the depth from the image's left and top. */
 export function profilesThrough(frame, [column, row]) {
-  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height, values } = map;
+  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height, values, zero, step } = map, depth = (number) => (number - zero) * step;
   const c = Math.min(width - 1, Math.round(column / map.scale)), r = Math.min(height - 1, Math.round((row * height) / frame.height));
   return {
-    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: values.slice(r * width, (r + 1) * width),
-    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: Array.from({ length: height }, (_, k) => values[k * width + c]),
+    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: Array.from(values.subarray(r * width, (r + 1) * width), depth),
+    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: Array.from({ length: height }, (_, k) => depth(values[k * width + c])),
   };
 }
 

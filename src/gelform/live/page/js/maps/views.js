@@ -5,15 +5,14 @@ import { eachNormal } from "./normals.js";
 
 const OPAQUE = 0xff000000; // of an ImageData seen as 32 bits, little end first
 const pack = (r, g, b) => OPAQUE | (b << 16) | (g << 8) | r;
-const CONTACT = 1, KNOWN = 2;
 
 /** Paints values from low to high with the colours of a map. */
 function ramped(name, low, high) {
   return (frame, pixels, settings) => {
     const map = frame.map(name), colors = packedRamp.cached(settings.colors), [from, to] = [low(settings), high(settings)];
-    const scale = 255 / (to - from || 1);
+    const { values, step } = map, scale = (255 * step) / (to - from || 1), least = map.zero + from / step;
     for (let k = 0; k < pixels.length; k++) {
-      const level = (map.values[k] - from) * scale;
+      const level = (values[k] - least) * scale;
       pixels[k] = colors[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
     }
   };
@@ -33,9 +32,9 @@ function paintNormals(frame, pixels) {
 }
 
 function paintOther(frame, pixels, settings) {
-  const a = frame.map("depth").values, b = frame.map("other").values, scale = 255 / (settings.range || 1);
+  const a = frame.map("depth"), b = frame.map("other"), scale = (255 * 5) / (settings.range || 1);
   for (let k = 0; k < pixels.length; k++) { // blue: the other is deeper, orange: this one is
-    const level = Math.max(-255, Math.min(255, (a[k] - b[k]) * scale * 5)), part = Math.abs(level) / 255;
+    const level = Math.max(-255, Math.min(255, ((a.values[k] - a.zero) * a.step - (b.values[k] - b.zero) * b.step) * scale)), part = Math.abs(level) / 255;
     pixels[k] = level > 0 ? pack(255 - 25 * part, 255 - 96 * part, 255 - 255 * part) : pack(255 - 255 * part, 255 - 141 * part, 255 - 77 * part);
   }
 }
@@ -52,13 +51,12 @@ function paintCauses(frame, pixels, settings) {
 }
 
 export const VIEWS = {
-  depth: { title: "Depth", planes: ["depth", "flags"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
+  depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
   image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "yellow: press here; white: what is pressed now" : f.header.simulated ? "click to press here" : "as the calibration's view shows it" }) },
   normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, legend: () => ({ text: "red: x to the right, green: y down, blue: towards the camera" }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
   sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
   causes: { title: "Why not trusted", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name) => [CAUSE_COLORS[name] ?? "ffffff", name.replace("_", " ")]) }) },
-  other: { title: "Other calibration", planes: ["other", "flags"], from: "other", paint: ramped("other", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
+  other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
   difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, legend: (s, f) => ({ text: `orange: deeper than by the other, blue: less deep; full colour at ${(s.range / 5).toPrecision(2)} ${f.unit}; apart by ${f.header.other?.apart?.toFixed(4)} ${f.unit} (RMS)` }) },
 };
-export const FLAGS = { CONTACT, KNOWN };

@@ -15,13 +15,6 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-/** An SVG element with attributes. */
-export function svgElement(tag, attributes = {}) {
-  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-}
-
 /** Replace the options of a select where they changed; keeps what is chosen. */
 export function setOptions(select, options, chosen) {
   const wanted = JSON.stringify(options);

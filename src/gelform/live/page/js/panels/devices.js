@@ -1,18 +1,31 @@
-// Cameras and sources with serial, rate, age and drops; which one it is that somebody unplugs; how a camera is set.
+// Cameras and sources with serial, rate, age and drops, each of which can be shown; which one it is that somebody unplugs; how a camera is set.
 
 import { byId, element, setText } from "../page/dom.js";
 
 const NAMES = { exposure: "Exposure", gain: "Gain", white_balance: "White balance", led_level: "LED level" };
 let shown = "", settable = "";
 
-export function drawDevices({ rows, asking, gone, gone_name, back }) {
+/** `station` is the chosen one, which shows a camera where that is asked for; `does`: {send(do, fields)}. */
+export function drawDevices({ rows, asking, gone, gone_name, back }, station, does) {
   byId("devices-card").hidden = !rows.length;
-  const content = rows.map((row) => [row.name, row.serial ?? "–", row.rate_hz === null ? "–" : row.rate_hz.toFixed(0), row.age_ms === null ? "–" : String(Math.round(row.age_ms / 10) * 10), row.drops ?? "–"]);
-  const key = JSON.stringify([content, rows.map((row) => row.state), gone]);
-  if (key !== shown) byId("devices").replaceChildren(...content.map((cells, k) => element("tr", { class: rows[k].key === gone ? "gone" : "" }, ...cells.map((text, n) => (n ? element("td", { text }) : element("td", {}, element("i", { class: `dot ${rows[k].state}`, title: rows[k].state }), text, element("span", { class: "visually-hidden", text: `, ${rows[k].state}` })))))));
+  const key = JSON.stringify([rows.map((row) => [row.key, named(row), numbers(row)]), gone]);
+  if (key !== shown) byId("devices").replaceChildren(...rows.map((row) => element("tr", { class: row.key === gone ? "gone" : "" }, ...cells(row, does))));
   shown = key;
+  const away = Boolean(station?.opened && !station.replay);
+  byId("devices-back").hidden = !away;
+  if (away) setText(byId("devices-back"), `Back to ${station.spec}`);
   byId("identify").setAttribute("aria-pressed", String(asking));
   setText(byId("identified"), gone ? `It is ${gone_name}${back ? ". It is back." : ". Plug it in again."}` : asking ? "Unplug one now: the one that goes away is named here." : "");
+}
+
+const named = (row) => [row.name, row.serial ?? "–", row.state];
+const numbers = (row) => [row.rate_hz === null ? "–" : row.rate_hz.toFixed(0), row.age_ms === null ? "–" : String(Math.round(row.age_ms / 10) * 10), String(row.drops ?? "–")];
+
+function cells(row, does) {
+  const [name, serial, state] = named(row);
+  const first = [element("td", {}, element("i", { class: `dot ${state}`, title: state }), name, element("span", { class: "visually-hidden", text: `, ${state}` })), element("td", { text: serial })];
+  if (row.camera === null) return [...first, ...numbers(row).map((text) => element("td", { text }))];
+  return [...first, element("td", { colspan: 3 }, element("button", { class: "quiet show", text: "Show", title: `Show ${name} in place of the chosen sensor`, "aria-label": `Show ${name}, serial ${serial}`, onclick: () => does.send("show", { camera: row.camera }) }))];
 }
 
 /** Settings of the camera with what it has now; `does`: {send(do, fields)}. */

@@ -1,6 +1,7 @@
 // The guided calibration: what to do now, where to press, what is covered, the fit, the report.
 
-import { byId, element, setText, svgElement } from "../page/dom.js";
+import { drawRing } from "../maps/marks.js";
+import { byId, element, setText } from "../page/dom.js";
 
 const STEPS = [["start", "Ball"], ["background", "Background"], ["press", "Press"], ["fit", "Fit"], ["report", "Report"]];
 const HELP = {
@@ -10,13 +11,11 @@ const HELP = {
 let shownKey = "";
 
 /** Circles over the camera image: where to press, what is pressed, what was kept. */
-export function guideOverlay(guide) {
-  if (!guide || guide.step !== "press") return [];
-  const ring = (name, [x, y, r]) => svgElement("circle", { class: name, cx: x, cy: y, r });
-  const drawn = guide.accepted.map((circle) => ring("kept", circle));
-  if (guide.target) drawn.push(ring("target", guide.target));
-  if (guide.live) drawn.push(ring("seen", guide.live));
-  return drawn;
+export function drawGuideCircles(context, guide, px) {
+  if (!guide || guide.step !== "press") return;
+  for (const circle of guide.accepted) drawRing(context, circle, { width: px, color: "rgb(255 255 255 / 65%)", fill: "rgb(255 255 255 / 10%)" });
+  if (guide.target) drawRing(context, guide.target, { width: 3 * px, color: "#ffd166", dash: [7 * px, 5 * px] });
+  if (guide.live) drawRing(context, guide.live, { width: 2.5 * px, color: "#fff" });
 }
 
 /** `does`: {send(do, fields)}; `work` is [what, done, total] while it fits. */

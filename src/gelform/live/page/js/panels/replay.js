@@ -10,14 +10,14 @@ let listed = "";
 
 /** `does`: {send(do, fields), chosen() -> station}. */
 export function startReplay(does) {
-  const button = (id, text, title, act) => element("button", { id, text, title, "aria-label": text.length > 1 ? null : title, onclick: act }); // a sign has no name;
+  const button = (id, text, title, act) => element("button", { id, text, title, "aria-label": text.length > 1 ? null : title, onclick: act }); // a sign has no name
   const scrub = element("input", { type: "range", id: "scrub", min: 0, max: 1, step: 1, value: 0, "aria-label": "Frame of the recording" });
   scrub.addEventListener("pointerdown", () => (held = true));
   for (const kind of ["pointerup", "pointercancel"]) scrub.addEventListener(kind, () => (held = false));
   scrub.addEventListener("input", () => does.send("seek", { frame: Number(scrub.value) }));
   byId("replay").append(
     button("step-back", "‹", "One frame back (,)", () => does.send("step", { by: -1 })),
-    button("play", "Play", "Play or hold (space)", () => does.send("play", { playing: !does.chosen()?.replay?.playing })),
+    button("play", "Play", "Play or hold (space)", ({ target }) => does.send("play", { playing: target.getAttribute("aria-pressed") !== "true" })), // what it says, though the end may have come meanwhile
     button("step-on", "›", "One frame on (.)", () => does.send("step", { by: 1 })),
     scrub,
     element("output", { id: "replay-at", for: "scrub" }),
@@ -53,5 +53,5 @@ export function drawFiles(station, files, does) {
     element("button", { class: "quiet open", text: name, title: `Open ${name}`, "aria-pressed": String(station?.replay?.file === name), onclick: () => does.send("open", { name }) }),
     bytes === null ? "" : element("a", { href: `/recordings/${number}`, download: "", text: size(bytes), title: `Download ${name}`, "aria-label": `Download ${name}, ${size(bytes)}` })));
   byId("files").replaceChildren(...rows);
-  byId("files-back").hidden = !station?.opened;
+  byId("files-back").hidden = !station?.replay || !station.opened;
 }

@@ -67,7 +67,10 @@ export class Connection extends EventTarget {
     this.heardAt = performance.now();
     if (typeof data === "string") return this.heardWords(JSON.parse(data));
     this.bytes += data.byteLength;
-    const message = await readMessage(data);
+    const message = await readMessage(data).catch((problem) => {
+      this.credit(); // it took one, and is never drawn
+      throw problem;
+    });
     const { station, serial } = message.header;
     if (serial <= (this.lastSerial.get(station) ?? 0)) return this.credit(); // decoded after a newer one
     this.lastSerial.set(station, serial);

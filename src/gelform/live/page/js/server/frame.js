@@ -1,12 +1,9 @@
-// A frame as the page draws it: the header and its maps as floats, each worked out once.
-
-import { asFloats } from "./wire.js";
+// A frame as the page draws it: the header and its maps, in the numbers that came.
 
 export class Frame {
   constructor({ header, planes }) {
     this.header = header;
     this.planes = planes;
-    this.floats = {};
   }
 
   get width() { return this.header.width; }
@@ -14,12 +11,10 @@ export class Frame {
   get unit() { return this.header.unit ?? "mm"; }
   has(name) { return name in this.planes; }
 
-  /** {width, height, values, scale}: a plane as floats; scale is image pixels per its pixel (2 at half resolution). */
+  /** {width, height, values, zero, step, scale}: a value is (number - zero) * step; scale is image pixels per its pixel (2 at half resolution). */
   map(name) {
     const plane = this.planes[name];
-    if (!plane) return null;
-    this.floats[name] ??= { width: plane.width, height: plane.height, values: asFloats(plane), scale: this.width / plane.width };
-    return this.floats[name];
+    return plane ? { ...plane, scale: this.width / plane.width } : null;
   }
 
   /** Width and height of a pixel of a map, in the unit of the depth. */
@@ -33,6 +28,6 @@ export class Frame {
     const map = this.map(name);
     if (!map || x < 0 || y < 0 || x > this.width - 1 || y > this.height - 1) return null;
     const column = Math.min(map.width - 1, Math.round(x / map.scale)), row = Math.min(map.height - 1, Math.round((y * map.height) / this.height));
-    return map.values[row * map.width + column];
+    return (map.values[row * map.width + column] - map.zero) * map.step;
   }
 }

@@ -36,11 +36,3 @@ function summed(values, width) {
   for (let row = 0; row < values.length; row += width) for (let k = row + 1; k < row + width; k++) values[k] += values[k - 1];
   return values;
 }
-
-/** Numbers of a plane as floats: (number - zero) * step. */
-export function asFloats(plane, into) {
-  const { values, zero, step } = plane;
-  const floats = into && into.length === values.length ? into : new Float32Array(values.length);
-  for (let k = 0; k < values.length; k++) floats[k] = (values[k] - zero) * step;
-  return floats;
-}

@@ -27,12 +27,12 @@ export class Stage {
     try {
       this.surface = new Surface(this.canvas, redraw);
       this.renderer = this.surface.software ? "WebGL2, in software" : "WebGL2";
-    } catch {
+    } catch (problem) {
       const flat = element("canvas", { id, role: "img", "aria-label": "Surface of the gel as a shaded relief, lit from the top left." });
       this.canvas.replaceWith(flat); // a canvas that was asked for WebGL gives no other context
       this.canvas = flat;
       this.surface = new Relief(flat);
-      this.renderer = "shaded relief: this browser has no WebGL2";
+      this.renderer = `shaded relief: ${problem.message}`;
     }
   }
 

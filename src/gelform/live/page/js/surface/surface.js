@@ -2,9 +2,11 @@
 
 import { ramp } from "../maps/colors.js";
 import { Orbit } from "./orbit.js";
-import { LINE_FRAGMENT, LINE_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.js";
+import { fit } from "../page/sizes.js";
+import { LINE_FRAGMENT, LINE_VERTEX, SURFACE_VERTEX, surfaceFragment } from "./shaders.js";
 
-const MOST_VERTICES = 100_000, MOST_IN_SOFTWARE = 20_000, SCALE_IN_SOFTWARE = 0.6;
+// Computed by the processor a triangle takes about a microsecond, however small it is.
+const MOST_VERTICES = 100_000, MOST_IN_SOFTWARE = 1_600, SCALE_IN_SOFTWARE = 0.5;
 
 export class Surface {
   /** Throws where the browser has no WebGL2. */
@@ -12,7 +14,7 @@ export class Surface {
     this.canvas = canvas;
     this.software = inSoftware();
     const gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: true, powerPreference: "low-power" });
-    if (!gl) throw new Error("no WebGL2");
+    if (!gl) throw new Error("this browser has no WebGL2");
     this.gl = gl;
     this.lost = false;
     canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.lost = true; });
@@ -23,7 +25,7 @@ export class Surface {
 
   prepare() {
     const { gl } = this;
-    this.program = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
+    this.program = program(gl, SURFACE_VERTEX, surfaceFragment(this.software));
     this.lines = program(gl, LINE_VERTEX, LINE_FRAGMENT);
     this.depth = texture(gl, gl.NEAREST);
     this.colors = texture(gl, gl.LINEAR);
@@ -31,6 +33,7 @@ export class Surface {
     this.indices = gl.createBuffer();
     this.corners = gl.createBuffer();
     this.gridKey = this.colorsKey = "";
+    this.drapes = null;
     gl.enable(gl.DEPTH_TEST);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   }
@@ -42,7 +45,8 @@ export class Surface {
     if (!map) return;
     const { gl } = this, pitch = frame.pitch(map);
     const spans = [map.width * pitch[0], map.height * pitch[1]], unit = 2 / Math.max(...spans);
-    this.fit();
+    if (!fit(this.canvas, this.software ? SCALE_IN_SOFTWARE : Math.min(2, devicePixelRatio || 1))) return;
+    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     this.upload(map, look);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -57,6 +61,7 @@ export class Surface {
     this.bind(0, this.depth); this.bind(1, this.colors); this.bind(2, this.drape);
     gl.uniform1i(set("depth"), 0); gl.uniform1i(set("colors"), 1); gl.uniform1i(set("drape"), 2);
     gl.uniform2i(set("size"), map.width, map.height); gl.uniform2i(set("grid"), ...this.grid);
+    gl.uniform2f(set("meaning"), map.zero, map.step);
     gl.uniform2f(set("extent"), ...extent); gl.uniform1f(set("lift"), lift);
     gl.uniform1f(set("range"), look.range); gl.uniform1i(set("draped"), look.drape ? 1 : 0);
     gl.uniform3f(set("eye"), ...this.orbit.eye); gl.uniformMatrix4fv(set("camera"), false, camera);
@@ -83,12 +88,14 @@ export class Surface {
     const { gl } = this;
     this.makeGrid(map);
     this.bind(0, this.depth);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, map.width, map.height, 0, gl.RED, gl.FLOAT, map.values);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R16UI, map.width, map.height, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, map.values);
     if (this.colorsKey !== look.colors) {
       this.colorsKey = look.colors;
       this.bind(1, this.colors);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, new Uint8Array(ramp(look.colors).flat()));
     }
+    if (!look.drape && this.drapes === false) return;
+    this.drapes = Boolean(look.drape);
     this.bind(2, this.drape);
     if (look.drape) gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, look.drape);
     else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
@@ -114,18 +121,17 @@ export class Surface {
     this.gl.bufferData(this.gl.ELEMENT_ARRAY_BUFFER, indices, this.gl.STATIC_DRAW);
   }
 
-  fit() {
-    const scale = this.software ? SCALE_IN_SOFTWARE : Math.min(2, devicePixelRatio || 1);
-    const width = Math.max(1, Math.round(this.canvas.clientWidth * scale)), height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
-    if (this.canvas.width !== width || this.canvas.height !== height) { this.canvas.width = width; this.canvas.height = height; }
-    this.gl.viewport(0, 0, width, height);
-  }
-
   bind(unit, what) { this.gl.activeTexture(this.gl.TEXTURE0 + unit); this.gl.bindTexture(this.gl.TEXTURE_2D, what); }
 }
 
-/** Whether WebGL is computed by the processor. Asked of a canvas of its own, before the real one is made with antialiasing or without. */
+let software = null;
+
+/** Whether WebGL is computed by the processor. Asked once, of a canvas of its own, before the real ones are made with antialiasing or without. */
 function inSoftware() {
+  return (software ??= asked());
+}
+
+function asked() {
   const gl = document.createElement("canvas").getContext("webgl2"), named = gl?.getExtension("WEBGL_debug_renderer_info");
   const name = named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : "";
   gl?.getExtension("WEBGL_lose_context")?.loseContext();

@@ -1,0 +1,48 @@
+"""The whole guided calibration in a real browser: from the ball to a calibration in use, pressed where the guide asks."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.live.guide.guide import LEAST
+from live_waiting import until
+
+YELLOW = np.array([255, 209, 102])  # of the circle where to press
+
+
+def yellow_pixels(image):
+    """How many pixels (H, W, 3), BGR, have the colour of the target."""
+    return int((np.abs(image[..., ::-1].astype(int) - YELLOW).max(axis=-1) < 30).sum())
+
+
+def count(page):
+    return page.evaluate("gelform.facts.guides[0]?.count ?? 0")
+
+
+def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_path, picture):
+    """The simulated sensor is pressed by the guide; what was made reads the depth of a press that it has not seen."""
+    hub.folder, station = tmp_path, hub.stations[0]
+    page = visit()
+    page.click("#tab-calibrate")
+    page.fill("#ball", "5")
+    page.click("#guide-start")
+    until(lambda: page.evaluate("Boolean(gelform.facts.guides[0]?.target)"), 60)
+    until(lambda: yellow_pixels(picture(page, "#guide-pane .shown")) > 50)
+    assert page.inner_text("#steps .now") == "Press"
+    assert page.inner_text("#guide-hint").startswith("Press the ball here")
+    assert page.is_disabled("#guide-fit")
+    until(lambda: count(page) >= LEAST, 90)
+    page.click("#guide-fit")
+    until(lambda: page.inner_text("#steps .now") == "Fit")
+    until(lambda: page.is_visible("#verdict"), 90)
+    assert page.locator(".checks tr").count() > 3
+    page.click("#guide-use")
+    until(lambda: page.is_visible("#page-live"), 20)
+    until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == "calibration.npz")
+    saved = next(tmp_path.glob("calibration-*/calibration.npz"))
+    assert station.setup.calibration.digest == gelform.load_calibration(saved).digest
+    assert not hub.guides
+    station.source.press_at(100, 70, 0.45, held_s=600)
+    until(lambda: station.newest.measures.peak > 0.3, 20)
+    until(lambda: page.evaluate("gelform.frame.header.peak") > 0.3, 20)
+    assert station.newest.measures.peak == pytest.approx(0.45, abs=0.12)
