@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.sensors.png_bytes import png_of_pixels
+from gelform.sensors import png_bytes
+from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
+from kernel_agreement import assert_kernel_agrees
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
 CONTENT = cv2.imencode(".png", IMAGE[..., ::-1])[1].tobytes()
@@ -52,6 +54,7 @@ def test_a_profile_that_is_junk_neither_harms_nor_speaks(tmp_path, capfd):
 )
 def test_a_damaged_file_is_refused_in_one_line(tmp_path, capfd, content):
     assert png_of_pixels(content) is None
+    assert pixels_of_png(content) is None
     path = tmp_path / "image.png"
     path.write_bytes(content)
     with pytest.raises(
@@ -64,3 +67,76 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path, capfd, content):
 def test_a_small_file_cannot_ask_for_all_memory(monkeypatch):
     monkeypatch.setattr("gelform.sensors.png_bytes.MAX_PIXEL_BYTES", 1000)
     assert png_of_pixels(CONTENT) is None
+    assert pixels_of_png(CONTENT) is None
+
+
+def filtered(image, filters):
+    """Rows by the filters of the specification, section 9.2, written out in whole numbers."""
+    rows = []
+    values = image.reshape(len(image), -1).astype(int)
+    for k, (row, kind) in enumerate(zip(values, filters)):
+        above = values[k - 1] if k else np.zeros_like(row)
+        left, corner = (np.concatenate([np.zeros(3, int), one[:-3]]) for one in (row, above))
+        estimate = left + above - corner
+        sides = np.stack([left, above, corner])
+        paeth = sides[np.argmin(np.abs(estimate - sides), axis=0), np.arange(len(row))]
+        guess = (np.zeros_like(row), left, above, (left + above) // 2, paeth)[kind]
+        rows.append(np.concatenate([[kind], (row - guess) % 256]))
+    return np.array(rows, dtype=np.uint8)
+
+
+def png_of(rows, header=(32, 24, 8, 2, 0, 0, 0), extra=b""):
+    chunks = [
+        chunk(b"IHDR", struct.pack(">IIBBBBB", *header)),
+        extra,
+        chunk(b"IDAT", zlib.compress(bytes(rows))),
+    ]
+    return b"".join([png_bytes.SIGNATURE, *chunks, chunk(b"IEND", b"")])
+
+
+@pytest.mark.parametrize("filters", [[kind] * 24 for kind in range(5)] + [[k % 5 for k in range(24)]])
+def test_every_filter_is_undone(filters):
+    content = png_of(filtered(IMAGE, filters).tobytes())
+    np.testing.assert_array_equal(pixels_of_png(content), IMAGE)
+    decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(decoded[..., ::-1], IMAGE)
+
+
+def test_pixels_in_several_chunks_as_opencv_reads_them():
+    smooth = np.repeat(np.arange(0, 240, 2, dtype=np.uint8)[:, None, None], 160, 1).repeat(3, 2)
+    smooth[..., 1] += np.arange(160, dtype=np.uint8) % 17
+    for image in (IMAGE, smooth, smooth[:, :1], smooth[:1]):
+        content = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+        np.testing.assert_array_equal(pixels_of_png(content), image)
+
+
+def test_other_kinds_are_left_to_the_decoder():
+    rows = filtered(IMAGE, [0] * 24).tobytes()
+    for header in (
+        (32, 24, 16, 2, 0, 0, 0),
+        (32, 24, 8, 6, 0, 0, 0),
+        (32, 24, 8, 2, 0, 0, 1),
+        (0, 24, 8, 2, 0, 0, 0),
+    ):
+        assert pixels_of_png(png_of(rows, header)) is None
+    assert pixels_of_png(png_of(rows, extra=chunk(b"tRNS", bytes(6)))) is None
+    assert pixels_of_png(png_of(rows)) is not None
+
+
+def test_rows_that_are_too_many_too_few_or_of_no_filter():
+    rows = filtered(IMAGE, [0] * 24)
+    assert pixels_of_png(png_of(rows.tobytes()[:-1])) is None
+    assert pixels_of_png(png_of(rows.tobytes() + b"x")) is None
+    rows[5, 0] = 5
+    assert pixels_of_png(png_of(rows.tobytes())) is None
+
+
+def test_the_kernel_agrees_with_the_specification():
+    rows = filtered(IMAGE, [k % 5 for k in range(24)])
+    assert_kernel_agrees(
+        png_bytes._png_rows,
+        lambda *_: IMAGE.reshape(24, -1),
+        rows,
+        np.zeros(96, dtype=np.uint8),
+        np.zeros((24, 96), dtype=np.uint8),
+    )

@@ -18,7 +18,7 @@ from gelform.errors import DataError
 from gelform.sensors.jpeg_bytes import SIGNATURE as JPEG
 from gelform.sensors.jpeg_bytes import jpeg_fault
 from gelform.sensors.png_bytes import SIGNATURE as PNG
-from gelform.sensors.png_bytes import png_of_pixels
+from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
 from gelform.view import View
 
 if sys.version_info >= (3, 11):
@@ -78,6 +78,9 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     """
     path = check_path(path)
     content = _content(path)
+    rgb = pixels_of_png(content) if content.startswith(PNG) else None
+    if rgb is not None:
+        return rgb
     pixels = _decoded(content, path)
     if pixels.dtype != np.uint8:
         raise DataError(

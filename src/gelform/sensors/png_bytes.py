@@ -1,4 +1,4 @@
-"""The bytes of a PNG: whether they are whole, and without what is no picture."""
+"""The bytes of a PNG: whether they are whole, without what is no picture, and the pixels of the usual kind."""
 
 from __future__ import annotations
 
@@ -6,9 +6,54 @@ import struct
 import zlib
 from collections.abc import Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS")
 MAX_PIXEL_BYTES = 2**32
+USUAL = (8, 2, 0, 0, 0)  # bits, RGB, compression, filters, no interlace
+_png_rows = Kernel("png_rows", "u8[h,r] rows, u8[n] zeros, out u8[h,n] pixels")
+
+
+def pixels_of_png(content: bytes) -> NDArray[np.uint8] | None:
+    """RGB pixels (H, W, 3) of a whole PNG of 8-bit RGB without interlace; None of any other, and of a damaged one.
+
+    The same checks as `png_of_pixels`, but decompressed once: half the time of a decoder after them.
+    """
+    header, pixels = b"", []
+    for kind, _, data in _chunks(content):
+        if kind == b"IHDR":
+            header = data
+        elif kind == b"IDAT":
+            pixels.append(data)
+        elif kind == b"IEND":
+            return _rgb(header, b"".join(pixels))
+        elif kind in CRITICAL:
+            return None
+    return None
+
+
+def _rgb(header: bytes, compressed: bytes) -> NDArray[np.uint8] | None:
+    if len(header) != 13 or tuple(header[8:]) != USUAL:
+        return None
+    width, height = struct.unpack(">II", header[:8])
+    size, stream = height * (3 * width + 1), zlib.decompressobj()
+    if not 0 < size <= MAX_PIXEL_BYTES:
+        return None
+    try:
+        rows = stream.decompress(compressed, size + 1)
+    except zlib.error:
+        return None
+    if len(rows) != size or not stream.eof:
+        return None
+    pixels = np.empty((height, 3 * width), dtype=np.uint8)
+    filtered = np.frombuffer(rows, dtype=np.uint8).reshape(height, 3 * width + 1)
+    if _png_rows(filtered, np.zeros(3 * width, dtype=np.uint8), pixels):
+        return None
+    return pixels.reshape(height, width, 3)
 
 
 def png_of_pixels(content: bytes) -> bytes | None:
