@@ -42,12 +42,17 @@ _UNREADABLE = (*DAMAGED_ARCHIVE, ValueError, KeyError)
 
 @contextmanager
 def written_file(
-    path: str | os.PathLike[str], *, overwrite: bool = False, error: type[GelformError] = DataError
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    flushed: bool = True,
+    error: type[GelformError] = DataError,
 ) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only when the block ends well.
 
     The bytes go to a temporary name in the same folder, which replaces `path` in one step; where anything
     fails (disk full, an exception in the block) the temporary file goes and what was at `path` stays.
+    Without `flushed` the disk may have them later: until somebody flushes the file, a loss of power may take it.
 
     Raises
     ------
@@ -61,7 +66,8 @@ def written_file(
         with open(temporary, "x+b") as handle:
             yield handle
             handle.flush()
-            os.fsync(handle.fileno())
+            if flushed:
+                os.fsync(handle.fileno())
         check_free(path, overwrite=overwrite, error=error)  # another process may have been quicker
         os.replace(temporary, path)
     except OSError as problem:
@@ -116,6 +122,23 @@ def write_npz(
     ValueError, TypeError
         Settings that JSON cannot say (NaN included), an array of objects, or a reserved name.
     """
+    members = _members_to_write(arrays, meta, kind, version)
+    with written_file(path, overwrite=overwrite, error=error) as handle:
+        _write_members(handle, members)
+
+
+def npz_bytes(
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
+) -> bytes:
+    """The bytes that `write_npz` writes; arguments and errors as there."""
+    content = io.BytesIO()
+    _write_members(content, _members_to_write(arrays, meta, kind, version))
+    return content.getvalue()
+
+
+def _members_to_write(
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int
+) -> dict[str, NDArray[Any]]:
     from gelform import __version__
 
     prepared = {name: _storable(name, values) for name, values in arrays.items()}
@@ -125,8 +148,7 @@ def write_npz(
     full = {"format": kind, "format_version": version, "gelform_version": __version__, **meta}
     full = json.loads(_json(full))
     full["digest"] = digest_of(prepared, full)
-    with written_file(path, overwrite=overwrite, error=error) as handle:
-        _write_members(handle, {"meta": np.array(_json(full)), **prepared})
+    return {"meta": np.array(_json(full)), **prepared}
 
 
 def read_npz(

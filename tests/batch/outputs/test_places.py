@@ -7,7 +7,8 @@ import io
 import pytest
 
 from gelform.batch.inputs.plan import Part
-from gelform.batch.outputs.places import OutputFile, Place, RememberingFile, output_file
+from gelform.batch.outputs import places
+from gelform.batch.outputs.places import FlushedLater, OutputFile, Place, RememberingFile, output_file
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 
@@ -21,6 +22,20 @@ def test_a_file_as_written(tmp_path):
     (tmp_path / "frames/a/b/y").mkdir()
     with pytest.raises(DataError, match="got the folder"):
         place.write(place.folder / "y", b"")
+
+
+def test_files_that_are_flushed_later(tmp_path):
+    with FlushedLater(tmp_path) as later:
+        files = [later.write(tmp_path / f"frames/{k}", bytes([k])) for k in range(20)]
+        assert (tmp_path / "frames/19").read_bytes() == bytes([19])
+    assert all(output_file(tmp_path, tmp_path / file.path) == file for file in files)
+    assert all(one.done() for one in later._files)
+
+
+def test_a_disk_that_does_not_take_a_file_is_said(tmp_path):
+    with pytest.raises(DataError, match="No such file"), FlushedLater(tmp_path) as later:
+        later.write(tmp_path / "a", b"1")
+        later._files.append(later._flushing.submit(places._flush, tmp_path / "gone"))
 
 
 class FullDisk(io.BytesIO):

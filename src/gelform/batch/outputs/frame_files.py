@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from gelform.batch.outputs.maps import maps_of
-from gelform.batch.outputs.places import OutputFile, Place, output_file
+from gelform.batch.outputs.places import FlushedLater, OutputFile, Place, output_file
 from gelform.errors import DataError
-from gelform.npz_files import write_npz
+from gelform.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
 
 KIND, VERSION = "gelform maps", 1
@@ -22,9 +22,10 @@ class FrameFiles:
     def __init__(self, place: Place) -> None:
         self.files: list[OutputFile] = []
         self._place = place
+        self._later = FlushedLater(place.output)
 
-    def prepared(self, result: Reconstruction) -> Any:
-        """The PNG's bytes, the whole result, or its maps."""
+    def prepared(self, result: Reconstruction) -> bytes | Reconstruction:
+        """The file's bytes; the whole result where all of it is kept."""
         settings = self._place.settings
         if settings.form == "png":
             return _png(maps_of(result, settings)["depth_mm"])
@@ -32,27 +33,25 @@ class FrameFiles:
             return result
         meta = {"calibration_digest": result.calibration_digest, "index": result.index}
         scale = {"mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
-        return {**maps_of(result, settings), **scale}, meta
+        return npz_bytes({**maps_of(result, settings), **scale}, meta, kind=KIND, version=VERSION)
 
-    def add(self, name: str, index: int, prepared: Any | None) -> dict[str, Any]:
+    def add(self, name: str, index: int, prepared: bytes | Reconstruction | None) -> dict[str, Any]:
         """Write the frame's file; nothing where it has an error."""
         if prepared is None:
             return {}
         path = self._place.folder / f"{name}.{self._place.settings.form}"
-        path.parent.mkdir(parents=True, exist_ok=True)
         if isinstance(prepared, bytes):
-            return _row(self._place.write(path, prepared))
-        if isinstance(prepared, Reconstruction):
-            save_result(prepared, path, overwrite=True)
-        else:
-            write_npz(path, *prepared, kind=KIND, version=VERSION, overwrite=True)
+            return _row(self._later.write(path, prepared))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_result(prepared, path, overwrite=True)
         return _row(output_file(self._place.output, path))
 
     def __enter__(self) -> FrameFiles:
+        self._later.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        pass
+    def __exit__(self, *error: Any) -> None:
+        self._later.__exit__(*error)
 
 
 def _row(file: OutputFile) -> dict[str, Any]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -12,9 +14,11 @@ from numpy.typing import NDArray
 
 from gelform.batch.inputs.plan import Part
 from gelform.batch.settings import BatchSettings
+from gelform.errors import DataError
 from gelform.npz_files import written_file
 
 FRAMES, PARTS = "frames", "parts"
+FLUSHED_AT_ONCE = 4
 Maps = Mapping[str, NDArray[Any]]
 
 
@@ -57,6 +61,49 @@ class Place:
         return write_output(self.output, path, content)
 
 
+class FlushedLater:
+    """Files that are flushed to the disk beside the work; a context manager, whose block ends when the disk has them all.
+
+    A worker would wait for the disk after every frame. What a loss of power takes before is a part without its record, which
+    is done again.
+
+    Raises
+    ------
+    DataError
+        The disk has not taken one of them.
+    """
+
+    def __init__(self, output: Path) -> None:
+        self._output = output
+        self._flushing = ThreadPoolExecutor(FLUSHED_AT_ONCE)
+        self._files: list[Future[None]] = []
+
+    def write(self, path: Path, content: bytes) -> OutputFile:
+        """Write a file whole or not at all; the folders above it are made."""
+        written = write_output(self._output, path, content, flushed=False)
+        self._files.append(self._flushing.submit(_flush, path))
+        return written
+
+    def __enter__(self) -> FlushedLater:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._flushing.shutdown(cancel_futures=error[0] is not None)
+        try:
+            for one in self._files if error[0] is None else ():
+                one.result()
+        except OSError as problem:
+            raise DataError(f"Cannot write into {self._output}: {problem.strerror or problem}.") from problem
+
+
+def _flush(path: Path) -> None:
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 @dataclass(frozen=True)
 class OutputFile:
     """A file that a part wrote: its path below the output, bytes, and SHA-256."""
@@ -66,7 +113,7 @@ class OutputFile:
     sha256: str
 
 
-def write_output(output: Path, path: Path, content: bytes) -> OutputFile:
+def write_output(output: Path, path: Path, content: bytes, *, flushed: bool = True) -> OutputFile:
     """Write a file below an output whole or not at all, and the folders above it.
 
     Raises
@@ -75,7 +122,7 @@ def write_output(output: Path, path: Path, content: bytes) -> OutputFile:
         The disk is full, or the folder cannot be written to.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with written_file(path, overwrite=True) as file:
+    with written_file(path, overwrite=True, flushed=flushed) as file:
         file.write(content)
     name = path.relative_to(output).as_posix()
     return OutputFile(name, len(content), hashlib.sha256(content).hexdigest())
