@@ -146,7 +146,8 @@ def scan(folder: Path, quick: bool) -> dict[str, Any]:
         write_record(output, part.number, PartRecord(part.input_digest(), tuple(rows)))
     before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = time.perf_counter()
-    plan = plan_of(listing_of(source), 256)
+    listing = listing_of(source)
+    plan, _ = plan_of(listing, 256), listing.digest
     listed_s = time.perf_counter() - begin
     assert not list(_not_done(output, plan, BatchSummary(), False))
     seconds = time.perf_counter() - begin

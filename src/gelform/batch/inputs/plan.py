@@ -59,21 +59,23 @@ class Part:
         sha = hashlib.sha256(os.fsencode(self.sequence))
         for path in self._files():
             try:
-                size = path.stat().st_size
+                size = os.stat(path).st_size
             except OSError:
                 size = -1  # reading it says why
-            sha.update(os.fsencode(f"\n{path.name} {size}"))
+            sha.update(os.fsencode(f"\n{os.path.basename(path)} {size}"))
         sha.update(
             os.fsencode(f"\n{self.dataset} {self.offset} {self.start} {self.count}") if self.dataset else b""
         )
         return sha.hexdigest()
 
-    def _files(self) -> list[Path]:
+    def _files(self) -> list[str]:
+        """As text: there may be millions."""
+        folder = os.fspath(self.path)
         if self.images:
-            return [self.path / one for one in (*self.first, *self.images)]
+            return [f"{folder}/{one}" for one in (*self.first, *self.images)]
         if self.dataset and self.path.is_dir():
-            return [self.path / self.dataset / name for name in NODES]
-        return sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
+            return [f"{folder}/{self.dataset}/{name}" for name in NODES]
+        return sorted(f"{folder}/{one}" for one in os.listdir(folder)) if self.path.is_dir() else [folder]
 
 
 def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> list[Part]:
