@@ -84,7 +84,8 @@ def kill_once(folder: Path, output: Path, engine: str, who: str, after_s: float)
     deadline = time.monotonic() + 60
     while any(alive(one) for one in below) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not any(alive(one) for one in below), "processes outlived their driver by a minute"
+    left = [command_of(one).replace(b"\0", b" ")[-200:] for one in below if alive(one)]
+    assert not left, f"processes outlived their driver by a minute: {left}"
     return ended_well, hit
 
 

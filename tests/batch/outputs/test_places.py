@@ -33,9 +33,11 @@ def test_files_that_are_flushed_later(tmp_path):
 
 
 def test_a_disk_that_does_not_take_a_file_is_said(tmp_path):
-    with pytest.raises(DataError, match="No such file"), FlushedLater(tmp_path) as later:
-        later.write(tmp_path / "a", b"1")
-        later._files.append(later._flushing.submit(places._flush, tmp_path / "gone"))
+    later = FlushedLater(tmp_path).__enter__()
+    later.write(tmp_path / "a", b"1")
+    later._files.append(later._flushing.submit(places._flush, tmp_path / "gone"))
+    with pytest.raises(DataError, match="No such file"):
+        later.__exit__(None, None, None)
 
 
 class FullDisk(io.BytesIO):
