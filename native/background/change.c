@@ -4,8 +4,12 @@
 EXPORT int color_change(const uint8_t *image, const float *light, const float *scale, const float *untouched,
                         const float *gain, const float *taps, float *work, float *change, ptrdiff_t h, ptrdiff_t w,
                         ptrdiff_t s, ptrdiff_t t, ptrdiff_t n) {
-  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, 3 * w, t - 1, 0, NULL, NULL, 0};
+  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, w, t - 1, 0, 0, 0, NULL, NULL, 0};
   if (s != 3 * w || !place_ring(&rows, work, n)) return WRONG_SIZE;
-  for (ptrdiff_t y = 0; y < h; y++) blurred_change_row(&rows, y, change + y * 3 * w);
+  const ptrdiff_t width = strip_width(&rows);
+  for (ptrdiff_t first = 0; first < w; first += width) {
+    begin_strip(&rows, first, width);
+    for (ptrdiff_t y = 0; y < h; y++) blurred_change_row(&rows, y, change + 3 * (y * w + first));
+  }
   return OK;
 }

@@ -23,13 +23,15 @@ static void place_work(struct hierarchical *m, float *work) {
   memset(m->planes, 0, sizeof(float) * 5 * padded);
 }
 
-// The coefficients at the nodes' columns in row y.
-static void coefficients_of_row(const struct hierarchical *m, ptrdiff_t y) {
-  const ptrdiff_t node = y / PIXELS < m->rows - 2 ? y / PIXELS : m->rows - 2, count = m->columns * m->terms * 2;
+// The coefficients in row y at the nodes' columns around pixels first ... first + count - 1.
+static void coefficients_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t first, ptrdiff_t count) {
+  const ptrdiff_t node = y / PIXELS < m->rows - 2 ? y / PIXELS : m->rows - 2, column = m->terms * 2, whole = m->columns * column;
+  const ptrdiff_t last = (first + count - 1) / PIXELS + 2, to = (last < m->columns ? last : m->columns) * column;
+  const ptrdiff_t beyond = m->columns - 2, from = (first / PIXELS < beyond ? first / PIXELS : beyond) * column;
   const float v = (float)(y - node * PIXELS) / PIXELS;
-  const float *restrict above = m->nodes + node * count, *restrict below = above + count;
+  const float *restrict above = m->nodes + node * whole, *restrict below = above + whole;
   float *restrict line = m->line;
-  for (ptrdiff_t k = 0; k < count; k++) line[k] = above[k] + v * (below[k] - above[k]);
+  for (ptrdiff_t k = from; k < to; k++) line[k] = above[k] + v * (below[k] - above[k]);
 }
 
 // Coefficients of the pixels from `start` on: for each term those of p and q at the first pixel, and how much the next node's
@@ -48,17 +50,18 @@ static void ramps_of_block(const struct hierarchical *m, ptrdiff_t start, float 
 static const lanes RAMP = {0,      0.0625, 0.125,  0.1875, 0.25,  0.3125, 0.375,  0.4375,
                            0.5,    0.5625, 0.625,  0.6875, 0.75,  0.8125, 0.875,  0.9375};
 
-// Slopes of row y from its color change (w, 3).
-static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, const float *change, float *gradients) {
+// Slopes of `count` pixels of row y, the first a node's column, from their color change.
+static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t first, ptrdiff_t count, const float *change,
+                          float *gradients) {
   const ptrdiff_t stride = padded_width(m->w), terms = m->terms;
   const int32_t *parents = m->parents;
   float *ramps = m->ramps;
   lanes products[MAX_TERMS];
-  coefficients_of_row(m, y);
-  planes_of_row(change, m->planes, m->w, stride);
-  for (ptrdiff_t start = 0; start < m->w; start += PIXELS) {
+  coefficients_of_row(m, y, first, count);
+  planes_of_row(change, m->planes, count, stride);
+  for (ptrdiff_t start = 0; start < count; start += PIXELS) {
     lanes p = {0}, q = {0};
-    ramps_of_block(m, start, ramps);
+    ramps_of_block(m, first + start, ramps);
     for (ptrdiff_t t = 0; t < terms; t++) {
       const lanes product = next_monomial(parents + 2 * t, m->planes + start, stride, products, t);
       const float *ramp = ramps + 4 * t;
@@ -68,7 +71,7 @@ static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, const float
     store_lanes(m->p + start, p);
     store_lanes(m->q + start, q);
   }
-  row_of_slopes(m->p, m->q, gradients, m->w);
+  row_of_slopes(m->p, m->q, gradients, count);
 }
 
 static bool nodes_fit(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w) {
@@ -82,7 +85,7 @@ EXPORT int hierarchical_gradients(const float *change, const float *nodes, const
   if (!nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) || n < hierarchical_work(c, t, w))
     return WRONG_SIZE;
   place_work(&model, work);
-  for (ptrdiff_t y = 0; y < h; y++) slopes_of_row(&model, y, change + y * 3 * w, gradients + y * 2 * w);
+  for (ptrdiff_t y = 0; y < h; y++) slopes_of_row(&model, y, 0, w, change + y * 3 * w, gradients + y * 2 * w);
   return OK;
 }
 
@@ -92,16 +95,21 @@ EXPORT int hierarchical_from_image(const uint8_t *image, const float *light, con
                                    const int32_t *parents, float *work, float *change, float *gradients, ptrdiff_t h,
                                    ptrdiff_t w, ptrdiff_t s, ptrdiff_t k, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                    ptrdiff_t n) {
-  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, 3 * w, k - 1, 0, NULL, NULL, 0};
+  struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, w, k - 1, 0, 0, 0, NULL, NULL, 0};
   struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL, NULL};
-  const ptrdiff_t own = blurred_change_work(3 * w, rows.radius);
+  const ptrdiff_t own = blurred_change_work(w, rows.radius);
   if (s != 3 * w || !nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) ||
       !place_ring(&rows, work, n) || n < own + hierarchical_work(c, t, w))
     return WRONG_SIZE;
   place_work(&model, work + own);
-  for (ptrdiff_t y = 0; y < h; y++) {
-    blurred_change_row(&rows, y, change + y * 3 * w);
-    slopes_of_row(&model, y, change + y * 3 * w, gradients + y * 2 * w);
+  const ptrdiff_t width = strip_width(&rows);
+  for (ptrdiff_t first = 0; first < w; first += width) {
+    begin_strip(&rows, first, width);
+    for (ptrdiff_t y = 0; y < h; y++) {
+      const ptrdiff_t at = y * w + first;
+      blurred_change_row(&rows, y, change + 3 * at);
+      slopes_of_row(&model, y, first, rows.count, change + 3 * at, gradients + 2 * at);
+    }
   }
   return OK;
 }

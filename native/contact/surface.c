@@ -67,6 +67,18 @@ EXPORT int magnitude_of_share(const float *values, float *work, float *magnitude
   return OK;
 }
 
+// The median magnitude of every `step`-th value that is below 0; 0 where none is.
+EXPORT int median_below(const float *values, float *work, float *magnitude, int64_t step, ptrdiff_t count, ptrdiff_t n) {
+  ptrdiff_t taken = 0;
+  if (step < 1 || n < 2 * ((count + step - 1) / step)) return WRONG_SIZE;
+  for (ptrdiff_t i = 0; i < count; i += step) {
+    work[taken] = -values[i];
+    taken += values[i] < 0;
+  }
+  *magnitude = taken ? median(work, taken, (uint32_t *)(work + taken)) : 0;
+  return OK;
+}
+
 enum { CHUNK = 4 * LANES };
 
 // Ratios -bent/bed of the pixels where the surface falls off, appended to `ratios`; how many.

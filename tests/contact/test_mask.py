@@ -160,6 +160,20 @@ def test_noise_agrees_with_numpy():
         assert_kernel_agrees(mask._magnitude_of_share, by_numpy, values, *arguments, step, 0.3)
 
 
+@pytest.mark.parametrize("shift", [0.0, -3.0, 5.0])
+def test_noise_of_the_depths_below_0_agrees_with_numpy(shift):
+    """Of none it is 0."""
+    values = np.random.default_rng(0).normal(shift, 1, (31, 17)).astype(np.float32)
+
+    def by_numpy(values, work, magnitude, step):
+        sample = values.ravel()[::step]
+        return np.array([-np.median(sample[sample < 0]) if (sample < 0).any() else 0.0])
+
+    arguments = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
+    for step in (1, 3):
+        assert_kernel_agrees(mask._median_below, by_numpy, values, *arguments, step)
+
+
 @pytest.mark.parametrize("with_sigma", [True, False])
 @pytest.mark.parametrize("least", [5, 10_000])
 def test_pressure_agrees_with_numpy(with_sigma, least):

@@ -172,11 +172,12 @@ class PreparedBackground:
             matrix = np.asarray(self.settings.crosstalk)
             light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(share) @ matrix)
             share = np.ones(3)
-        scale = np.tile(share.astype(np.float32), light.shape[1])
+        scale = np.empty((light.shape[1], 3), dtype=np.float32)
+        scale[:] = share
         is_bytes = light.dtype == np.uint8
         light = np.ascontiguousarray(light, dtype=np.uint8 if is_bytes else np.float32)
         either = (light, None) if is_bytes else (None, light)
-        return PendingChange((*either, scale, self._light, self._gain, self._taps))
+        return PendingChange((*either, scale.reshape(-1), self._light, self._gain, self._taps))
 
 
 @dataclass(frozen=True)

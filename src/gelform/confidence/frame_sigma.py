@@ -119,7 +119,7 @@ def with_model_sigma(
     gradients_sigma : (H, W, 2), the larger of both; None where there is neither
     confidence : (H, W), the smaller of both
     """
-    both = None if sigma is None else np.broadcast_to(sigma[..., None], (*sigma.shape, 2))
+    both = None if sigma is None else _for_both(sigma)
     if model_sigma is None:
         return both, confidence
     limit = np.square(np.float32(clean) / model_sigma.max(axis=-1))
@@ -144,7 +144,14 @@ def solved_sigma(sigma: NDArray[np.float32] | None, factor: float) -> NDArray[np
         return None
     alike = sigma.strides[-1] == 0  # one map for both components, broadcast
     maps = [_solved_map(np.ascontiguousarray(sigma[..., c]), factor) for c in range(1 if alike else 2)]
-    return np.broadcast_to(maps[0][..., None], sigma.shape) if alike else np.stack(maps, axis=-1)
+    return _for_both(maps[0]) if alike else np.stack(maps, axis=-1)
+
+
+def _for_both(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
+    """One map (H, W) as both components (H, W, 2), read-only: what `np.broadcast_to` gives, in a tenth of its time."""
+    both: NDArray[np.float32] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
+    both.flags.writeable = False
+    return both
 
 
 def _solved_map(sigma: NDArray[np.float32], factor: float) -> NDArray[np.float32]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,6 @@ from gelform._native import Kernel
 from gelform.background.change import LANES, blur_taps
 from gelform.checks import check_map, check_mm_per_px, check_number
 from gelform.contact.contacts import runs_work
-from gelform.medians import medians_where
 
 NOISE_FACTOR, MIN_AREA_MM2 = 4.5, 0.05  # by default
 # Standard deviations of a Gaussian, before the surface's bending is taken: the first ...
@@ -23,6 +22,7 @@ NOISE_SAMPLES = 10_000
 SHARE_AT_REST = 0.3  # of the frame that is taken to be untouched at least
 # Standard deviation of a normal distribution over the magnitude that 30 % of it are below.
 SIGMA_OF_SHARE = 2.595
+SIGMA_OF_HALF = 1.4826  # the same over the median magnitude of its negative half
 SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
 STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is told
@@ -46,6 +46,7 @@ _bent_surface = Kernel(
 _magnitude_of_share = Kernel(
     "magnitude_of_share", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step, f64 share"
 )
+_median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _pressure_on_bed = Kernel(
     "pressure_on_bed",
     "f32[...]? sigma, out f32[...] bed, out f32[...] bent, out f32[n] work, f32 every_sigma, f32 sigmas, f32 below, "
@@ -67,6 +68,7 @@ class _Pressure(NamedTuple):
     finest: (
         NDArray[np.float32] | None
     )  # minus the Laplacian by the finest smoothing, where a wider one was needed
+    finest_noise: float
 
 
 def contact_from_depth(
@@ -138,18 +140,18 @@ def _pressure(
     depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, pitch: tuple[float, float]
 ) -> _Pressure:
     """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0."""
-    finest = None
+    finest, finest_noise = None, 0.0
     for smoothing in SMOOTHINGS_PX:
         smooth, bent = _bent(depth, pitch, smoothing)
         noise = _noise(bent)
         if noise <= QUIET:
             break
-        finest = bent if finest is None else finest
+        finest, finest_noise = (bent, noise) if finest is None else (finest, finest_noise)
     every = _noise_mm(depth) if sigma is None else 0.0
     work = np.empty(2 * depth.size, dtype=np.float32)
     rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
     _pressure_on_bed(sigma, smooth, bent, work, every, *rules)
-    return _Pressure(bent, smooth, finest)
+    return _Pressure(bent, smooth, finest, finest_noise)
 
 
 def _bent(
@@ -181,11 +183,13 @@ def _noise(values: NDArray[np.float32]) -> float:
     return SIGMA_OF_SHARE * float(magnitude[0])
 
 
-def _noise_mm(depth: NDArray[Any]) -> float:
+def _noise_mm(depth: NDArray[np.float32]) -> float:
     """Standard deviation of the untouched gel: the median of its negative depths, as of half a Gaussian."""
-    sample = depth.ravel()[:: max(1, depth.size // NOISE_SAMPLES)]
-    below = sample[sample < 0].reshape(-1, 1, 1)
-    return -1.4826 * float(medians_where(below)[0][0]) if below.size else 0.0
+    step = max(1, depth.size // NOISE_SAMPLES)
+    work = np.empty(2 * -(-depth.size // step), dtype=np.float32)
+    found = np.empty(1, dtype=np.float32)
+    _median_below(depth, work, found, step)
+    return SIGMA_OF_HALF * float(found[0])
 
 
 def _regions(found: _Pressure, limit: float, min_px: float) -> NDArray[np.bool_]:
@@ -200,7 +204,7 @@ def _regions(found: _Pressure, limit: float, min_px: float) -> NDArray[np.bool_]
     sums = (2 * side + 6) * (width + side + LANES)
     work = np.empty(sums + runs_work(contact.shape), dtype=np.float32)
     shares = LEAST_OF_BED, FLAT, OF_FLAT, HALF
-    finest_limit = 0.0 if found.finest is None else SIGMAS_OF_RIM * _noise(found.finest)
     least = SEED * limit, min_px, min(LEAST_SEEDS, max(min_px, 1))
-    _contact_regions(*found, contact, work, NEIGHBOURHOOD_PX, limit, finest_limit, *shares, *least)
+    maps = found.pressure, found.bed, found.finest, contact, work
+    _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, SIGMAS_OF_RIM * found.finest_noise, *shares, *least)
     return contact

@@ -7,15 +7,17 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.confidence.causes.seen import Seen
-from gelform.medians import medians_where
 
 BLOCK_PX = 8  # of JPEG
+LEAST_BLOCKS = 4  # across a frame
 EVERY = 4  # rows are looked at
 USUALLY = 1.5  # times the calibrated images' noise is usual: presses are no flat fields
 LEAST_LEVELS = 1.0  # less is as good as none
 FROM_JUMP = 0.8862  # sigma of a normal distribution over the mean of |a - b| of two of its values
 EXCESS = 1.15  # times the usual jump, that jumps between blocks have to be
-_column_jumps = Kernel("column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] jumps, i32 step")
+_column_jumps = Kernel(
+    "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
+)
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
@@ -35,14 +37,12 @@ def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_level
     usual_levels : standard deviation of a pixel of the calibrated images against the untouched one; more than that
         is counted, and nothing where it is infinite
     """
-    height, width = pixels.shape[:2]
-    columns = (width - 1) // BLOCK_PX * BLOCK_PX
-    if columns < 4 * BLOCK_PX:
+    width = pixels.shape[1]
+    if (width - 1) // BLOCK_PX < LEAST_BLOCKS:
         return 0.0
-    sums = np.empty(3 * (width - 1), dtype=np.int32)
-    _column_jumps(pixels, rest, sums, EVERY)
-    jumps = (sums[0::3] + sums[1::3] + sums[2::3]).astype(np.float32) / np.float32(3 * -(-height // EVERY))
-    by_place = sorted(medians_where(jumps[:columns].reshape(-1, 1, BLOCK_PX))[0].tolist())
+    medians = np.empty(BLOCK_PX, dtype=np.float32)
+    _column_jumps(pixels, rest, np.empty(4 * width, dtype=np.int32), medians, EVERY)
+    by_place = sorted(medians.tolist())
     usual, most = (by_place[BLOCK_PX // 2 - 1] + by_place[BLOCK_PX // 2]) / 2, by_place[-1]
     single = FROM_JUMP * usual
     blocks = FROM_JUMP * np.sqrt(max(most**2 - usual**2, 0.0)) if most > EXCESS * usual else 0.0
