@@ -3,6 +3,7 @@
 import { Connection, signIn } from "./server/connection.js";
 import { Frame } from "./server/frame.js";
 import { SPAN_S } from "./server/series.js";
+import { Cadence } from "./page/cadence.js";
 import { showCode } from "./page/dialogs.js";
 import { byId, element, setText } from "./page/dom.js";
 import { showKeys, startKeys } from "./page/keys.js";
@@ -29,8 +30,10 @@ const look = { ageMs: 0, drawnHz: 0, bytesPerS: 0, renderer: "", encoding: LOOPB
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
 const stages = [];
-const SOFTWARE_MS = 45, SLOW_MS = 200; // between two drawings where the processor does it: of pictures; of numbers and curves
-let facts = null, number = 0, due = 0, drawnAt = 0, slowAt = 0, slowDue = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
+// Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
+const SOFTWARE_MS = 42, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20;
+const surfaces = new Cadence(SURFACE_MS, redraw), curves = new Cadence(CURVES_MS, redraw);
+let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
 
 const station = () => facts?.stations[number] ?? null;
 const stage = () => stages[number];
@@ -54,16 +57,17 @@ function missing(view) {
 
 // -- drawing ------------------------------------------------------------------------------------------------------------
 
-/** At the next refresh of the screen; where the processor draws it, 20 times a second, so that it has time for the sensor. */
+/** At the next refresh of the screen; where the processor draws it, 24 times a second, so that it has time for the sensor. */
 function redraw() {
   if (due) return;
-  const wait = inSoftware() ? drawnAt + SOFTWARE_MS - performance.now() : 0;
+  const wait = inSoftware() ? nextAt - performance.now() : 0;
   due = wait > 0 ? -setTimeout(() => { due = requestAnimationFrame(draw); }, wait) : requestAnimationFrame(draw);
 }
 
 function draw() {
   due = 0;
   drawnAt = performance.now();
+  nextAt = Math.max(nextAt + SOFTWARE_MS, drawnAt);
   try {
     drawPage(frameNow());
   } finally {
@@ -75,22 +79,11 @@ function drawPage(frame) {
   if (frame && page === "calibrate") guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
     if (frame) drawPictures(frame);
-    if (frame && slowParts()) drawNumbersAndCurves(frame);
-    drawStages();
+    if (frame && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);
+    if (!inSoftware() || surfaces.due(drawnAt)) drawStages();
   }
   for (const one of stages) drawEmpty(one.empty, one.frame, facts?.stations[one.number], facts?.work[one.number]);
   drawReplay(station(), frame);
-}
-
-/** Whether numbers and curves are drawn too: always, but where the processor draws now and then, and the last ones in any case. */
-function slowParts() {
-  const wait = inSoftware() ? slowAt + SLOW_MS - drawnAt : 0;
-  if (wait > 0) {
-    slowDue ||= setTimeout(() => { slowDue = 0; redraw(); }, wait);
-    return false;
-  }
-  slowAt = drawnAt;
-  return true;
 }
 
 function drawPictures(frame) {
@@ -126,8 +119,10 @@ function drawTime(frame, series) {
 
 /** Give the credit back, and count how often and how late pictures are drawn. */
 function noteDrawn(frame) {
-  const now = performance.now();
-  for (; owed; owed--) connection.credit();
+  const now = performance.now(), wait = inSoftware() ? nextAt - ASKED_MS - now : 0;
+  if (wait > 0) connection.creditLater(owed, wait); // a picture that came sooner would only grow old
+  else connection.credit(owed);
+  owed = 0;
   drawn = [...drawn.filter((t) => t > now - 2000), now];
   look.drawnHz = drawn.length / 2;
   if (!frame) return;
@@ -176,11 +171,12 @@ setInterval(() => { look.bytesPerS = connection.bytes; connection.bytes = 0; }, 
 function makeStages(count) {
   if (stages.length >= count) return;
   while (stages.length < count) {
-    const made = new Stage(stages.length, { redraw, choose });
+    const made = new Stage(stages.length, { redraw: () => { surfaces.hurry(); redraw(); }, choose });
     stages.push(made);
     byId("stages").append(made.node);
   }
   look.renderer = stages[0].renderer;
+  if (inSoftware()) connection.ahead = 1; // each one is drawn, and asked for when there is time for it
   if (guidePane) watch();
 }
 

@@ -14,6 +14,7 @@ export class Connection extends EventTarget {
     this.bestTrip = Infinity;
     this.watched = null;
     this.lastSerial = new Map();
+    this.ahead = AHEAD; // pictures of a station that may be on their way
     setInterval(() => this.look(), PING_EVERY_MS);
     document.addEventListener("visibilitychange", () => { if (!document.hidden && !this.open) this.connect(); });
   }
@@ -99,9 +100,16 @@ export class Connection extends EventTarget {
     if (more > 0) this.giveAhead(more);
   }
 
-  giveAhead(stations) { for (let k = 0; k < AHEAD * stations; k++) this.credit(); }
+  giveAhead(stations) { this.credit(this.ahead * stations); }
 
-  credit() { this.send({ do: "credit" }); }
+  credit(count = 1) { for (let k = 0; k < count; k++) this.send({ do: "credit" }); }
+
+  /** As `credit`, after a while: for the socket of now alone. */
+  creditLater(count, waitMs) {
+    const { socket } = this;
+    setTimeout(() => { if (socket === this.socket) this.credit(count); }, waitMs);
+  }
+
   ping() { this.send({ do: "ping", sent: performance.now() / 1000 }); }
   send(words) { if (this.socket && this.socket.readyState === 1) this.socket.send(JSON.stringify(words)); }
   say(kind, detail) { this.dispatchEvent(new CustomEvent(kind, { detail })); }
