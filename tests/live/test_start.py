@@ -1,5 +1,8 @@
 """From arguments to running stations."""
 
+import subprocess
+import sys
+
 import pytest
 
 from gelform.errors import CalibrationError, DataError
@@ -95,8 +98,6 @@ def test_two_simulated_sensors_are_touched_apart_from_each_other():
 
 def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monkeypatch):
     """A file below /dev that another process holds stands for the camera: OpenCV gets no picture from it either."""
-    import subprocess
-    import sys
     from pathlib import Path
 
     shared = Path("/dev/shm")
@@ -114,3 +115,12 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monke
         finally:
             other.kill()
             camera.unlink()
+
+
+def test_what_calibrates_is_imported_when_it_is_needed():
+    """It takes as long as the first picture."""
+    loaded = "import sys, gelform.live.start, gelform.live.web.app; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert not [
+        name for name in run.stdout.split() if name.startswith(("gelform.calibration.", "scipy.optimize"))
+    ]

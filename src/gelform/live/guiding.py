@@ -1,20 +1,21 @@
-"""What the buttons of the guided calibration do."""
+"""What the buttons of the guided calibration do; calibration is imported when a guide starts, after the first picture."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gelform.calibration.presses.tables import check_ball_diameter
 from gelform.checks import check_sensor_pitch
 from gelform.errors import GelformError
 from gelform.live import actions
-from gelform.live.guide.guide import Asked
-from gelform.live.guide.session import GuideSession
 from gelform.live.hub import Hub
 from gelform.live.replay.player import Player
 from gelform.live.station import Station
 from gelform.sensors.profiles import profile_named
 from gelform.view import View
+
+if TYPE_CHECKING:
+    from gelform.live.guide.guide import Asked
+    from gelform.live.guide.session import GuideSession
 
 
 def start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_px: float) -> None:
@@ -22,6 +23,8 @@ def start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_
 
     The scale is the profile's, or the one given, or the simulated sensor's own.
     """
+    from gelform.live.guide.session import GuideSession
+
     chosen = hub.station(station)
     if chosen.newest is None:
         raise GelformError("There is no picture yet. Connect the sensor first.")
@@ -65,6 +68,9 @@ def _session(hub: Hub, station: int) -> GuideSession:
 
 
 def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: float) -> Asked:
+    from gelform.calibration.presses.tables import check_ball_diameter
+    from gelform.live.guide.guide import Asked
+
     assert station.newest is not None
     shape = station.newest.frame.image.shape[:2]
     source: Any = station.source

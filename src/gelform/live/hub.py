@@ -8,13 +8,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gelform import __version__
 from gelform.errors import GelformError
 from gelform.live.calibrations import Calibrations
 from gelform.live.devices import Devices, camera_facts
-from gelform.live.guide.session import GuideSession
 from gelform.live.replay.recordings import Recordings
 from gelform.live.station import Station
 from gelform.live.take.recorder import Recorder
@@ -22,6 +21,9 @@ from gelform.live.take.snapshot import Snapshots
 from gelform.progress import Progress
 from gelform.sensors.profiles import PROFILES
 from gelform.solvers import SOLVERS
+
+if TYPE_CHECKING:
+    from gelform.live.guide.session import GuideSession
 
 NOTICES = 20
 

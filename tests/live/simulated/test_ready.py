@@ -31,7 +31,7 @@ def test_another_sensors_is_made_once_and_kept(monkeypatch, tmp_path, sensor, si
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     made = []
     monkeypatch.setattr(ready, "simulated_presses", lambda *_, **__: simulated)
-    monkeypatch.setattr(ready, "calibrate", lambda *_, **__: made.append(1) or calibration)
+    monkeypatch.setattr("gelform.calibration.fit.calibrate", lambda *_, **__: made.append(1) or calibration)
     assert ready_calibration(sensor).digest == calibration.digest
     assert ready_calibration(sensor).digest == calibration.digest
     assert len(made) == 1

@@ -1,4 +1,7 @@
-"""A simulated sensor's calibration: shipped for the usual one, else made by `calibrate` on simulated presses and kept."""
+"""A simulated sensor's calibration: shipped for the usual one, else made by `calibrate` on simulated presses and kept.
+
+What makes one is imported when it is needed: it takes longer than the first picture.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,11 @@ import os
 import sys
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelform import __version__
-from gelform.calibration.fit import calibrate
-from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
 from gelform.errors import CalibrationError
 from gelform.frames import pixels_digest
@@ -20,6 +22,9 @@ from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
 from gelform.view import View
+
+if TYPE_CHECKING:
+    from gelform.calibration.presses.press_set import Presses
 
 BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11
 SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by benchmarks/live_calibration.py
@@ -43,6 +48,8 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
             return load_calibration(kept)
         except CalibrationError:
             kept.unlink(missing_ok=True)  # damaged: it is ours, and made again
+    from gelform.calibration.fit import calibrate
+
     made = simulated_presses(sensor, COUNT, progress=progress)
     calibration = calibrate(presses_of(made), color_model=COLOR_MODEL, progress=progress)
     if kept is not None:
@@ -87,6 +94,8 @@ def simulated_presses(
 
 def presses_of(made: SimulatedPresses) -> Presses:
     """Simulated presses as calibration takes them, without the detour over files."""
+    from gelform.calibration.presses.press_set import Press, Presses
+
     return Presses(
         folder="simulated presses",
         presses=tuple(
