@@ -6,7 +6,7 @@ enum { PIXELS = 64 };  // at a time: unpacked to lines, on which the arithmetic 
 // What does not depend on the pixel; see PreparedSigma.
 struct settings {
   const float *common, *bias, *law, *gamut, *low;
-  float square, steps, grows, rest, bins_per_change, worth;
+  float square, steps, grows, rest, bins_per_change, worth, unlearnt, learnt;
   int32_t law_size, gamut_size;
 };
 
@@ -66,11 +66,21 @@ static inline void variance_by_law(struct lines *restrict l, const struct settin
     l->variance[k] = l->fraction[k] <= end ? l->variance[k] : grows * l->square[k];
 }
 
+// Slopes near the steepest that the presses showed at their place, and beyond: the variance is at least that share of them.
+static inline void variance_of_steepness(struct lines *restrict l, const struct settings *restrict s,
+                                         const float *restrict place, const float *restrict per_steepest, ptrdiff_t n) {
+  for (ptrdiff_t k = 0; k < n; k++) {
+    const float slope = sqrtf(l->square[k]);
+    const float least = s->unlearnt * slope * larger(slope * per_steepest[k] - s->learnt, 0);
+    l->variance[k] = larger(l->variance[k] * place[k], least * least);
+  }
+}
+
 static inline void deviation(const struct lines *restrict l, const struct settings *restrict s,
-                             const float *restrict place, float *restrict sigma, ptrdiff_t n) {
+                             float *restrict sigma, ptrdiff_t n) {
   const float rest = s->rest;
   for (ptrdiff_t k = 0; k < n; k++)
-    sigma[k] = sqrtf((l->untouched[k] ? rest : l->variance[k] * place[k]) + l->beyond[k] * l->beyond[k]);
+    sigma[k] = sqrtf((l->untouched[k] ? rest : l->variance[k]) + l->beyond[k] * l->beyond[k]);
 }
 
 // A pixel that a marker hides is not untouched.
@@ -86,12 +96,12 @@ static inline void write_back(const struct lines *restrict l, float *restrict gr
 
 // `given`: untouched pixels that were decided elsewhere, or NULL. `bias` is subtracted from the gradients.
 EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common,
-                       const float *bias, const float *place, const float *law, const float *gamut, const float *low,
-                       float *gradients, bool *untouched, float *sigma, float square, float steps, float grows,
-                       float rest, float bins_per_change, float worth, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t,
-                       ptrdiff_t g) {
-  const struct settings s = {common, bias,  law,  gamut,           low,   square,     steps,
-                             grows,  rest,  bins_per_change, worth, (int32_t)t, (int32_t)g};
+                       const float *bias, const float *place, const float *per_steepest, const float *law,
+                       const float *gamut, const float *low, float *gradients, bool *untouched, float *sigma,
+                       float square, float steps, float grows, float rest, float bins_per_change, float worth,
+                       float unlearnt, float learnt, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t g) {
+  const struct settings s = {common, bias, law, gamut, low, square, steps, grows, rest, bins_per_change,
+                             worth, unlearnt, learnt, (int32_t)t, (int32_t)g};
   struct lines l = {0};
   if (t < 2) return WRONG_SIZE;
   for (ptrdiff_t start = 0; start < h * w; start += PIXELS) {
@@ -103,7 +113,8 @@ EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *give
     else if (hidden != NULL) hide_untouched(&l, hidden + start, n);
     distance_from_gamut(&l, &s);
     variance_by_law(&l, &s);
-    deviation(&l, &s, place + start, sigma + start, n);
+    variance_of_steepness(&l, &s, place + start, per_steepest + start, n);
+    deviation(&l, &s, sigma + start, n);
     write_back(&l, gradients + 2 * start, untouched + start, n);
   }
   return OK;

@@ -6,12 +6,14 @@ enum { PIECE = 4 * COLUMNS };                   // pixels of a row that are unpa
 
 struct causes {
   const float *cells, *bias;
-  float unexplained, sure, per_change, unseen, clean, added;
+  float unexplained, sure, per_change, unseen, clean, added, per_bend, bend_from, per_slope, least;
+  int32_t reach;
   uint8_t dark_to, saturated_from;
 };
 
 struct lines {
   float r[PIECE], g[PIECE], b[PIECE], p[PIECE], q[PIECE], variance[PIECE];
+  float bend[2 * PIECE];
   int32_t sure[PIECE];
 };
 
@@ -32,8 +34,9 @@ static inline void find_unexplained(const float *restrict cell, struct lines *re
 
 // Which pixels' colour no slope gives for sure; the others' variance grows with what is unexplained.
 static inline void find_sure(const struct causes *c, struct lines *restrict l) {
-  const float square = c->sure * c->sure;
-  for (int k = 0; k < PIECE; k++) l->sure[k] = l->variance[k] > square;
+  const float square = c->sure * c->sure, share = c->per_slope * c->per_slope;
+  for (int k = 0; k < PIECE; k++)
+    l->sure[k] = l->variance[k] > square + share * (l->p[k] * l->p[k] + l->q[k] * l->q[k]);
 }
 
 static inline int mark_sure(const struct lines *restrict l, bool *restrict marked, int n) {
@@ -48,6 +51,30 @@ static inline void variance_of_unexplained(const struct causes *c, float *restri
   for (int k = 0; k < n; k++) {
     const float sigma = c->per_change * larger(sqrtf(variance[k]) - c->unexplained, 0);
     variance[k] = sigma * sigma;
+  }
+}
+
+static inline void add_squares(float *restrict sums, const float *restrict here, const float *restrict there, int first, int end) {
+  for (int i = first; i < end; i++) sums[i] += (there[i] - here[i]) * (there[i] - here[i]);
+}
+
+// Squares of the differences of the slopes (p, q) from pixel x of row y on to those `reach` pixels away on four sides.
+static inline void find_bend(const struct causes *c, struct lines *restrict l, const float *restrict gradients, ptrdiff_t x,
+                             ptrdiff_t y, ptrdiff_t w, ptrdiff_t h, int n) {
+  const ptrdiff_t reach = c->reach, left = reach - x, right = w - reach - x;
+  const float *at = gradients + 2 * (y * w + x);
+  memset(l->bend, 0, sizeof l->bend);
+  if (left < n) add_squares(l->bend, at, at - 2 * reach, 2 * (left > 0 ? (int)left : 0), 2 * n);
+  if (right > 0) add_squares(l->bend, at, at + 2 * reach, 0, 2 * (right < n ? (int)right : n));
+  if (y >= reach) add_squares(l->bend, at, at - 2 * reach * w, 0, 2 * n);
+  if (y < h - reach) add_squares(l->bend, at, at + 2 * reach * w, 0, 2 * n);
+}
+
+// Variance of slopes that differ by more than `bend_from` from those around them.
+static inline void add_variance_of_bend(const struct causes *c, struct lines *restrict l) {
+  for (int k = 0; k < PIECE; k++) {
+    const float sigma = c->per_bend * larger(sqrtf(0.5f * (l->bend[2 * k] + l->bend[2 * k + 1])) - c->bend_from, 0);
+    l->variance[k] += sigma * sigma;
   }
 }
 
@@ -72,7 +99,7 @@ static inline void finish(const struct causes *c, const float *restrict variance
   for (int k = 0; k < n; k++) {
     const float noise = c->added * gain[k], total = sigma[k] * sigma[k] + variance[k] + noise * noise;
     sigma[k] = sqrtf(total);
-    confidence[k] = smaller(c->clean * c->clean / total, 1);
+    confidence[k] = smaller(larger(c->clean * c->clean / total, total < c->unseen * c->unseen ? c->least : 0), 1);
   }
 }
 
@@ -81,8 +108,9 @@ static inline void finish(const struct causes *c, const float *restrict variance
 EXPORT int raise_sigma(const uint8_t *image, const float *change, const float *gradients, const bool *unseen_at,
                        const float *cells, const float *bias, const float *gain, float *sigma, float *confidence,
                        bool *marked, float unexplained, float sure, float per_change, float unseen, float clean, float added,
+                       float per_bend, float bend_from, float per_slope, float least, int32_t reach,
                        int32_t dark_to, int32_t saturated_from, ptrdiff_t h, ptrdiff_t w, ptrdiff_t ch, ptrdiff_t cw) {
-  const struct causes c = {cells, bias, unexplained, sure, per_change, unseen, clean, added, (uint8_t)dark_to, (uint8_t)saturated_from};
+  const struct causes c = {cells, bias, unexplained, sure, per_change, unseen, clean, added, per_bend, bend_from, per_slope, least, reach, (uint8_t)dark_to, (uint8_t)saturated_from};
   const float square = unseen * unseen;
   int count = 0;
   if (cells != NULL && (ch != (h + ROWS - 1) / ROWS || cw != (w + COLUMNS - 1) / COLUMNS)) return WRONG_SIZE;
@@ -98,6 +126,10 @@ EXPORT int raise_sigma(const uint8_t *image, const float *change, const float *g
         find_sure(&c, &l);
         variance_of_unexplained(&c, l.variance, PIECE);
       } else memset(l.variance, 0, sizeof l.variance);
+      if (per_bend > 0) {
+        find_bend(&c, &l, gradients, x, y, w, h, n);
+        add_variance_of_bend(&c, &l);
+      }
       if (unseen_at != NULL)
         for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
       count += find_clipped(&c, image + 3 * at, marked + at, n);

@@ -133,11 +133,12 @@ class Reconstructor:
         )
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
-        self._gain_sigma = calibration.slope_sigma.gain_sigma if calibration.slope_sigma else 0.0
-        self._solved_factor = calibration.slope_sigma.solved_factor if calibration.slope_sigma else 1.0
+        known = calibration.slope_sigma
+        self._gains = (known.gain_sigma, known.depth_gain_sigma) if known else (0.0, 0.0)
+        self._solved_factor = known.solved_factor if known else 1.0
         self._health = FrameHealth(self.background)
-        shape, settings = calibration.image_shape, calibration.settings
-        self._limit = DepthLimit.of(shape, self._pitch, settings.get("gel_thickness_mm"))
+        shape = calibration.image_shape
+        self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.get("gel_thickness_mm"))
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
@@ -275,7 +276,7 @@ class Reconstructor:
     ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
         """Depth of the slopes, weighted and anchored where the solver can, its standard deviation, and differences'.
 
-        It has two parts: errors of slopes here and there, and what all have in common, which moves depth in proportion.
+        It has two parts: errors of slopes here and there, and what all in or around a contact share, in proportion to depth.
         """
         how: dict[str, Any] = {"zero": read.untouched}
         if takes_weights(self.solver):
@@ -289,8 +290,8 @@ class Reconstructor:
         solution = integrate_unchecked(read.observed, mm_per_px=self._pitch, solver=self.solver, **how)
         if self._depth_sigma is None or read.observed_sigma is None or sigma_of is None:
             return solution, None, None
-        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self._gain_sigma, self._limit.ignorance_mm)
-        parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gain_sigma
+        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self._gains[1], self._limit.ignorance_mm)
+        parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gains[0]
         return solution, sigma, DepthDifference(*parts)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:

@@ -7,7 +7,8 @@ from gelform.background.untouched import Reference
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.confidence import raised
 from gelform.confidence.causes import CAUSES
-from gelform.confidence.causes.forward_cells import coefficients_of_cells, explained_change
+from gelform.confidence.causes.seen import LEAST_CONFIDENCE
+from gelform.confidence.forward_cells import coefficients_of_cells, explained_change
 from gelform.confidence.raised import PreparedCauses
 from kernel_agreement import assert_kernel_agrees
 from made.seen_frames import CLEAN, SHAPE, limits, patch
@@ -42,7 +43,8 @@ def test_one_pass_and_one_by_one(with_forward, outside):
     wanted = np.sqrt(law**2 + sum(one.astype(float) ** 2 for one in maps.values()))
     most = causes.limits.unseen  # where several causes leave nothing, they need not be counted twice
     np.testing.assert_allclose(np.minimum(sigma, most), np.minimum(wanted, most), rtol=2e-3)
-    np.testing.assert_allclose(confidence, np.minimum(1, (CLEAN / sigma) ** 2), rtol=1e-5)
+    floor = np.where(sigma < most, LEAST_CONFIDENCE, 0)
+    np.testing.assert_allclose(confidence, np.clip((CLEAN / sigma) ** 2, floor, 1), rtol=1e-5)
     there = {name for name, one in maps.items() if one.any()}
     assert there == {"saturated", "dark", "marker", "compression"} | (
         {"shadow", "specular", "inconsistent"} if with_forward else set()
@@ -51,7 +53,8 @@ def test_one_pass_and_one_by_one(with_forward, outside):
 
 def numpy_raise_sigma(
     image, change, gradients, unseen, cells, bias, gain, sigma, confidence, marked, unexplained, sure, per_change,
-    unseen_sigma, clean, added, dark_to, saturated_from,
+    unseen_sigma, clean, added, per_bend, bend_from, per_slope, least, reach,
+    dark_to, saturated_from,
 ):  # fmt: skip
     """What the kernel should give."""
     ends = (image <= dark_to).any(axis=-1) | (image >= saturated_from).any(axis=-1)
@@ -60,14 +63,22 @@ def numpy_raise_sigma(
         apart = change - explained_change(cells, gradients + bias)
         size = np.sqrt((apart**2).mean(axis=-1))
         total += (per_change * np.maximum(size - unexplained, 0)) ** 2
-        ends |= size > sure
+        ends |= size**2 > sure**2 + per_slope**2 * ((gradients + bias) ** 2).sum(axis=-1)
+    square = np.zeros(image.shape[:2])
+    for a in range(image.shape[0]):
+        for b in range(image.shape[1]):
+            for y, x in ((a - reach, b), (a + reach, b), (a, b - reach), (a, b + reach)):
+                if 0 <= y < image.shape[0] and 0 <= x < image.shape[1]:
+                    square[a, b] += ((gradients[y, x].astype(float) - gradients[a, b]) ** 2).sum() / 2
+    total += (per_bend * np.maximum(np.sqrt(square) - bend_from, 0)) ** 2
     if unseen is not None:
         total += unseen * unseen_sigma**2
-    return np.sqrt(total), np.minimum(clean**2 / total, 1), ends
+    floor = np.where(total < unseen_sigma**2, least, 0)
+    return np.sqrt(total), np.clip(clean**2 / total, floor, 1), ends
 
 
 @pytest.mark.parametrize("optional", [True, False])
-@pytest.mark.parametrize("shape", [SHAPE, (9, 33), (1, 5)])
+@pytest.mark.parametrize("shape", [SHAPE, (9, 33), (1, 5), (3, 1), (2, 64), (4, 65)])
 def test_the_kernel_agrees_with_numpy(optional, shape):
     rng = np.random.default_rng(0)
     cells = cells_of()[: -(-shape[0] // 8), : -(-shape[1] // 16)].copy()
@@ -76,5 +87,6 @@ def test_the_kernel_agrees_with_numpy(optional, shape):
         rng.normal(0, 0.2, (*shape, 3)).astype(np.float32), rng.normal(0, 0.3, (*shape, 2)).astype(np.float32),
         rng.uniform(size=shape) > 0.8 if optional else None, cells if optional else None, BIAS,
         rng.uniform(0.005, 0.02, shape).astype(np.float32), rng.uniform(0.01, 0.1, shape).astype(np.float32),
-        np.empty(shape, np.float32), np.empty(shape, bool), 0.1, 0.4, 4.5, 40.0, 0.04, 3.0, 2, 254,
+        np.empty(shape, np.float32), np.empty(shape, bool), 0.1, 0.4, 4.5, 40.0, 0.04, 3.0, 1.5 if optional else 0.0, 0.2,
+        0.3, 0.002, 2, 2, 254,
     )  # fmt: skip

@@ -19,6 +19,7 @@ def limits(**changes):
         "margin_px": 3,
         "outside": None,
         "gamut": None,
+        "blur_px": 1.25,
     }
     return Limits(**{**usual, **changes})
 
@@ -30,6 +31,7 @@ def seen(*, of=None, **changes):
     usual = {
         "pixels": grey,
         "color_change": nothing,
+        "gradients": nothing[..., :2].copy(),
         "residual": nothing.copy(),
         "markers": None,
         "lost": None,

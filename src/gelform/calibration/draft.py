@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 from typing import Any
 
@@ -17,6 +18,7 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.selection.candidates import Candidate
+from gelform.calibration.unlabelled import steepest_at_places
 from gelform.calibration_file import Calibration
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence import SlopeSigma
@@ -58,7 +60,7 @@ def fit_all(
         change=change_settings(presses, chosen.change_offset),
         color_model=chosen.fit_samples(samples),
         forward=forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px, presses.sensor_name),
-        slope_sigma=FIRST_GUESS,
+        slope_sigma=replace(FIRST_GUESS, steepest=steepest_at_places(samples)),
         untouched_change=untouched_change(used, contacts),
         held_out={},
         training_digests=tuple(press.digest for press in own),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 
@@ -31,8 +31,9 @@ from gelform.calibration.selection.folds import Fold, make_folds, size_folds, un
 from gelform.calibration.selection.select import select
 from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration.start import start_from
+from gelform.calibration.unlabelled import surround_sigma
 from gelform.calibration_file import Calibration
-from gelform.color_models import HierarchicalModel
+from gelform.color_models import DepthAwareModel, HierarchicalModel
 from gelform.errors import CalibrationError
 from gelform.progress import Progress, no_progress
 
@@ -103,9 +104,23 @@ def calibrate(
         start=first_unit,
     )
     forward = None if draft.forward is None else replace(draft.forward, held_out_noise=measured.forward_noise)
-    return replace(
-        draft, slope_sigma=measured.slope_sigma, held_out=report.held_out, report=report, forward=forward
+    sigma = replace(
+        measured.slope_sigma,
+        steepest=None if draft.slope_sigma is None else draft.slope_sigma.steepest,
+        surround_sigma=_surround_sigma(by_offset, refined, selection.chosen.zone),
     )
+    return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report, forward=forward)
+
+
+def _surround_sigma(
+    by_offset: Mapping[float, Sequence[PreparedPress]], refined: Refined, zone: float
+) -> float:
+    """Of the accepted presses; 0 where the background has pixels of 0, by which nothing can be divided."""
+    prepared = by_offset.get(DepthAwareModel.change_offset)
+    if prepared is None:
+        return 0.0
+    used, contacts = zip(*((prepared[i], refined.contacts[i]) for i in refined.accepted))
+    return surround_sigma(used, contacts, zone)
 
 
 def _refined_and_folded(

@@ -161,6 +161,10 @@ class PreparedDepthAware:
         """Depth (H, W) that the plain model reads, in pixels, at least 0."""
         return self._depth(color_change, self._plain.gradients_from_color(color_change)[0])
 
+    def depth(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Depth (H, W) that this model reads, in pixels, at least 0."""
+        return self._depth(color_change, self.gradients_from_color(color_change)[0])
+
     def _depth(
         self, color_change: NDArray[np.float32], gradients: NDArray[np.float32]
     ) -> NDArray[np.float32]:

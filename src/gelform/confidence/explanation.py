@@ -29,6 +29,7 @@ SAID = {
     "off_gamut": "of colours that no training press has shown. Calibrate with deeper presses too.",
     "inconsistent": "of colours that no slope gives: dust, a scratch, another gel, or torn data.",
     "marker": "hidden by markers.",
+    "wall": "edges and walls, over which the colour is blurred.",
     "outside": "not lit, or not gel.",
     "compression": "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
 }

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from gelform.background.change import ChangeSettings, gain_from_background
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.color_models._shared.gamut import Gamut
-from gelform.confidence.causes.forward_cells import coefficients_of_cells
 from gelform.confidence.causes.outside import outside_of_gel
 from gelform.confidence.causes.seen import Limits
+from gelform.confidence.forward_cells import coefficients_of_cells
 from gelform.confidence.raised import PreparedCauses
 
 USUAL_WORTH = 1.0  # mm/mm for a color change of 1, where no training press is known
@@ -59,5 +59,6 @@ def prepared_causes(
         margin_px=int(np.ceil(2 * change.blur_px)) + BLOOMS_PX,
         outside=outside_of_gel(background),
         gamut=gamut,
+        blur_px=change.blur_px,
     )
     return PreparedCauses(limits, None if forward is None else coefficients_of_cells(forward), background)

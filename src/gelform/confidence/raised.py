@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.background.untouched import Reference
-from gelform.confidence.causes import dark, saturated
+from gelform.confidence.causes import dark, saturated, seen
 from gelform.confidence.causes.compression import added_levels
-from gelform.confidence.causes.forward_cells import explained_change
 from gelform.confidence.causes.seen import Limits, Seen, with_margin
+from gelform.confidence.forward_cells import explained_change
 
 _raise_sigma = Kernel(
     "raise_sigma",
     "u8[h,w,3] image, f32[h,w,3] change, f32[h,w,2] gradients, bool[h,w]? unseen_at, f32[ch,cw,9,3]? cells, f32[2] bias, "
     "f32[h,w] gain, out f32[h,w] sigma, out f32[h,w] confidence, out bool[h,w] marked, f32 unexplained, f32 sure, "
-    "f32 per_change, f32 unseen, f32 clean, f32 added, i32 dark_to, i32 saturated_from",
+    "f32 per_change, f32 unseen, f32 clean, f32 added, f32 per_bend, f32 bend_from, f32 per_slope, "
+    "f32 least, i32 reach, i32 dark_to, i32 saturated_from",
 )
 
 
@@ -49,7 +50,8 @@ class PreparedCauses:
     ) -> NDArray[np.float32]:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
-        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause.
+        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.002 at least where the image says
+        something of the slope.
 
         Parameters
         ----------
@@ -68,7 +70,8 @@ class PreparedCauses:
         count = _raise_sigma(
             pixels, color_change, gradients, unseen, self._cells, reference.bias, limits.gain, sigma,
             confidence, marked, limits.unexplained, limits.sure, limits.per_change, limits.unseen, limits.clean,
-            limits.worth * added, dark.DARK_TO, saturated.SATURATED_FROM,
+            limits.worth * added, limits.per_bend, seen.BEND_FROM, seen.STEEP,
+            seen.LEAST_CONFIDENCE, limits.reach_px, dark.DARK_TO, saturated.SATURATED_FROM,
         )  # fmt: skip
         if count:
             self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)
@@ -88,7 +91,7 @@ class PreparedCauses:
         residual = None if self._cells is None else color_change - explained_change(self._cells, gradients)
         pixels, came = as_levels(image), as_levels(lost_image)
         added = self.added_levels(came)
-        return Seen(pixels, color_change, residual, markers, lost, came, added, self.limits)
+        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits)
 
     def added_levels(self, pixels: NDArray[np.uint8]) -> float:
         """Noise of an image beyond the calibrated images', grey levels."""

@@ -26,6 +26,7 @@ _RANGES = (
     ("gain_sigma", 0, 10),
     ("solved_factor", 1e-3, 1e3),
     ("rest_correlation_px", 0, 1e4),
+    ("surround_sigma", 0, 10),
 )
 
 
@@ -68,6 +69,10 @@ class SlopeSigma:
         many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : share of the variance that is correlated; the rest is white
+    surround_sigma : relative error of how deep a whole contact lies, beyond `gain_sigma`: what the slopes around contacts,
+        of which presses say nothing, may be off
+    steepest : slopes that the training presses show, on a grid of rows and columns over the frame as `place` is; None in
+        calibrations that do not hold it
     rest_correlation_px, rest_correlated_share : the same of untouched gel, where noise is left that the color change's
         blur correlates over a pixel or two: over the first the errors fall to exp(-1/2), but for the second, 0-1,
         which is correlated over `correlation_px`; None: as in a contact, in calibrations that do not hold it
@@ -84,6 +89,8 @@ class SlopeSigma:
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
     rest_correlation_px: float = 0.0
     rest_correlated_share: float | None = None
+    surround_sigma: float = 0.0
+    steepest: tuple[tuple[float, ...], ...] | None = None
 
     def __post_init__(self) -> None:
         for name, low, high in _RANGES:
@@ -100,6 +107,9 @@ class SlopeSigma:
             raise ValueError("Expected slopes that grow and as many sigmas > 0, got others.")
         if not (place.ndim == 2 and place.min() > 0):
             raise ValueError("Expected place as rows of factors > 0, got others.")
+        steepest = place if self.steepest is None else check_values(self.steepest, "steepest")
+        if not (steepest.ndim == 2 and steepest.min() > 0):
+            raise ValueError("Expected steepest as rows of slopes > 0, got others.")
 
     @classmethod
     def fit(
@@ -146,13 +156,23 @@ class SlopeSigma:
                 values["correlation_px"],
             )
         exact = {name: tuple(values[name]) for name in ("slopes", "sigmas")}
-        return cls(**{**values, **exact, "place": tuple(tuple(row) for row in values["place"])})
+        grids = {
+            name: tuple(tuple(row) for row in values[name])
+            for name in ("place", "steepest")
+            if values.get(name) is not None
+        }
+        return cls(**{**values, **exact, **grids})
 
     @property
     def correlation(self) -> dict[str, Any]:
         """How the errors correlate, as `DepthSigma` takes it."""
         names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
         return {name: getattr(self, name) for name in names}
+
+    @property
+    def depth_gain_sigma(self) -> float:
+        """Relative error of a contact's depth against rest: its own slopes' and that of those around it."""
+        return float(np.hypot(self.gain_sigma, self.surround_sigma))
 
     def of(self, slopes: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
         """Standard deviation of scattered slopes |g| in contact, at places 0-1."""

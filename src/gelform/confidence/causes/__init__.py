@@ -15,6 +15,7 @@ from gelform.confidence.causes import (
     saturated,
     shadow,
     specular,
+    wall,
 )
 from gelform.confidence.causes.seen import Seen
 
@@ -27,6 +28,7 @@ CAUSES: dict[str, Callable[[Seen], NDArray[np.float32]]] = {
     "inconsistent": inconsistent.sigma,
     "marker": marker.sigma,
     "outside": outside.sigma,
+    "wall": wall.sigma,
     "compression": compression.sigma,
 }
 """Standard deviation (H, W), mm/mm, that each cause adds (in squares) to that of the slopes of a frame."""

@@ -19,6 +19,14 @@ LEAST_LIMIT, LEAST_SURE = 0.02, 0.06  # of color change, where the response was 
 AMPLIFIED = 3.0
 COMMON = 0.6  # times the RMS of the channels, that their mean has to be for light or shadow
 BLOCK_PX = 16  # lost parts are found in such blocks
+# Slopes that differ by more from those this many blurs away than a small ball's do are blurred by the color change, and
+# off by so much of the rest. Chosen on simulated objects with walls.
+REACH, BEND_FROM, BEND = 1.6, 0.1, 1.75
+# Of a slope: what the forward response, a polynomial learnt on balls, may leave unexplained beyond `sure` of a wall.
+STEEP = 0.25
+# Confidence of a slope of which the image says something: above that which solvers take for nothing and fill from around,
+# which would take the walls from an object.
+LEAST_CONFIDENCE = 0.002
 UNSEEN = 1000.0  # of the clean sigma, for what says nothing: a weight of 1e-6, below that which solvers take
 
 
@@ -36,6 +44,7 @@ class Limits:
     margin_px : how far a clipped pixel's colour reaches
     outside : (H, W) bool, pixels that no light reaches; None where there are none
     gamut : colours of the training presses, or None
+    blur_px : of the color change
     """
 
     clean: float
@@ -46,6 +55,17 @@ class Limits:
     margin_px: int
     outside: NDArray[np.bool_] | None
     gamut: Gamut | None
+    blur_px: float
+
+    @property
+    def per_bend(self) -> float:
+        """Standard deviation of a slope, mm/mm, per difference to its neighbours beyond `BEND_FROM`."""
+        return 0.0 if self.gamut is None else BEND
+
+    @property
+    def reach_px(self) -> int:
+        """How far away the neighbours are, px."""
+        return max(1, round(REACH * self.blur_px))
 
     @property
     def unseen(self) -> float:
@@ -59,7 +79,7 @@ class Limits:
 
     @property
     def sure(self) -> float:
-        """Color change that no gradient explains, from which nothing is left of a slope."""
+        """Color change that no gradient explains, from which nothing is left of a gentle slope; see `STEEP`."""
         return max(SURE_LIMIT * (self.noise or 0.0), LEAST_SURE)
 
     @property
@@ -76,6 +96,7 @@ class Seen:
     ----------
     pixels : (H, W, 3) uint8, the image, with the untouched one where parts were lost
     color_change : (H, W, 3)
+    gradients : (H, W, 2), the slopes that the color model read
     residual : (H, W, 3), color change minus that which the slopes explain; None without a forward response
     markers : (H, W) bool, pixels that markers hide; None where the gel has none
     lost : (H, W) bool, parts that are torn, dark or saturated; None where there are none
@@ -86,6 +107,7 @@ class Seen:
 
     pixels: NDArray[np.uint8]
     color_change: NDArray[np.float32]
+    gradients: NDArray[np.float32]
     residual: NDArray[np.float32] | None
     markers: NDArray[np.bool_] | None
     lost: NDArray[np.bool_] | None
@@ -122,7 +144,8 @@ class Seen:
         """Standard deviation (H, W) for what is unexplained where the mask says so; nothing is known around sure pixels."""
         excess = np.maximum(self.unexplained() - np.float32(self.limits.unexplained), 0)
         doubt = np.where(mask, np.float32(self.limits.per_change) * excess, np.float32(0))
-        sure = self.reached_from(mask & (self.unexplained() > self.limits.sure))
+        limit = np.square(self.limits.sure) + np.square(STEEP) * np.square(self.gradients).sum(axis=-1)
+        sure = self.reached_from(mask & (np.square(self.unexplained()) > limit))
         return np.hypot(doubt, self.where(sure))
 
     def reached_from(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.color_models._shared.forward import ForwardResponse
-from gelform.confidence.causes.forward_cells import coefficients_of_cells, explained_change
+from gelform.confidence.forward_cells import coefficients_of_cells, explained_change
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (61, 43)])
