@@ -1,7 +1,7 @@
 """Data sets: frames a second, memory of a worker, kills, corrupt inputs, a full disk, a million entries, lossy video.
 
     python benchmarks/batch.py                    # all of it into results/batch.json: about 45 minutes on 2 cores
-    python benchmarks/batch.py rates              # one part of it: rates, memory, scan, kills, corrupt, disk, lossy
+    python benchmarks/batch.py rates              # one part of it: rates, memory, scan, kills, kills_ray, corrupt, disk, lossy
     python benchmarks/batch.py --quick            # small everything, writes nothing: about 4 minutes
 
 The rows of Ray are left out, and said to be, where ray is not installed. All files lie in a temporary folder (TMPDIR).
@@ -21,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -182,6 +183,7 @@ def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
         "memory": lambda folder: memory(folder, quick),
         "scan": lambda folder: scan(folder, quick),
         "kills": with_input(batch_faults.kills, 400, 20, quick),
+        "kills_ray": with_input(partial(batch_faults.kills, engine="ray"), 400, 20, quick),
         "corrupt": with_input(batch_faults.corrupt, 2000, 1, quick),
         "disk": with_input(batch_faults.disk, 400, 1, quick),
         "lossy": with_input(batch_faults.lossy, DIFFERENT, 1, False),
