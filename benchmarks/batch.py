@@ -1,7 +1,7 @@
 """Data sets: frames a second, memory of a worker, kills, corrupt inputs, a full disk, a million entries, lossy video.
 
     python benchmarks/batch.py                    # all of it into results/batch.json: about 45 minutes on 2 cores
-    python benchmarks/batch.py rates              # one part of it: rates, memory, scan, kills, kills_ray, corrupt, disk, lossy
+    python benchmarks/batch.py rates              # a part: rates, memory, scan, kills, kills_ray, corrupt, disk, lossy
     python benchmarks/batch.py --quick            # small everything, writes nothing: about 4 minutes
 
 The rows of Ray are left out, and said to be, where ray is not installed. All files lie in a temporary folder (TMPDIR).

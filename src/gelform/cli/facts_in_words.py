@@ -35,7 +35,10 @@ def _calibration(facts: Facts) -> Lines:
         ("sensor", str(facts["sensor_name"])),
         *[(label, str(text)) for label, text in named if text],
         ("images", f"{_size(facts['image_shape'])}, {_scale(facts)}"),
-        ("view", "a frame is an image as it is" if not facts.get("view") else _said(facts["view"])),
+        (
+            "view",
+            "a frame is an image as it is" if not facts.get("view") else _said(facts["view"]),
+        ),
         ("color model", f"{facts['color_model']} ({settings})" if settings else str(facts["color_model"])),
         (
             "made from",
@@ -111,8 +114,8 @@ def _noise(sigma: Facts | None) -> str:
 
 
 def _said(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name}: {_said(one)}" for name, one in value.items()) or "-"
-    if isinstance(value, (list, tuple)):
-        return ", ".join(_said(one) for one in value) or "-"
-    return "-" if value in (None, "") else f"{value:.4g}" if isinstance(value, float) else str(value)
+    from gelform.calibration.report.page.words import (
+        setting_in_words,
+    )  # imports numpy, which --help does not wait for
+
+    return setting_in_words(value)

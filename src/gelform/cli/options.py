@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gelform.cli.tables import listed
+from gelform.robots.topics import TOPICS
 from gelform.sensors.profiles import PROFILES
 
 
@@ -65,4 +66,13 @@ BallDiameter = Annotated[
 Background = Annotated[
     Path | None,
     typer.Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average."),
+]
+ALL_TOPICS = ",".join(TOPICS)
+Topics = Annotated[str, typer.Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")]
+TopicsOf = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."),
+]
+Seconds = Annotated[
+    float | None, typer.Option(metavar="F", parser=positive, help="How long; else to the end or Ctrl-C.")
 ]

@@ -11,8 +11,8 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_positive
 from gelform.progress import Progress, no_progress
 from gelform.robots.stamped import SentStats, StampedResults
-from gelform.robots.topics import NEEDS_SCALE, TOPICS, check_topics, sensor_name_from
-from gelform.robots.zenoh_node import ROUTER, ZenohNode
+from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, check_topics, sensor_name_from
+from gelform.robots.zenoh_node import ZenohNode
 from gelform.sensors.source import open_source
 from gelform.streams.stream import stream
 

@@ -6,6 +6,9 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+ROUTER = "tcp/localhost:7447"  # of zenoh, where rmw_zenoh's own sessions look for it
+MAX_DOMAIN = 232  # of ROS 2
+
 
 @dataclass(frozen=True)
 class Topic:

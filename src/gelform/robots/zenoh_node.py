@@ -11,12 +11,10 @@ from gelform.errors import DataError, GelformError
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
+from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
 from gelform.robots.zenoh_keys import Node, attachment, gid_from_token
 
-ROUTER = "tcp/localhost:7447"  # where rmw_zenoh's own sessions look for it
 CONNECT_MS = 3000
-MAX_DOMAIN = 232  # of ROS 2
 
 
 class ZenohNode:

@@ -20,13 +20,13 @@ def place_in_words(place: dict[str, Any], mm_per_px: float) -> str:
 
 
 def setting_in_words(value: Any) -> str:
-    """A setting as a person reads it: three significant digits, lists joined, the beginning of a digest."""
+    """A setting as a person reads it: four significant digits, lists joined, the beginning of a digest; none: nothing."""
     if isinstance(value, dict):
-        return " ".join(f"{name} {setting_in_words(one)}" for name, one in value.items()) or "none"
+        return ", ".join(f"{name}: {setting_in_words(one)}" for name, one in value.items()) or "none"
     if isinstance(value, (list, tuple)):
         return " / ".join(setting_in_words(one) for one in value) or "none"
     if isinstance(value, float):
-        return f"{value:.3g}"
-    text = str(value)
+        return f"{value:.4g}"
+    text = "none" if value in (None, "") else str(value)
     is_digest = len(text) == 64 and set(text) <= set("0123456789abcdef")
     return f"{text[:DIGEST_SHOWN]}…" if is_digest else text

@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 from gelform.cli.console import print_json, progress_shown, say
-from gelform.cli.options import Background, CalibrationFile, Json, Quiet, positive
+from gelform.cli.options import (
+    ALL_TOPICS,
+    Background,
+    CalibrationFile,
+    Json,
+    Quiet,
+    Seconds,
+    Topics,
+    TopicsOf,
+)
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics
 
 
@@ -21,18 +30,9 @@ def bag(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")
     ],
-    topics: Annotated[
-        str, typer.Option(metavar="A,B", help=f"What to write, of {','.join(TOPICS)}.")
-    ] = ",".join(TOPICS),
-    name: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."
-        ),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="How long; else to the end or Ctrl-C.")
-    ] = None,
+    topics: Topics = ALL_TOPICS,
+    name: TopicsOf = None,
+    seconds: Seconds = None,
     background: Background = None,
     quiet: Quiet = False,
     as_json: Json = False,

@@ -8,10 +8,17 @@ import typer
 
 from gelform.cli.commands.robots.bag import checked_names
 from gelform.cli.console import print_json, progress_shown, say
-from gelform.cli.options import Background, CalibrationFile, Json, Quiet, positive
-from gelform.robots.topics import TOPICS
-
-ROUTER, MAX_DOMAIN = "tcp/localhost:7447", 232  # of robots.zenoh_node, which imports numpy
+from gelform.cli.options import (
+    ALL_TOPICS,
+    Background,
+    CalibrationFile,
+    Json,
+    Quiet,
+    Seconds,
+    Topics,
+    TopicsOf,
+)
+from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS
 
 
 def ros(
@@ -20,23 +27,14 @@ def ros(
         str,
         typer.Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated."),
     ] = "simulated",
-    topics: Annotated[
-        str, typer.Option(metavar="A,B", help=f"What to publish, of {','.join(TOPICS)}.")
-    ] = ",".join(TOPICS),
-    name: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."
-        ),
-    ] = None,
+    topics: Topics = ALL_TOPICS,
+    name: TopicsOf = None,
     router: Annotated[str, typer.Option(metavar="ADDRESS", help="Of the zenoh router.")] = ROUTER,
     domain: Annotated[
         int,
         typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="That of those who listen."),
     ] = 0,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="How long; else to the end or Ctrl-C.")
-    ] = None,
+    seconds: Seconds = None,
     background: Background = None,
     quiet: Quiet = False,
     as_json: Json = False,
