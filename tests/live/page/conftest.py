@@ -12,13 +12,8 @@ from live_waiting import until
 
 PLACES = [os.environ.get("GELFORM_CHROMIUM", ""), "chromium", "chromium-browser", "google-chrome"]
 CHROMIUM = next((found for name in PLACES if name and (found := shutil.which(name))), None)
-FLAGS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--no-first-run",
-]
+# What a machine without a graphics processor does: WebGL by SwiftShader, the page put together by the processor.
+FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--disable-background-networking", "--no-first-run"]
 
 
 @pytest.fixture(scope="package")

@@ -26,14 +26,15 @@ import { Stage } from "./surface/stage.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
 const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: drawMarkers };
-const look = { ageMs: 0, drawnHz: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
+const look = { ageMs: 0, drawnHz: 0, surfaces: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
 const stages = [];
 // Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
-const SOFTWARE_MS = 42, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20;
-const surfaces = new Cadence(SURFACE_MS, redraw), curves = new Cadence(CURVES_MS, redraw);
-let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false;
+const SOFTWARE_MS = 42, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
+const surfaces = new Cadence(SURFACE_MS, schedule), curves = new Cadence(CURVES_MS, schedule), running = new Cadence(FACTS_MS, () => drawFacts(station(), look));
+const stale = { pictures: true, surfaces: true, curves: true };
+let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false, stateKey = "";
 
 const station = () => facts?.stations[number] ?? null;
 const stage = () => stages[number];
@@ -57,8 +58,14 @@ function missing(view) {
 
 // -- drawing ------------------------------------------------------------------------------------------------------------
 
-/** At the next refresh of the screen; where the processor draws it, 24 times a second, so that it has time for the sensor. */
+/** There is something newer to draw. */
 function redraw() {
+  stale.pictures = stale.surfaces = stale.curves = true;
+  schedule();
+}
+
+/** At the next refresh of the screen; where the processor draws it, 24 times a second, so that it has time for the sensor. */
+function schedule() {
   if (due) return;
   const wait = inSoftware() ? nextAt - performance.now() : 0;
   due = wait > 0 ? -setTimeout(() => { due = requestAnimationFrame(draw); }, wait) : requestAnimationFrame(draw);
@@ -76,12 +83,13 @@ function draw() {
 }
 
 function drawPage(frame) {
-  if (frame && page === "calibrate") guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
+  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
-    if (frame) drawPictures(frame);
-    if (frame && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);
-    if (!inSoftware() || surfaces.due(drawnAt)) drawStages();
+    if (frame && stale.pictures) drawPictures(frame);
+    if (frame && stale.curves && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);
+    if (stale.surfaces && (!inSoftware() || surfaces.due(drawnAt))) drawStages();
   }
+  stale.pictures = false;
   for (const one of stages) drawEmpty(one.empty, one.frame, facts?.stations[one.number], facts?.work[one.number]);
   drawReplay(station(), frame);
 }
@@ -93,6 +101,7 @@ function drawPictures(frame) {
 }
 
 function drawNumbersAndCurves(frame) {
+  stale.curves = false;
   drawProfile(byId("profile"), byId("profile-at"), frame, settings.cursor);
   drawTime(frame, stage().series);
   drawNumbers(frame, stage().series);
@@ -101,6 +110,8 @@ function drawNumbersAndCurves(frame) {
 }
 
 function drawStages() {
+  stale.surfaces = false;
+  look.surfaces++;
   const lift = Number(byId("exaggeration").value), dark = document.documentElement.dataset.theme === "dark";
   const over = byId("drape").value, pane = panes.find((one) => one.view === over);
   const drape = over === "depth" || !pane || pane.pixels.width < 2 ? null : pane.pixels;
@@ -150,11 +161,14 @@ connection.addEventListener("state", ({ detail }) => {
   if (station()) drawGuide(facts.guides[number], station(), facts, { send });
   if (guided && !facts.guides[number] && station()?.calibration) choosePage("live"); // it is in use: look at it
   guided = Boolean(facts.guides[number]);
-  drawFacts(station(), look);
+  if (running.due(performance.now())) drawFacts(station(), look);
   drawFiles(station(), facts.files, { send });
   drawDevices(facts.devices, station(), { send });
   drawCamera(station(), { send });
-  redraw();
+  const key = JSON.stringify([facts.guides, facts.work, facts.stations.map((one) => [one.name, one.state, one.calibration, one.other, one.paused, one.simulated])]);
+  if (key !== stateKey) redraw(); // what is said over pictures may be another thing
+  else schedule();
+  stateKey = key;
 });
 
 connection.addEventListener("done", ({ detail }) => { if (detail.problem) toast(detail.problem, "error"); });
