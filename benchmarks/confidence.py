@@ -24,6 +24,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+import cast_shadows
 import faults
 import gelform
 from gelform.ball import fit_sphere
@@ -166,7 +167,14 @@ def digit(run: Run) -> dict[str, Any]:
         "sphere_ratio": float(mean[0, 0] / mean[1, 0]),
         "off_contact_um": mean[:, 1].tolist(),
         "off_contact_ratio": float(mean[0, 1] / mean[1, 1]),
+        "shadows_taken_back": cast_shadows.real(calibration, test),
     }
+
+
+def shadows(run: Run) -> dict[str, Any]:
+    """RMS depth error in contacts, um, on simulated DIGITs whose presses cast shadows: taken back, without, the ratio."""
+    seeds = cast_shadows.SEEDS[:1] if run.quick else cast_shadows.SEEDS
+    return cast_shadows.simulated(run.frames(30), run.calibrations, seeds)
 
 
 def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tuple[float, float]:
@@ -383,6 +391,7 @@ PARTS = {
     "coverage": coverage,
     "weights": weights,
     "digit": digit,
+    "shadows": shadows,
     "limit": limit,
     "masks": masks,
     "causes": causes,

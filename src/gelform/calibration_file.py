@@ -296,5 +296,5 @@ def _forward(
 ) -> ForwardResponse | None:
     if settings is None:
         return None
-    degrees, held_out = tuple(settings["position_degrees"]), settings.get("held_out_noise")
-    return ForwardResponse(arrays["forward_coefficients"], degrees, shape, arrays["forward_noise"], held_out)
+    parts = arrays["forward_coefficients"], arrays["forward_noise"]
+    return ForwardResponse.from_settings(*parts, shape, settings)

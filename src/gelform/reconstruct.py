@@ -130,6 +130,7 @@ class Reconstructor:
             levels=calibration.settings.get("image_noise"),
             gamut=calibration.gamut,
             forward=calibration.forward,
+            shadows=takes_weights(self.solver),
         )
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
@@ -231,7 +232,7 @@ class Reconstructor:
         seen = self._causes.seen(
             read.faults.image,
             change,
-            read.observed + read.reference.bias,
+            self._model.gradients_from_color(change)[0],
             markers=read.markers,
             lost=read.faults.lost,
             lost_image=image,

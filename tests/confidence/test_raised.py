@@ -6,6 +6,7 @@ import pytest
 from gelform.background.untouched import Reference
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.confidence import raised
+from gelform.confidence.cast_shadows import CastShadows
 from gelform.confidence.causes import CAUSES
 from gelform.confidence.causes.seen import LEAST_CONFIDENCE
 from gelform.confidence.forward_cells import coefficients_of_cells, explained_change
@@ -49,6 +50,30 @@ def test_one_pass_and_one_by_one(with_forward, outside):
     assert there == {"saturated", "dark", "marker", "compression"} | (
         {"shadow", "specular", "inconsistent"} if with_forward else set()
     ) | ({"outside"} if outside is not None else set())
+
+
+def test_cast_shadows_move_slopes_and_raise_sigma():
+    rest = np.full((*SHAPE, 3), 100, np.uint8)
+    cells = cells_of()
+    shadows = CastShadows(cells, SHAPE, 0.03)
+    raw = np.full((*SHAPE, 2), 0.1, np.float32)
+    change = explained_change(cells, raw)
+    change[10:30, 20:50] -= 0.1
+    causes, without = (
+        PreparedCauses(limits(noise=1.0), cells, rest, shadows),
+        PreparedCauses(limits(noise=1.0), cells, rest),
+    )
+    slopes, plain = raw - BIAS, raw - BIAS
+    sigma, law = np.full(SHAPE, 0.05, np.float32), np.full(SHAPE, 0.05, np.float32)
+    confidence = causes(rest, change, slopes, REFERENCE, None, sigma)
+    without(rest, change, plain, REFERENCE, None, law)
+    moved = np.linalg.norm(slopes - plain, axis=-1)
+    assert moved.max() > 0.01
+    assert moved[:5].max() == 0
+    np.testing.assert_allclose(sigma, np.hypot(law, moved), rtol=1e-4)
+    np.testing.assert_allclose(confidence, np.minimum(1, (CLEAN / sigma) ** 2), rtol=1e-5)
+    seen = causes.seen(rest, change, raw, markers=None, lost=None, lost_image=rest)
+    np.testing.assert_allclose(CAUSES["shadow"](seen), moved, atol=1e-6)
 
 
 def numpy_raise_sigma(

@@ -18,6 +18,7 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.selection.candidates import Candidate
+from gelform.calibration.shadows import shadow_noise
 from gelform.calibration.unlabelled import steepest_at_places
 from gelform.calibration_file import Calibration
 from gelform.color_models._shared.gamut import Gamut
@@ -47,6 +48,9 @@ def fit_all(
     own = [presses.presses[i] for i in refined.accepted]
     samples = chosen.samples(used, contacts)
     noise = presses.background_noise
+    model = chosen.fit_samples(samples)
+    forward = forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px, presses.sensor_name)
+    cast = shadow_noise(model, forward, used, contacts, presses.background)
     return Calibration(
         sensor_name=presses.sensor_name,
         serial=presses.serial,
@@ -58,8 +62,8 @@ def fit_all(
         background=presses.background,
         background_noise=noise_from_image(presses.background) if noise is None else noise,
         change=change_settings(presses, chosen.change_offset),
-        color_model=chosen.fit_samples(samples),
-        forward=forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px, presses.sensor_name),
+        color_model=model,
+        forward=replace(forward, shadow_noise=cast),
         slope_sigma=replace(FIRST_GUESS, steepest=steepest_at_places(samples)),
         untouched_change=untouched_change(used, contacts),
         held_out={},

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gelform.background.change import ChangeSettings, gain_from_background
 from gelform.color_models._shared.forward import ForwardResponse
 from gelform.color_models._shared.gamut import Gamut
+from gelform.confidence.cast_shadows import CastShadows
 from gelform.confidence.causes.outside import outside_of_gel
 from gelform.confidence.causes.seen import Limits
 from gelform.confidence.forward_cells import coefficients_of_cells
@@ -38,6 +39,7 @@ def prepared_causes(
     levels: Any | None,
     gamut: Gamut | None,
     forward: ForwardResponse | None,
+    shadows: bool = True,
 ) -> PreparedCauses:
     """The causes of frames of one calibration over one background.
 
@@ -49,6 +51,7 @@ def prepared_causes(
     levels : standard deviation of the calibrated images' pixels, grey levels, of each channel; None where not known
     gamut : colours of the training presses; without it no colour is off gamut
     forward : the forward response; without it nothing is called shadow, specular or inconsistent
+    shadows : whether cast shadows are looked for, on sensors whose presses cast some
     """
     limits = Limits(
         clean=clean,
@@ -61,4 +64,8 @@ def prepared_causes(
         gamut=gamut,
         blur_px=change.blur_px,
     )
-    return PreparedCauses(limits, None if forward is None else coefficients_of_cells(forward), background)
+    cells = None if forward is None else coefficients_of_cells(forward)
+    cast = None
+    if shadows and cells is not None and forward is not None and forward.shadow_noise is not None:
+        cast = CastShadows(cells, forward.shape, forward.shadow_noise)
+    return PreparedCauses(limits, cells, background, cast)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.background.untouched import Reference
+from gelform.confidence.cast_shadows import CastShadows, size_of
 from gelform.confidence.causes import dark, saturated, seen
 from gelform.confidence.causes.compression import added_levels
 from gelform.confidence.causes.seen import Limits, Seen, with_margin
@@ -31,11 +32,19 @@ class PreparedCauses:
     limits : what does not depend on the frame
     cells : of the forward response, `coefficients_of_cells`; None where there is none
     rest : (H, W, 3), the untouched image
+    shadows : of a sensor whose presses cast some, or None
     """
 
-    def __init__(self, limits: Limits, cells: NDArray[np.float32] | None, rest: NDArray[Any]) -> None:
+    def __init__(
+        self,
+        limits: Limits,
+        cells: NDArray[np.float32] | None,
+        rest: NDArray[Any],
+        shadows: CastShadows | None = None,
+    ) -> None:
         self.limits = limits
         self._cells = cells
+        self._shadows = shadows
         self._rest = as_levels(rest)
 
     def __call__(
@@ -51,7 +60,8 @@ class PreparedCauses:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
         Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.002 at least where the image says
-        something of the slope.
+        something of the slope. In cast shadows the slopes change in place to those that the other lights show, and are as
+        uncertain as they changed.
 
         Parameters
         ----------
@@ -75,6 +85,13 @@ class PreparedCauses:
         )  # fmt: skip
         if count:
             self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)
+        if self._shadows is not None:
+            shift = self._shadows(color_change, gradients, reference.bias, unseen)
+            if shift is not None:
+                gradients += shift
+                sigma[:] = np.hypot(sigma, size_of(shift))
+                doubted = np.square(np.float32(limits.clean) / sigma)
+                np.minimum(confidence, np.maximum(doubted, np.float32(seen.LEAST_CONFIDENCE)), out=confidence)
         return confidence
 
     def seen(
@@ -91,7 +108,12 @@ class PreparedCauses:
         residual = None if self._cells is None else color_change - explained_change(self._cells, gradients)
         pixels, came = as_levels(image), as_levels(lost_image)
         added = self.added_levels(came)
-        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits)
+        shift = None
+        if self._shadows is not None:
+            hidden = lost if markers is None else markers if lost is None else markers | lost
+            shift = self._shadows(color_change, gradients, unseen=self._unseen(hidden))
+        cast = None if shift is None else size_of(shift)
+        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits, cast)
 
     def added_levels(self, pixels: NDArray[np.uint8]) -> float:
         """Noise of an image beyond the calibrated images', grey levels."""

@@ -137,7 +137,9 @@ def measure_held_out(
     models = [held_out.fit(chosen, fold) for fold in folds]
     forwards = [_forward_without(fold, prepared, chosen.zone, presses) for fold in folds]
     forward_noise = held_out_noise(forwards, models, folds, prepared, found)
-    forwards = [replace(forward, held_out_noise=forward_noise) for forward in forwards]
+    cast = None if draft.forward is None else draft.forward.shadow_noise
+    noises: dict[str, float | None] = {"held_out_noise": forward_noise, "shadow_noise": cast}
+    forwards = [replace(forward, **noises) for forward in forwards]
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
         saved = replace(draft, color_model=models[done], forward=forwards[done])
         own = saved

@@ -21,6 +21,7 @@ from gelform.color_models.seam import Samples
 HUBER_CHANGE = 0.05
 RIDGE = 1e-5
 DEPTH_DEGREE = 3
+NOISES_OF_PRESSES = ("held_out_noise", "shadow_noise")
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class ForwardResponse:
     noise : (3,) float64, standard deviation of the color change about it, per channel
     held_out_noise : the same on presses that it was fitted without, about the slopes that a color model reads there which
         has not seen them either; RMS of the channels. None where nobody has looked
+    shadow_noise : standard deviation of the darkness that slopes in contacts leave unexplained (`CastShadows`), of color
+        change; None: presses of this sensor cast no shadows, or nobody has looked
     """
 
     coefficients: NDArray[np.float64]
@@ -48,6 +51,7 @@ class ForwardResponse:
     shape: tuple[int, int]
     noise: NDArray[np.float64]
     held_out_noise: float | None = None
+    shadow_noise: float | None = None
 
     @classmethod
     def fit(
@@ -70,10 +74,25 @@ class ForwardResponse:
     def __post_init__(self) -> None:
         if self.held_out_noise is not None:
             check_within(self.held_out_noise, "held_out_noise", 0, 1e3)
+        if self.shadow_noise is not None:
+            check_within(self.shadow_noise, "shadow_noise", 1e-6, 1e3)
 
     def settings(self) -> dict[str, Any]:
         """What is not an array, as a calibration keeps it."""
-        return {"position_degrees": list(self.position_degrees), "held_out_noise": self.held_out_noise}
+        noises = {name: getattr(self, name) for name in NOISES_OF_PRESSES}
+        return {"position_degrees": list(self.position_degrees), **noises}
+
+    @classmethod
+    def from_settings(
+        cls,
+        coefficients: NDArray[np.float64],
+        noise: NDArray[np.float64],
+        shape: tuple[int, int],
+        settings: dict[str, Any],
+    ) -> ForwardResponse:
+        """The response of two arrays and its `settings`; older ones lack some."""
+        noises = {name: settings.get(name) for name in NOISES_OF_PRESSES}
+        return cls(coefficients, tuple(settings["position_degrees"]), shape, noise, **noises)
 
     @property
     def knows_depth(self) -> bool:

@@ -103,6 +103,7 @@ class Seen:
     lost_pixels : (H, W, 3) uint8, the image as it came
     added_levels : noise of the image beyond the calibrated images', grey levels
     limits : of the calibration
+    cast : (H, W), mm/mm, how much cast shadows changed the slopes; None where there are none
     """
 
     pixels: NDArray[np.uint8]
@@ -114,6 +115,7 @@ class Seen:
     lost_pixels: NDArray[np.uint8]
     added_levels: float
     limits: Limits
+    cast: NDArray[np.float32] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
