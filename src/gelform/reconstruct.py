@@ -226,8 +226,7 @@ class Reconstructor:
 
         Of the same sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
         """
-        image = self._checked(image)
-        change = np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
+        image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change)
         seen = self._causes.seen(
             read.faults.image,

@@ -138,8 +138,7 @@ def measure_held_out(
     forwards = [_forward_without(fold, prepared, chosen.zone, presses) for fold in folds]
     forward_noise = held_out_noise(forwards, models, folds, prepared, found)
     cast = None if draft.forward is None else draft.forward.shadow_noise
-    noises: dict[str, float | None] = {"held_out_noise": forward_noise, "shadow_noise": cast}
-    forwards = [replace(forward, **noises) for forward in forwards]
+    forwards = [replace(forward, held_out_noise=forward_noise, shadow_noise=cast) for forward in forwards]
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
         saved = replace(draft, color_model=models[done], forward=forwards[done])
         own = saved

@@ -9,6 +9,6 @@ from gelform.confidence.causes.seen import COMMON, Seen
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
-    """Standard deviation (H, W), mm/mm: of cast shadows, and of what is unexplained where the channels are darker in common."""
+    """Standard deviation (H, W), mm/mm, of cast shadows and of what is unexplained where all channels are darker."""
     common = seen.beyond(seen.common() < -COMMON * seen.unexplained())
     return common if seen.cast is None else np.hypot(common, seen.cast)
