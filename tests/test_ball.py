@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.ball import ball_center, ball_gradients, fit_sphere, followed_radius
+from gelform import ball
+from gelform.ball import ball_center, ball_gradients, center_jacobian, fit_sphere, followed_radius
+from kernel_agreement import assert_kernel_agrees
 
 MM_PER_PX = 0.06
 BALL_MM = 3.0
@@ -72,3 +74,30 @@ def test_the_gel_follows_the_visible_circle_unless_that_is_as_wide_as_the_ball()
     assert followed_radius(97.0, 100.0) == followed_radius(150.0, 100.0) == 75
     steepest = np.linalg.norm(ball_gradients(0.8 * 75, 0.0, (0, 0), 100.0))
     assert steepest == pytest.approx(0.75)
+
+
+def center_by_numpy(gradients, x, y, center, radius, scale, rounds):
+    """Gauss-Newton with the derivatives of the slopes by the centre, each step on all pixels."""
+    found = center.copy()
+    for _ in range(rounds):
+        slopes = ball_gradients(x, y, tuple(found), radius)
+        residual = gradients - slopes
+        weight = np.repeat(1 / np.sqrt(1 + np.sum(residual**2, axis=-1) / scale**2), 2)
+        jacobian = center_jacobian(slopes, radius).reshape(-1, 2)
+        weighted = jacobian * weight[:, None]
+        move = np.linalg.solve(weighted.T @ jacobian + 1e-12 * np.eye(2), weighted.T @ residual.ravel())
+        found += np.clip(move, -0.2 * radius, 0.2 * radius)
+        if np.hypot(*move) < 1e-3:
+            break
+    return found
+
+
+@pytest.mark.parametrize("start", [(77.0, 62.0), (40.0, 20.0), (130.0, 59.0)])
+@pytest.mark.parametrize("rounds", [1, 3, 30])
+def test_the_kernel_finds_the_center_as_numpy_does(start, rounds):
+    """From far off too, where slopes are held and steps are cut."""
+    y, x = (v.ravel().astype(float) for v in np.mgrid[20:100:3, 30:130:3])
+    noise = np.random.default_rng(0).normal(0, 0.1, (x.size, 2))
+    gradients = ball_gradients(x, y, (80.3, 59.6), 50.0) + noise
+    arguments = gradients, x, y, np.array(start), 50.0, 0.05, rounds
+    assert_kernel_agrees(ball._ball_center, center_by_numpy, *arguments, tolerance=1e-10)

@@ -10,9 +10,16 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
 from gelform.checks import check_mm_per_px
 
-STEEPEST_FRACTION = 0.97  # of the radius: beyond it the slopes of a ball are held
+_ball_center = Kernel(
+    "ball_center",
+    "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
+)
+STEEPEST_FRACTION = (
+    0.97  # of the radius: beyond it the slopes of a ball are held; native/ball/center.c has it too
+)
 # Of the radius, where the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
 FOLLOWED_FRACTION = 0.75
 
@@ -65,16 +72,8 @@ def ball_center(
     Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
     """
     center = np.array(start_px, dtype=np.float64)
-    for _ in range(rounds):
-        ball = ball_gradients(x_px, y_px, (center[0], center[1]), radius_px)
-        residual = gradients - ball
-        weight = np.repeat(1 / np.sqrt(1 + np.sum(residual**2, axis=-1) / scale**2), 2)
-        jacobian = center_jacobian(ball, radius_px).reshape(-1, 2)
-        weighted = jacobian * weight[:, None]
-        move = np.linalg.solve(weighted.T @ jacobian + 1e-12 * np.eye(2), weighted.T @ residual.ravel())
-        center += np.clip(move, -0.2 * radius_px, 0.2 * radius_px)
-        if np.hypot(*move) < 1e-3:
-            break
+    slopes, x, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (gradients, x_px, y_px))
+    _ball_center(slopes, x, y, center, radius_px, scale, rounds)
     return float(center[0]), float(center[1])
 
 

@@ -8,7 +8,7 @@ import pytest
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.color_models import HierarchicalModel, PolynomialModel, hierarchical
 from gelform.color_models._shared.least_squares import monomial_parents, monomials
-from gelform.color_models.hierarchical import _node_positions
+from gelform.color_models._shared.nodes import node_positions
 from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 
@@ -93,7 +93,7 @@ def kernel_arguments(shape, degree, seed=0):
     """A colour change, coefficients at nodes and which monomial comes from which, as the kernels take them."""
     rng = np.random.default_rng(seed)
     terms = monomials(3, degree)
-    nodes = rng.normal(0, 1, (*(len(axis) for axis in _node_positions(shape)), len(terms), 2)).astype(
+    nodes = rng.normal(0, 1, (*(len(axis) for axis in node_positions(shape)), len(terms), 2)).astype(
         np.float32
     )
     change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
@@ -152,9 +152,3 @@ def test_a_start_is_corrected_by_what_it_does_not_explain():
     assert rms(HierarchicalModel.fit(samples, start=start), samples) < 0.001
     held = HierarchicalModel.fit(samples, start=start, ridge=1e6)
     np.testing.assert_allclose(held.nodes, start.nodes, atol=1e-3)
-
-
-def test_the_light_is_smoothed_alike_in_both_directions():
-    background = np.random.default_rng(0).uniform(20, 200, (65, 65, 3)).astype(np.float32)
-    turned = hierarchical._light_at_nodes(background.transpose(1, 0, 2))
-    np.testing.assert_allclose(turned, hierarchical._light_at_nodes(background).transpose(0, 2, 1), atol=1e-4)

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import unit_position
-from gelform.color_models.hierarchical import HierarchicalModel, fitted_nodes
+from gelform.color_models._shared.nodes import fitted_nodes
+from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.seam import Samples, Variant, check_image_shape
 from gelform.medians import medians_where
 from gelform.solvers.dct import DctSolver

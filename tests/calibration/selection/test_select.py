@@ -67,14 +67,15 @@ class MadeUpPresses:
         self.folds = [Fold(tuple(range(f, 20, 5)), tuple(range(16)), ()) for f in range(5)]
         self.made_up, self.loss = made_up, loss
 
-    def try_candidate(self, candidate):
-        made = self.made_up(candidate.model, lambda i: self.loss(candidate, i))
-        return replace(made, candidate=candidate, by_pair={})
+    def try_candidates(self, candidates):
+        assert len({(one.model, one.zone) for one in candidates}) == 1
+        return [replace(self._made(candidate), by_pair={}) for candidate in candidates]
 
-    def with_pairs(self, trial):
-        return replace(
-            self.made_up("pairs", lambda i: self.loss(trial.candidate, i)), candidate=trial.candidate
-        )
+    def with_pairs(self, trials):
+        return [self._made(trial.candidate) for trial in trials]
+
+    def _made(self, candidate):
+        return replace(self.made_up("pairs", lambda i: self.loss(candidate, i)), candidate=candidate)
 
 
 def first_fold(i):

@@ -9,7 +9,10 @@ from gelform.calibration.selection.trials import SELECTION_SAMPLES, HeldOutPress
 
 def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds, prepared, found):
     candidate = Candidate("polynomial", 0.8, (("position_degrees", (2, 1)),))
-    trial = held_out.with_pairs(held_out.try_candidate(candidate))
+    other = Candidate("polynomial", 0.8, (("position_degrees", (1,)),))
+    trial, beside = held_out.with_pairs(held_out.try_candidates([candidate, other]))
+    assert (trial.candidate, beside.candidate) == (candidate, other)
+    assert trial.by_fold != beside.by_fold
     model = candidate.fit(
         [prepared[i] for i in folds[0].training], folds[0].contacts, total=SELECTION_SAMPLES
     )
@@ -30,7 +33,7 @@ def test_a_model_that_saw_the_press_flatters_itself(folds, prepared, found):
     fold = folds[0]
     model = candidate.fit([prepared[i] for i in fold.training], fold.contacts)
     seen = np.median([press_score(prepared[i], found[i], model).normal_deg for i in fold.training])
-    trial = HeldOutPresses({10.0: prepared}, found, folds, []).try_candidate(candidate)
+    trial = HeldOutPresses({10.0: prepared}, found, folds, []).try_candidates([candidate])[0]
     assert seen < np.median([score.normal_deg for score in trial.by_fold.values()])
     assert trial.mean_deg() == np.mean([score.normal_deg for score in trial.by_fold.values()])
     assert np.isnan(trial.mean_deg(by_size=True))

@@ -64,6 +64,11 @@ class Candidate:
         """Grey levels that are added to the background where its color changes are divided by it."""
         return float(COLOR_MODELS[self.model].change_offset)
 
+    @property
+    def reads_depth(self) -> bool:
+        """Whether it asks for the depth of the pixels that it is fitted on."""
+        return getattr(COLOR_MODELS[self.model], "depth_reader", None) is not None
+
     def fit(
         self,
         presses: Sequence[PreparedPress],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +34,31 @@ class PressScore:
     cap_px: float
 
 
-def press_score(press: PreparedPress, found: ContactCircle, model: ColorModel) -> PressScore:
+class Lattice(NamedTuple):
+    """Every step-th pixel of a contact's box and a step around it.
+
+    Attributes
+    ----------
+    inside : (h, w) bool, whether it is scored
+    x, y : (h, w), its column and row
+    step : px
+    """
+
+    inside: NDArray[np.bool_]
+    x: NDArray[np.intp]
+    y: NDArray[np.intp]
+    step: int
+
+
+def press_score(
+    press: PreparedPress, found: ContactCircle, model: ColorModel, lattice: Lattice | None = None
+) -> PressScore:
     """Errors of a model inside a contact circle, 3 px off its rim.
 
-    The slopes on a lattice over the contact's box are integrated, as a frame's are. Both the depth and the ball's cap
-    are differenced on that lattice, so what its steps leave out cancels.
+    The slopes on a lattice over the contact's box, `lattice_of(press, found)`, are integrated, as a frame's are. Both the
+    depth and the ball's cap are differenced on that lattice, so what its steps leave out cancels.
     """
-    inside, x, y, step = _lattice(press, found)
+    inside, x, y, step = lattice_of(press, found) if lattice is None else lattice
     gradients = press.gradients(model, y.ravel(), x.ravel()).reshape(*y.shape, 2)
     depth = depth_from_gradients(gradients.astype(np.float32), mm_per_px=float(step), solver="dct")
     slopes = gradients_from_depth(depth, mm_per_px=float(step))
@@ -52,10 +71,8 @@ def press_score(press: PreparedPress, found: ContactCircle, model: ColorModel) -
     return PressScore(normal_deg, float(np.std((depth - cap)[inside])))
 
 
-def _lattice(
-    press: PreparedPress, found: ContactCircle
-) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp], int]:
-    """Every step-th pixel of the contact's box and a step around it: whether it is scored, column x, row y, the step."""
+def lattice_of(press: PreparedPress, found: ContactCircle) -> Lattice:
+    """Where a press is scored: the same for every model."""
     zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
     step = max(1, round(2 * zone * found.radius_px / PATCH))
     scored = np.zeros(press.size.shape, dtype=bool)
@@ -64,4 +81,4 @@ def _lattice(
     (top, bottom), (left, right) = ((max(at.min() - step, 0), at.max() + step + 1) for at in (rows, cols))
     inside = scored[top:bottom:step, left:right:step]
     y, x = np.mgrid[: inside.shape[0], : inside.shape[1]] * step
-    return inside, x + left, y + top, step
+    return Lattice(inside, x + left, y + top, step)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +56,13 @@ def select(
     """
     trials = _Trials(held_out, len(zones) + len(candidates), progress)
     judge = zone_judge(min(len(fold.training) for fold in held_out.folds))
-    zoned = [trials.of(replace(judge, zone=zone)) for zone in zones] if len(zones) > 1 else []
+    zoned = trials.of([replace(judge, zone=zone) for zone in zones]) if len(zones) > 1 else []
 
     def contenders(without: Sequence[int] = ()) -> list[Trial]:
         """The candidates at the zone that the other presses choose, but for those far behind, with their pairs."""
         zone = zone_within_one_error(zoned, without) if zoned else zones[0]
-        tried = [trials.of(replace(candidate, zone=zone)) for candidate in candidates]
-        return [trials.with_pairs_of(trial.candidate) for trial in not_out_of_reach(tried, without)]
+        tried = trials.of([replace(candidate, zone=zone) for candidate in candidates])
+        return trials.with_pairs_of([trial.candidate for trial in not_out_of_reach(tried, without)])
 
     running = contenders()
     chosen = simplest_within_one_error(running, [trial.fold_losses() for trial in running])
@@ -85,20 +86,29 @@ class _Trials:
         """Every trial so far."""
         return tuple(self._made.values())
 
-    def of(self, candidate: Candidate) -> Trial:
-        """The candidate's trial on folds and sizes."""
-        if candidate not in self._made:
-            self._made[candidate] = self._held_out.try_candidate(candidate)
-            total = max(self._expected, len(self._made))
-            self._progress(len(self._made), total, f"trying {candidate.describe()}")
-        return self._made[candidate]
+    def of(self, candidates: Sequence[Candidate]) -> list[Trial]:
+        """The candidates' trials on folds and sizes."""
+        for alike in _alike(
+            [candidate for candidate in dict.fromkeys(candidates) if candidate not in self._made]
+        ):
+            for trial in self._held_out.try_candidates(alike):
+                self._made[trial.candidate] = trial
+                total = max(self._expected, len(self._made))
+                self._progress(len(self._made), total, f"tried {trial.candidate.describe()}")
+        return [self._made[candidate] for candidate in candidates]
 
-    def with_pairs_of(self, candidate: Candidate) -> Trial:
-        """The candidate's trial with pairs of folds left out, too."""
-        trial = self.of(candidate)
-        if not trial.by_pair:
-            self._made[candidate] = self._held_out.with_pairs(trial)
-        return self._made[candidate]
+    def with_pairs_of(self, candidates: Sequence[Candidate]) -> list[Trial]:
+        """The candidates' trials with pairs of folds left out, too."""
+        for alike in _alike([trial.candidate for trial in self.of(candidates) if not trial.by_pair]):
+            trials = self._held_out.with_pairs([self._made[candidate] for candidate in alike])
+            self._made |= {trial.candidate: trial for trial in trials}
+        return [self._made[candidate] for candidate in candidates]
+
+
+def _alike(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
+    """Neighbours of one model and zone: what they are fitted on is the same, and part of their fits."""
+    groups = groupby(candidates, key=lambda one: (one.model, one.zone))
+    return [list(group) for _, group in groups]
 
 
 def not_out_of_reach(trials: Sequence[Trial], without: Sequence[int] = ()) -> list[Trial]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,11 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import TOTAL_SAMPLES, PreparedPress
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.folds import Fold
-from gelform.calibration.selection.press_score import PressScore, press_score
-from gelform.color_models import ColorModel
+from gelform.calibration.selection.press_score import Lattice, PressScore, lattice_of, press_score
+from gelform.color_models import ColorModel, Samples
 
 SELECTION_SAMPLES = 5_000
+SAMPLES_KEPT = 40  # of the folds, the sizes and the pairs of folds, of one zone
 
 Scores = Mapping[int, PressScore]  # by the index of the press
 
@@ -78,36 +80,59 @@ class HeldOutPresses:
     presses : prepared, by the `change_offset` that candidates want
     found : the circles found in single images, one per press
     folds, sizes : from `make_folds` and `size_folds`
+
+    Where presses are scored and the pixels that folds train on are the same for many candidates: worked out once.
     """
 
     presses: Mapping[float, Sequence[PreparedPress]]
     found: Sequence[ContactCircle]
     folds: Sequence[Fold]
     sizes: Sequence[Fold]
+    _lattices: dict[int, Lattice] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _samples: dict[Any, Samples] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def fit(self, candidate: Candidate, fold: Fold, *, total: int = TOTAL_SAMPLES) -> ColorModel:
         """A candidate, fitted on about `total` pixels of a fold's training presses."""
         suited = self.presses[candidate.change_offset]
-        return candidate.fit([suited[i] for i in fold.training], fold.contacts, total=total)
+        training = [suited[i] for i in fold.training]
+        if candidate.reads_depth:
+            return candidate.fit(training, fold.contacts, total=total)
+        key = candidate.change_offset, candidate.zone, fold.training, fold.contacts, total
+        if key not in self._samples:
+            if len(self._samples) >= SAMPLES_KEPT:
+                self._samples.clear()
+            self._samples[key] = candidate.samples(training, fold.contacts, total=total)
+        return candidate.fit_samples(self._samples[key])
 
-    def try_candidate(self, candidate: Candidate) -> Trial:
-        """Fit a candidate without each fold and without each size that can be left out; score what was left out."""
-        return Trial(candidate, self._scores(candidate, self.folds), self._scores(candidate, self.sizes))
+    def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
+        """Fit candidates without each fold and without each size that can be left out; score what was left out."""
+        scores = zip(*(self._scores(candidates, folds) for folds in (self.folds, self.sizes)))
+        return [Trial(candidate, *of) for candidate, of in zip(candidates, scores)]
 
-    def with_pairs(self, trial: Trial) -> Trial:
-        """The trial with its scores where two folds are left out."""
-        by_pair = {}
+    def with_pairs(self, trials: Sequence[Trial]) -> list[Trial]:
+        """The trials with their scores where two folds are left out."""
+        candidates = [trial.candidate for trial in trials]
+        by_pair: list[dict[int, Scores]] = [{} for _ in trials]
         for f, fold in enumerate(self.folds):
             others = [other for g, other in enumerate(self.folds) if g != f]
             pairs = [fold.without(other.held_out) for other in others]
-            by_pair[f] = self._scores(trial.candidate, pairs)
-        return replace(trial, by_pair=by_pair)
+            for k, scores in enumerate(self._scores(candidates, pairs)):
+                by_pair[k][f] = scores
+        return [replace(trial, by_pair=pairs) for trial, pairs in zip(trials, by_pair)]
 
-    def _scores(self, candidate: Candidate, folds: Sequence[Fold]) -> dict[int, PressScore]:
-        suited = self.presses[candidate.change_offset]
-        scores: dict[int, PressScore] = {}
+    def _scores(self, candidates: Sequence[Candidate], folds: Sequence[Fold]) -> list[dict[int, PressScore]]:
+        """Of each candidate; all are fitted on a fold's samples in turn, so that what they share is at hand."""
+        scores: list[dict[int, PressScore]] = [{} for _ in candidates]
         for fold in folds:
-            if fold.training:
+            for k, candidate in enumerate(candidates if fold.training else ()):
+                suited = self.presses[candidate.change_offset]
                 model = self.fit(candidate, fold, total=SELECTION_SAMPLES)
-                scores.update({i: press_score(suited[i], self.found[i], model) for i in fold.held_out})
+                for i in fold.held_out:
+                    scores[k][i] = press_score(suited[i], self.found[i], model, self._lattice(i))
         return scores
+
+    def _lattice(self, press: int) -> Lattice:
+        if press not in self._lattices:
+            any_of = next(iter(self.presses.values()))
+            self._lattices[press] = lattice_of(any_of[press], self.found[press])
+        return self._lattices[press]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HUBER_SLOPE = 0.05
+Normal = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
@@ -98,7 +99,7 @@ def robust_ridge(
 
     The ridge is relative to the size of each column, so it means the same for every term.
     """
-    whole = _normal_equations(design, target, weight)
+    whole = normal_equations(design, target, weight)
     total = float(weight.sum())
     size = np.sqrt(np.diag(whole[0]) / total) + 1e-12
     return _reweighted(design, target, weight, whole, np.diag(ridge * total * size**2), huber, rounds)
@@ -112,14 +113,16 @@ def penalised_huber(
     *,
     huber: float,
     rounds: int = 3,
+    whole: Normal | None = None,
 ) -> NDArray[np.float64]:
     """Coefficients (terms, outputs) of a regression with a ridge of its own for each column, in samples' mean weight.
 
-    Reweighted by Huber's loss of the residual's length; the columns are taken as they are.
+    Reweighted by Huber's loss of the residual's length; the columns are taken as they are. `whole` are their normal
+    equations, where they are known already.
     """
     prior = np.diag(penalties * float(weight.sum()))
     columns = np.asarray(design, dtype=np.float32)  # sums of squares; the ridge is far above their rounding
-    whole = _normal_equations(columns, target, weight)
+    whole = normal_equations(columns, target, weight) if whole is None else whole
     return _reweighted(columns, target, weight, whole, prior, huber, rounds)
 
 
@@ -127,7 +130,7 @@ def _reweighted(
     design: NDArray[Any],
     target: NDArray[np.float64],
     weight: NDArray[np.float64],
-    whole: tuple[NDArray[np.float64], NDArray[np.float64]],
+    whole: Normal,
     prior: NDArray[np.float64],
     huber: float,
     rounds: int,
@@ -145,7 +148,7 @@ def _reweighted(
         residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
         beyond = np.flatnonzero(residual > huber)
         lost = weight[beyond] * (1 - huber / residual[beyond])
-        less = _normal_equations(_rows(design, beyond), target[beyond], lost)
+        less = normal_equations(_rows(design, beyond), target[beyond], lost)
         normal, right = whole[0] - less[0], whole[1] - less[1]
     return np.asarray(coefficients, dtype=np.float64)
 
@@ -155,9 +158,9 @@ def _rows(design: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
     return design[chosen] if design.flags.c_contiguous else np.take(design.T, chosen, axis=1).T
 
 
-def _normal_equations(
+def normal_equations(
     design: NDArray[Any], target: NDArray[np.float64], weight: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> Normal:
     """Weighted sums of products: terms by terms, and terms by outputs."""
     root = np.sqrt(weight).astype(design.dtype)[:, None]
     weighted = design * root
