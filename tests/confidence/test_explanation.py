@@ -5,8 +5,8 @@ import pytest
 
 import gelform
 from gelform.confidence.causes import CAUSES
-from gelform.confidence.explanation import explanation_of
-from gelform.simulate import Ball, simulate_press
+from gelform.confidence.explanation import NAMED_FROM, explanation_of
+from gelform.simulate import Ball, Punch, simulate_press
 from made.seen_frames import SHAPE, patch, seen
 
 
@@ -81,6 +81,15 @@ def test_a_press_without_a_fault_has_no_names(calibration, simulated):
     reconstruct = gelform.Reconstructor(calibration)
     for press in simulated.presses[::4]:
         assert {f.name for f in reconstruct.explain(press.image).findings} <= {"off_gamut"}
+
+
+def test_an_edge_is_uncertain_and_no_fault(sensor, calibration):
+    press = simulate_press(sensor, Punch(3.0), depth_mm=0.9, rng=np.random.default_rng(3))
+    found = gelform.Reconstructor(calibration).explain(press.image)
+    assert found.maps["wall"].max() > NAMED_FROM
+    steep = np.linalg.norm(press.gradients, axis=-1) > 0.5
+    assert found.maps["wall"][steep].mean() > 5 * found.maps["wall"][~steep].mean()
+    assert "wall" not in {finding.name for finding in found.findings}
 
 
 def test_its_figures_are_plain(calibration, image):

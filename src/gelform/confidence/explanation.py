@@ -20,6 +20,7 @@ NAMED_FROM = (
     0.35  # mm/mm, that a cause adds alone: about the slope of a ball's rim, so that nothing is left of it
 )
 NAMED_EARLIER = {"off_gamut": 0.1, "compression": 0.0}  # what is 0 unless it is there
+NEVER_NAMED = {"wall"}  # an object's edge is no fault
 LEAST_PX = 12  # connected, where a cause adds so much: less is not named
 SAID = {
     "saturated": "at the camera's upper end in a channel. Lower exposure, gain or the lights.",
@@ -29,7 +30,6 @@ SAID = {
     "off_gamut": "of colours that no training press has shown. Calibrate with deeper presses too.",
     "inconsistent": "of colours that no slope gives: dust, a scratch, another gel, or torn data.",
     "marker": "hidden by markers.",
-    "wall": "edges and walls, over which the colour is blurred.",
     "outside": "not lit, or not gel.",
     "compression": "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
 }
@@ -65,11 +65,12 @@ class Explanation:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """The causes that matter: each with the share of the frame where it alone leaves nothing of a slope."""
+        """The faults that matter: each with the share of the frame where it alone leaves nothing of a slope."""
         return tuple(
             Finding(name, f"{100 * share:.1f} % of the frame is {SAID[name]}", share)
             for name, one in self.maps.items()
-            if (share := _named_share(one > NAMED_EARLIER.get(name, NAMED_FROM))) > 0
+            if name not in NEVER_NAMED
+            and (share := _named_share(one > NAMED_EARLIER.get(name, NAMED_FROM))) > 0
         )
 
     @cached_property

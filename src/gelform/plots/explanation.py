@@ -15,7 +15,7 @@ WIDTH = 13.0
 COLUMNS = 4
 LEAST_SHARE = 5e-4  # of the frame that a cause touches: less gets no panel
 COLORS = (
-    "#e8e8e8", "#f4731c", "#5b2a86", "#29507a", "#f5c400", "#3aa655", "#d62839", "#29a3e0", "#8a8a8a", "#b08968",
+    "#e8e8e8", "#f4731c", "#5b2a86", "#29507a", "#f5c400", "#3aa655", "#d62839", "#29a3e0", "#8a8a8a", "#1f1f1f", "#b08968",
 )  # fmt: skip
 """Of the law and of each cause, in the order of `CAUSES`."""
 

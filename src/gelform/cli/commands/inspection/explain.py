@@ -35,8 +35,8 @@ def explain(
     """Explain why each pixel of an image was trusted or not.
 
     Lists how much of the slopes' variance is due to the law of slope and place, and to each named cause: saturated,
-    dark, shadow, specular, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png draws the
-    confidence, and what each cause adds, pixel by pixel.
+    dark, shadow, specular, wall, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png draws
+    the confidence, and what each cause adds, pixel by pixel.
 
     \b
     Examples:

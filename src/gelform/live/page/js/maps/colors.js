@@ -29,5 +29,6 @@ export function packedRamp(name) {
 export const CAUSE_COLORS = {
   saturated: "e69f00", dark: "0072b2", shadow: "56b4e9", specular: "f0e442", off_gamut: "cc79a7",
   inconsistent: "d55e00", marker: "999999", outside: "009e73", compression: "ffffff",
+  wall: "000000",
 };
 export const causeColor = (name) => channels(CAUSE_COLORS[name] ?? "ffffff");
