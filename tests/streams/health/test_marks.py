@@ -40,6 +40,17 @@ def test_what_rests_there_is_no_mark():
     assert seen([marked] * 4, contact=np.ones(SHAPE, bool)) == []
 
 
+def test_the_ragged_edge_of_what_rests_there_is_no_mark():
+    """A body's contact ends in thin parts, farther from where it is wide than a mark's surroundings."""
+    groove = scratch(REST, np.random.default_rng(8))
+    y, x = np.nonzero(groove.mean(axis=-1) != 100)
+    body = np.zeros(SHAPE, bool)
+    body[:, : x.min() - 40] = True
+    body[y.min() : y.max() + 1 : 3, x.min() - 40 : x.min() + 1] = True  # narrow tongues that reach it
+    assert seen([groove] * 4, contact=np.zeros(SHAPE, bool)) == ["scratch"]
+    assert seen([groove] * 4, contact=body) == []
+
+
 def test_a_sound_gel():
     assert seen([REST] * 5) == []
 

@@ -1,8 +1,12 @@
 """A gel that has moved, or is another one, is known by its texture."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gelform.simulate import simulate_background
+from gelform.simulate.sensor.coating import Coating
 from gelform.streams.evidence import Evidence
 from gelform.streams.health.place import Place
 from sensor_faults import Gel, moved
@@ -45,6 +49,19 @@ def test_another_gel(gel, sensor):
     found = looks(gel.rest, noisy(other))
     assert found[-1][0].name == "other_gel"
     assert found[0] == ()
+
+
+def test_a_smooth_gel_in_place_of_a_rough_one(sensor):
+    """It promises a correlation of a tenth: little, but the same gel would show it."""
+    coatings = [Coating(roughness=roughness, seed=seed) for roughness, seed in ((0.009, 1), (0.003, 2))]
+    rough, smooth = (
+        simulate_background(replace(sensor, coating=one), None, quantise=False) for one in coatings
+    )
+    rng = np.random.default_rng(5)
+    for start, images in ((rough, smooth), (smooth, smooth)):
+        frames = [images + rng.normal(0, 0.4, images.shape) for _ in range(4)]
+        names = [finding.name for finding in looks(start, frames)[-1]]
+        assert names == ([] if start is smooth else ["other_gel"])
 
 
 def test_what_is_touched_all_over_says_nothing(gel):

@@ -78,9 +78,15 @@ def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
 
 
 def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) in or beside contact that is wider than a mark: their relief is that of what touches."""
-    wide = cv2.morphologyEx(contact.view(np.uint8), cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
-    near: NDArray[np.bool_] = cv2.dilate(wide, np.ones((2 * BODY_PX + 1,) * 2, np.uint8)).view(np.bool_)
+    """Pixels (H, W) in or beside contact that is wider than a mark somewhere: their relief is that of what touches."""
+    map8 = contact.view(np.uint8)
+    wide = cv2.morphologyEx(map8, cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
+    count, labels = cv2.connectedComponents(map8, connectivity=8)
+    bodies = np.zeros(count, np.uint8)
+    bodies[labels[wide > 0]] = 1
+    near: NDArray[np.bool_] = cv2.dilate(bodies[labels], np.ones((2 * BODY_PX + 1,) * 2, np.uint8)).view(
+        np.bool_
+    )
     return near
 
 

@@ -14,8 +14,9 @@ MOVED_PX, TURNED_DEG = 0.5, 0.2
 SIGMAS = 4.0
 FINE_PX, COARSE_PX = 0.8, 2.0
 MARGIN_PX = 12  # where a blur reaches beyond the image
-# Correlation that the texture must promise, and what must be found: little, for a touch adds texture of its own.
-LEAST_EXPECTED, SAME_GEL = 0.18, 0.07
+# Correlation that the texture must promise, and the part of it that the same gel has at least: little, for a touch adds
+# texture of its own; never more than SAME_GEL.
+LEAST_EXPECTED, SAME_SHARE, SAME_GEL = 0.08, 0.4, 0.07
 LEAST_FREE = 0.15
 PATTERN = 0.02  # of the brightness: what the light of one gel leaves unexplained in the middle of all blocks
 PATTERN_PX = 16
@@ -93,7 +94,7 @@ class Place:
         stays = _correlation(now[free], before[free])
         expected = stays * float(np.std(now[free])) / max(float(np.std(self._start[free])), 1e-9)
         found = _correlation(now[free], self._start[free])
-        if expected < LEAST_EXPECTED or found > SAME_GEL:
+        if expected < LEAST_EXPECTED or found > min(SAME_SHARE * expected, SAME_GEL):
             return ()
         said = f"The fine texture correlates with the calibration's by {found:.2f}, expected {min(expected, 1.0):.2f}"
         return (_other_gel(said, found),)
