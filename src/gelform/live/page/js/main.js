@@ -32,8 +32,8 @@ const pointer = new Pointer(() => redraw());
 const stages = [];
 // Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
 const SOFTWARE_MS = 42, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
-const surfaces = new Cadence(SURFACE_MS, schedule), curves = new Cadence(CURVES_MS, schedule), running = new Cadence(FACTS_MS, () => drawFacts(station(), look));
-const stale = { pictures: true, surfaces: true, curves: true };
+const surfaces = new Cadence(SURFACE_MS, schedule), curves = new Cadence(CURVES_MS, schedule), running = new Cadence(FACTS_MS, () => {});
+const stale = { pictures: true, surfaces: true, curves: true, panels: false };
 let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false, stateKey = "";
 
 const station = () => facts?.stations[number] ?? null;
@@ -83,6 +83,7 @@ function draw() {
 }
 
 function drawPage(frame) {
+  if (stale.panels) drawPanels();
   if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
     if (frame && stale.pictures) drawPictures(frame);
@@ -92,6 +93,19 @@ function drawPage(frame) {
   stale.pictures = false;
   for (const one of stages) drawEmpty(one.empty, one.frame, facts?.stations[one.number], facts?.work[one.number]);
   drawReplay(station(), frame);
+}
+
+/** What the server says of itself; with the pictures, so that the browser lays the page out once. */
+function drawPanels() {
+  stale.panels = false;
+  const calmly = running.due(drawnAt);
+  drawControls(station(), facts);
+  drawStatus(station(), connection.open, look);
+  if (station()) drawGuide(facts.guides[number], station(), facts, { send });
+  if (calmly) drawFacts(station(), look);
+  drawFiles(station(), facts.files, { send });
+  drawDevices(facts.devices, station(), { send }, calmly);
+  drawCamera(station(), { send });
 }
 
 function drawPictures(frame) {
@@ -156,15 +170,9 @@ connection.addEventListener("state", ({ detail }) => {
   facts = detail;
   for (const [, level, text] of facts.notices) toast(text, level);
   makeStages(facts.stations.length);
-  drawControls(station(), facts);
-  drawStatus(station(), connection.open, look);
-  if (station()) drawGuide(facts.guides[number], station(), facts, { send });
   if (guided && !facts.guides[number] && station()?.calibration) choosePage("live"); // it is in use: look at it
   guided = Boolean(facts.guides[number]);
-  if (running.due(performance.now())) drawFacts(station(), look);
-  drawFiles(station(), facts.files, { send });
-  drawDevices(facts.devices, station(), { send });
-  drawCamera(station(), { send });
+  stale.panels = true;
   const key = JSON.stringify([facts.guides, facts.work, facts.stations.map((one) => [one.name, one.state, one.calibration, one.other, one.paused, one.simulated])]);
   if (key !== stateKey) redraw(); // what is said over pictures may be another thing
   else schedule();

@@ -5,11 +5,12 @@ import { byId, element, setText } from "../page/dom.js";
 const NAMES = { exposure: "Exposure", gain: "Gain", white_balance: "White balance", led_level: "LED level" };
 let shown = "", settable = "";
 
-/** `station` is the chosen one, which shows a camera where that is asked for; `does`: {send(do, fields)}. */
-export function drawDevices({ rows, asking, gone, gone_name, back }, station, does) {
+/** `station` is the chosen one, which shows a camera where that is asked for; `does`: {send(do, fields)}; `all`: numbers too. */
+export function drawDevices({ rows, asking, gone, gone_name, back }, station, does, all) {
   byId("devices-card").hidden = !rows.length;
-  const key = JSON.stringify([rows.map((row) => [row.key, named(row), numbers(row)]), gone]);
+  const key = JSON.stringify([rows.map((row) => [row.key, named(row)]), gone]);
   if (key !== shown) byId("devices").replaceChildren(...rows.map((row) => element("tr", { class: row.key === gone ? "gone" : "" }, ...cells(row, does))));
+  else if (all) rows.forEach((row, k) => row.camera === null && numbers(row).forEach((text, n) => setText(byId("devices").rows[k].cells[n + 2], text)));
   shown = key;
   const away = Boolean(station?.opened && !station.replay);
   byId("devices-back").hidden = !away;

@@ -13,9 +13,9 @@ const ADVICE = {
 export function drawStatus(station, online, look) {
   const held = station?.paused || station?.replay?.playing === false;
   const state = !online ? "offline" : held ? "paused" : (station?.state ?? "starting");
-  const line = byId("status"), parts = [element("span", {}, element("i", { class: `dot ${state === "paused" ? "starting" : state}` }), element("b", { text: WORDS[state] ?? state }))];
-  if (online && station && state === "running") parts.push(fact("", `${station.rate_hz.toFixed(0)} Hz`), fact("age", `${look.ageMs.toFixed(0)} ms`), fact("lost", String(station.drops ?? 0)));
-  line.replaceChildren(...parts);
+  const line = byId("status"), numbers = online && station && state === "running" ? [["", `${station.rate_hz.toFixed(0)} Hz`], ["age", `${look.ageMs.toFixed(0)} ms`], ["lost", String(station.drops ?? 0)]] : [];
+  if (line.dataset.state !== state || line.children.length !== 1 + numbers.length) line.replaceChildren(element("span", {}, element("i", { class: `dot ${state === "paused" ? "starting" : state}` }), element("b", { text: WORDS[state] ?? state })), ...numbers.map(([name]) => fact(name, "")));
+  numbers.forEach(([, value], k) => setText(line.children[k + 1].lastChild, value));
   line.dataset.state = state;
   const banner = byId("banner"), said = bannerText(station, online);
   banner.hidden = !said;
