@@ -46,4 +46,5 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     station.source.press_at(100, 70, 0.45, held_s=600)
     until(lambda: station.newest.measures.peak > 0.3, 20)
     until(lambda: page.evaluate("gelform.frame.header.peak") > 0.3, 20)
-    assert station.newest.measures.peak == pytest.approx(0.45, abs=0.2)  # by the fewest presses that can be fitted
+    # By the fewest presses that can be fitted.
+    assert station.newest.measures.peak == pytest.approx(0.45, abs=0.2)
