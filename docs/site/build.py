@@ -14,6 +14,7 @@ import shutil
 import sys
 from pathlib import Path
 
+from anchors import broken_links
 from gallery import write_gallery
 from links import without_files_off_the_site
 from outside import requests_to_outside
@@ -111,7 +112,7 @@ def copy_raw_images(source: Path, html: Path) -> None:
 
 
 def build(folder: Path, *, gallery: bool = True) -> int:
-    """Write the sources below a folder and run Sphinx; its exit status, 1 where a page loads from outside."""
+    """Write the sources below a folder, run Sphinx; its exit status, 1 where a page loads from outside or links nowhere."""
     from sphinx.cmd.build import build_main
 
     source, html = folder / "source", folder / "html"
@@ -126,9 +127,9 @@ def build(folder: Path, *, gallery: bool = True) -> int:
     strict = ["-q", "-W", "--keep-going", "-E"]
     status = build_main([*strict, "-b", "html", "-c", str(Path(__file__).parent), str(source), str(html)])
     copy_raw_images(source, html)
-    found = requests_to_outside(html)
-    for one in found:
-        print(f"loads from outside: {one}")
+    found = [f"loads from outside: {one}" for one in requests_to_outside(html)]
+    found += [f"leads nowhere: {one}" for one in broken_links(html)]
+    print("\n".join(found), end="\n" if found else "")
     return status or int(bool(found))
 
 

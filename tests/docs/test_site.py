@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from anchors import broken_links
 from docstrings import rewrite
 from links import linked_to_the_reference, without_files_off_the_site
 from outside import requests_to_outside
@@ -56,6 +57,27 @@ def test_descriptions_and_stars_of_docstrings():
 def test_what_a_page_would_load(tmp_path, page, found):
     (tmp_path / "page.html").write_text(page)
     assert len(requests_to_outside(tmp_path)) == found
+
+
+def test_links_that_lead_nowhere(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/other.html").write_text('<h1 id="there">x</h1>')
+    links = [
+        "a/other.html#there",
+        "a/other.html#gone",
+        "b.html",
+        "#here",
+        "#nowhere",
+        "https://e.org/x#y",
+        "mailto:a@b",
+    ]
+    body = "".join(f'<a href="{link}">x</a>' for link in links)
+    (tmp_path / "page.html").write_text(f'<p id="here">{body}</p>')
+    assert broken_links(tmp_path) == [
+        "page.html: a/other.html#gone",
+        "page.html: b.html",
+        "page.html: #nowhere",
+    ]
 
 
 def test_the_site_is_built(tmp_path):
