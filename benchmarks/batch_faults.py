@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import os
 import shutil
@@ -135,12 +136,10 @@ def corrupt(folder: Path, rounds: int) -> dict[str, Any]:
         else:
             path.write_bytes({"truncated": content[: len(content) // 2], "empty": b"", "text": b"no\n"}[way])
     summary = run_batch(folder / "in", folder / "cal.npz", folder / "out", SETTINGS, table="csv")
-    lines = (folder / "out/frames.csv").read_text().splitlines()[1:]
-    errors = {line.split(",")[1]: line for line in lines if not line.split(",")[3]}
-    reasons = {
-        way: next(errors[stem] for stem in broken if broken[stem] == way)[-120:]
-        for way in set(broken.values())
-    }
+    with (folder / "out/frames.csv").open(newline="") as file:
+        errors = {row["frame"]: row["error"] for row in csv.DictReader(file) if not row["output"]}
+    found = {way: next(errors[stem] for stem in broken if broken[stem] == way) for way in ways}
+    reasons = {way: said.replace(f"{folder}/", "") for way, said in found.items()}
     done = summary.frames - summary.errors
     exact = errors.keys() == broken.keys() and verify_output(folder / "out")[0] == done
     return {
@@ -168,7 +167,7 @@ def disk(folder: Path, rounds: int) -> dict[str, Any]:
             try:
                 run_batch(folder / "in", folder / "cal.npz", small / "out", settings)
             except DataError as problem:
-                said = str(problem)[-80:]
+                said = str(problem).replace(f"{folder}/", "")
             wrong = [one.what for one in verify_output(small / "out")[2] if "not done" not in one.what]
             (small / "filler").unlink()
             subprocess.run(["mount", "-o", "remount,size=1g", str(small)], check=True)

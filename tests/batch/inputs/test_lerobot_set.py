@@ -75,7 +75,7 @@ def test_compression_in_words(recorded):
     assert compression_of(root, KEY) == "av1 yuv420p crf 30"
     (warning,) = listing_of(root, dataset=KEY).warnings
     assert "av1 yuv420p crf 30, with loss" in warning
-    assert "23 um" in warning
+    assert "27 um" in warning
 
 
 def test_what_cannot_be_is_said(recorded):

@@ -15,7 +15,7 @@ from gelform.batch.inputs.containers import matching
 from gelform.batch.inputs.sequences import Sequence
 from gelform.errors import DataError
 
-PENALTY = "av1 yuv420p crf 30 moves depth in contact by 23 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 8 um"
+PENALTY = "av1 yuv420p crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um"
 INFO, STATS, EPISODES, VERSION = "meta/info.json", "meta/stats.json", "meta/episodes", "v3.0"
 
 
