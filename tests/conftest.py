@@ -17,11 +17,35 @@ from made_once import MadeOnce
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
+# Files and folders that take longest: begun first, so that no worker is left with one of them while the others are done.
+LONGEST = (
+    "test_examples.py",
+    "cli/commands/test_demo.py",
+    "robustness/",
+    "live/page/",
+    "calibration/",
+    "design/",
+    "cli/",
+    "streams/",
+)
+
+
+def pytest_collection_modifyitems(items):
+    """The files that take longest first; the order is else as it was."""
+
+    def rank(item):
+        path = item.nodeid.removeprefix("tests/")
+        return next((k for k, name in enumerate(LONGEST) if path.startswith(name)), len(LONGEST))
+
+    items.sort(key=rank)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """A file's tests go to one worker: what they share within the file is made once."""
     from xdist.scheduler import LoadFileScheduling
 
+    config.option.loadscopereorder = False  # not by their number: what takes long is few tests
     return LoadFileScheduling(config, log)
 
 
