@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from accuracy_objects import anchor, deep, objects
+from accuracy_objects import anchor, deep, objects, walls
 from accuracy_presses import few, real_deep, sigma
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
@@ -291,6 +291,7 @@ PARTS: dict[str, Any] = {
     "anchor": anchor,
     "deep": deep,
     "objects": objects,
+    "walls": walls,
 }
 NEEDS_DATA = ("real", "sigma", "few", "real_deep")
 

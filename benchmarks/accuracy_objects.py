@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 import gelform
+from accuracy_presses import MIN_PIXELS, SLOPES, shares_within
+from gelform.calibration.coverage import COARSE, tile_of
 from gelform.depth import integrate
 from gelform.metrics import angle_deg
 from gelform.simulate import (
@@ -44,6 +46,8 @@ OBJECTS: dict[str, tuple[Any, tuple[float, float, float]]] = {
     "cone": (Cone(6.0, 150.0), (0.2, 0.4, 0.6)),
     "ring": (Torus(2.5, 0.8), (0.1, 0.2, 0.4)),
 }
+LEAST_SLOPE = 0.05  # of pixels that count by the slope that is read
+STEEP = ((0.6, 0.8), (0.8, 1.0), (1.0, 1.4), (1.4, 3.0))  # true slopes
 FACE = 0.97  # of the largest depth: a flat face, or the peak
 DEEP_BALL_MM, DEEP, DRAWN_MM = 4.0, (0.8, 1.3), 1.2
 SEED = 111  # rules were chosen on sets of seed 11
@@ -87,6 +91,51 @@ def _height(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm: 
         "normal_deg_smoothed": float(normals[1]),
         "within_2_sigma": bool(abs(error) < 2 * result.depth_sigma_mm[face].mean()),
     }
+
+
+def walls(quick: bool) -> dict[str, Any]:
+    """Share of the slopes of the eight objects within one sigma: by slope, by slope and place, and of steep true slopes."""
+    sensors = {**LAYOUTS, "gelsight-mini": gelsight_mini()}
+    figures: dict[str, Any] = {}
+    for name, sensor in list(sensors.items())[: 1 if quick else None]:
+        presses = _presses(_usual(sensor, 12 if quick else 30))
+        reconstruct = gelform.Reconstructor(gelform.calibrate(presses, color_model="hierarchical"))
+        rows = np.concatenate(
+            [
+                _slopes_of(sensor, reconstruct, indenter, depth_mm)
+                for indenter, depths in list(OBJECTS.values())[: 2 if quick else None]
+                for depth_mm in depths
+            ]
+        )
+        read = rows[rows[:, 3] > LEAST_SLOPE]
+        within, bins = read[:, 2], np.digitize(read[:, 3], SLOPES)
+        tile = tile_of(read[:, 0], read[:, 1], sensor.shape, COARSE)
+        shares = shares_within(within, bins * 100 + tile)
+        figures[name] = {
+            "all": float(100 * within.mean()),
+            "by slope": [min(shares_within(within, bins)), max(shares_within(within, bins))],
+            "by slope and place": [min(shares), max(shares)],
+            "bins outside 45-90": f"{sum(not 45 <= one <= 90 for one in shares)} of {len(shares)}",
+            **{
+                f"true slope {low:g}-{high:g}": float(100 * rows[at, 2].mean())
+                for low, high in STEEP
+                if np.count_nonzero(at := (rows[:, 4] >= low) & (rows[:, 4] < high)) >= MIN_PIXELS
+            },
+        }
+    keys = list(dict.fromkeys(key for one in figures.values() for key in one))
+    table_rows = [[name, *(str(one.get(key, "")) for key in keys)] for name, one in figures.items()]
+    print("\n" + table(["within 1 sigma, %", *keys], table_rows))
+    return figures
+
+
+def _slopes_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm: float) -> np.ndarray:
+    """x, y, share of the components within sigma, slope as read, true slope of all pixels of an object's image."""
+    press = simulate_press(sensor, indenter, depth_mm=depth_mm, rng=np.random.default_rng(SEED))
+    result = reconstruct.from_image(press.image)
+    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
+    within = (np.abs(result.gradients - press.gradients) < result.gradients_sigma).mean(axis=-1)
+    slopes = [np.linalg.norm(one, axis=-1) for one in (result.gradients, press.gradients)]
+    return np.stack([x, y, within, *slopes], axis=-1).reshape(-1, 5)
 
 
 def anchor(quick: bool) -> dict[str, Any]:

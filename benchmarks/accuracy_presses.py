@@ -96,9 +96,15 @@ def _from_center(result: Any, label: Any) -> tuple[np.ndarray, np.ndarray, np.nd
     return y, x, np.hypot(x - label[0], y - label[1])
 
 
+def shares_within(within: np.ndarray, bins: np.ndarray) -> list[float]:
+    """Share within sigma, per cent, of each bin that has pixels enough."""
+    counted = [bins == b for b in np.unique(bins)]
+    return [float(100 * within[one].mean()) for one in counted if np.count_nonzero(one) >= MIN_PIXELS]
+
+
 def _range(within: np.ndarray, bins: np.ndarray) -> list[float]:
-    shares = [within[bins == b].mean() for b in np.unique(bins) if np.count_nonzero(bins == b) >= MIN_PIXELS]
-    return [float(100 * min(shares)), float(100 * max(shares))]
+    shares = shares_within(within, bins)
+    return [min(shares), max(shares)]
 
 
 def _mean(rows: list[list[float]], start: int, stop: int) -> list[float]:
