@@ -80,17 +80,19 @@ EXPORT int least_changed_sums(const float *seen, const float *untouched, const f
   const float farthest = kth_smallest(work, n, last, (uint32_t *)(work + n));
   double mean_a = 0, mean_b = 0;
   ptrdiff_t count = 0;
-  for (ptrdiff_t k = 0; k < 3 * n; k++) {
-    if (work[k / 3] > farthest) continue;
-    mean_a += seen[k] * scale[k % 3], mean_b += untouched[k];
-    count++;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    if (work[k] > farthest) continue;
+    for (int c = 0; c < 3; c++) mean_a += seen[3 * k + c] * scale[c], mean_b += untouched[3 * k + c];
+    count += 3;
   }
   mean_a /= count, mean_b /= count;
   sums[0] = sums[1] = sums[2] = 0;
-  for (ptrdiff_t k = 0; k < 3 * n; k++) {
-    if (work[k / 3] > farthest) continue;
-    const double a = seen[k] * scale[k % 3] - mean_a, b = untouched[k] - mean_b;
-    sums[0] += a * a, sums[1] += b * b, sums[2] += a * b;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    if (work[k] > farthest) continue;
+    for (int c = 0; c < 3; c++) {
+      const double a = seen[3 * k + c] * scale[c] - mean_a, b = untouched[3 * k + c] - mean_b;
+      sums[0] += a * a, sums[1] += b * b, sums[2] += a * b;
+    }
   }
   return (int)count;
 }

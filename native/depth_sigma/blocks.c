@@ -12,48 +12,80 @@ struct maps {
 
 static void add_row(const struct maps *of, ptrdiff_t i, float floor, float *lines) {
   const ptrdiff_t w = of->w;
-  const bool *restrict mask = of->mask + i * w, *restrict region = of->region + i * w;
   const float *restrict weights = of->weights + i * w, *restrict anchor = of->anchor + i * w;
-  float *restrict inside = lines + INSIDE * w, *restrict total = lines + WEIGHT * w, *restrict square = lines + SQUARE * w;
-  float *restrict hold = lines + HOLD * w, *restrict zero = lines + REGION * w;
+  float *restrict total = lines + WEIGHT * w, *restrict square = lines + SQUARE * w, *restrict hold = lines + HOLD * w;
+  if (!of->mask) {
+    INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) {
+      const float weight = weights[j] >= floor ? weights[j] : 0;
+      total[j] += weight, square[j] += weight * weight, hold[j] += anchor[j];
+    }
+    return;
+  }
+  const bool *restrict mask = of->mask + i * w;
+  float *restrict inside = lines + INSIDE * w;
   INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) {
     const float in = mask[j], weight = weights[j] >= floor ? in * weights[j] : 0;
-    total[j] += weight, square[j] += weight * weight, hold[j] += in * anchor[j];
+    total[j] += weight, square[j] += weight * weight, hold[j] += in * anchor[j], inside[j] += in;
   }
-  INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) inside[j] += (float)mask[j], zero[j] += (float)(mask[j] & region[j]);
-  if (!of->rest) return;
-  const bool *restrict rest = of->rest + i * w;
-  float *restrict still = lines + REST * w;
-  INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) still[j] += (float)rest[j];
+}
+
+static void add_chosen(const bool *chosen, const bool *mask, float *restrict line, ptrdiff_t w) {
+  if (chosen && !mask)
+    INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) line[j] += (float)chosen[j];
+  if (chosen && mask)
+    INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) line[j] += (float)(chosen[j] & mask[j]);
 }
 
 static void add_slopes(const struct maps *of, ptrdiff_t i, ptrdiff_t slope, float floor, float *lines) {
   const ptrdiff_t w = of->w, step = of->slopes;
-  const bool *restrict mask = of->mask + i * w;
   const float *restrict weights = of->weights + i * w, *restrict sigma = of->sigma + i * w * step + slope;
   float *restrict moved = lines + (FIRST + 2 * slope) * w, *restrict square = moved + w;
-  INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) {
-    const float error = weights[j] >= floor ? mask[j] * weights[j] * sigma[step * j] : 0;
-    moved[j] += error, square[j] += error * error;
-  }
+  const bool *restrict mask = of->mask ? of->mask + i * w : NULL;
+  if (mask)
+    INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) {
+      const float error = weights[j] >= floor ? mask[j] * weights[j] * sigma[step * j] : 0;
+      moved[j] += error, square[j] += error * error;
+    }
+  else
+    INDEPENDENT for (ptrdiff_t j = 0; j < w; j++) {
+      const float error = weights[j] >= floor ? weights[j] * sigma[step * j] : 0;
+      moved[j] += error, square[j] += error * error;
+    }
 }
 
+// Of the n values of a block in a line: not one after the other, so that none waits for the one before.
+static inline float sum_of(const float *line, ptrdiff_t n) {
+  if (n == 6) return ((line[0] + line[1]) + (line[2] + line[3])) + (line[4] + line[5]);
+  float total = 0;
+  for (ptrdiff_t j = 0; j < n; j++) total += line[j];
+  return total;
+}
+
+static ptrdiff_t pixels_from(ptrdiff_t block, ptrdiff_t size, ptrdiff_t pixels) {
+  const ptrdiff_t left = pixels - block * size;
+  return left < 0 ? 0 : left < size ? left : size;
+}
+
+// Without a mask all pixels are inside it, without zero pixels or rest there are none.
 EXPORT int sum_blocks(const float *sigma, const float *weights, const bool *mask, const float *anchor, const bool *region, const bool *rest,
-                      float floor, int64_t block, float *work, float *sums, ptrdiff_t h, ptrdiff_t w, ptrdiff_t slopes, ptrdiff_t planes,
-                      ptrdiff_t rows, ptrdiff_t columns) {
+                      float floor, int64_t block, float *work, float *sums, ptrdiff_t h, ptrdiff_t w, ptrdiff_t slopes,
+                      ptrdiff_t planes, ptrdiff_t rows, ptrdiff_t columns) {
   if (planes != FIRST + 2 * slopes || rows * block < h || columns * block < w) return WRONG_SIZE;
   const struct maps maps = {sigma, weights, anchor, mask, region, rest, w, slopes};
   for (ptrdiff_t row = 0; row < rows; row++) {
+    const ptrdiff_t high = pixels_from(row, block, h);
     memset(work, 0, planes * w * sizeof(float));
-    for (ptrdiff_t i = row * block; i < h && i < (row + 1) * block; i++) {
+    for (ptrdiff_t i = row * block; i < row * block + high; i++) {
       add_row(&maps, i, floor, work);
+      add_chosen(region ? region + i * w : NULL, mask ? mask + i * w : NULL, work + REGION * w, w);
+      add_chosen(rest ? rest + i * w : NULL, NULL, work + REST * w, w);
       for (ptrdiff_t slope = 0; slope < slopes; slope++) add_slopes(&maps, i, slope, floor, work);
     }
     for (ptrdiff_t p = 0; p < planes; p++)
       for (ptrdiff_t k = 0; k < columns; k++) {
-        float total = 0;
-        for (ptrdiff_t j = k * block; j < w && j < (k + 1) * block; j++) total += work[p * w + j];
-        sums[(p * rows + row) * columns + k] = total;
+        const ptrdiff_t wide = pixels_from(k, block, w);
+        const float all = (float)(high * wide);
+        sums[(p * rows + row) * columns + k] = p == INSIDE && !mask ? all : sum_of(work + p * w + k * block, wide);
       }
   }
   return OK;
@@ -63,11 +95,6 @@ EXPORT int sum_blocks(const float *sigma, const float *weights, const bool *mask
 struct parts {
   float share, rest_share, power;
 };
-
-static ptrdiff_t pixels_from(ptrdiff_t block, ptrdiff_t size, ptrdiff_t pixels) {
-  const ptrdiff_t left = pixels - block * size;
-  return left < 0 ? 0 : left < size ? left : size;
-}
 
 // Of the sums (planes, rows, columns): the mean weight of a block's pixels; the standard deviation of its weighted mean slopes by
 // independent errors and by common ones; and the usual sigma of its pixels.

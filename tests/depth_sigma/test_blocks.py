@@ -30,6 +30,8 @@ def maps():
 
 
 def sums_by_numpy(sigma, weights, mask, anchor, region, rest, floor, block, work, sums):
+    mask = np.ones(weights.shape, bool) if mask is None else mask
+    region = 0 * mask if region is None else region
     weight = np.where(weights >= floor, mask * weights, 0)
     planes = [mask, weight, weight**2, mask * anchor, mask & region, 0 * mask if rest is None else rest]
     for slope in range(sigma.shape[2]):
@@ -41,14 +43,17 @@ def sums_by_numpy(sigma, weights, mask, anchor, region, rest, floor, block, work
     return sums
 
 
-@pytest.mark.parametrize("still", [False, True])
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("block", [4, 6])
 @pytest.mark.parametrize("slopes", [1, 2])
-def test_sums_of_blocks(maps, slopes, still):
-    sigma = np.ascontiguousarray(maps[0][..., :slopes])
+def test_sums_of_blocks(maps, slopes, block, whole):
+    """Whole frames have neither mask nor zero pixels nor rest."""
+    sigma, weights, mask, anchor, region, rest = maps
+    sigma = np.ascontiguousarray(sigma[..., :slopes])
+    chosen = (None, anchor, None, None) if whole else (mask, anchor, region, rest)
     planes = 6 + 2 * slopes
     work, sums = np.empty((planes, 22), dtype=np.float32), np.empty((planes, 3, 6), dtype=np.float32)
-    rest = maps[5] if still else None
-    assert_kernel_agrees(blocks._sum_blocks, sums_by_numpy, sigma, *maps[1:5], rest, FLOOR, 4, work, sums)
+    assert_kernel_agrees(blocks._sum_blocks, sums_by_numpy, sigma, weights, *chosen, FLOOR, block, work, sums)
 
 
 def errors_by_numpy(sums, weight, white, common, usual, block, share, rest_share, power, h, w):

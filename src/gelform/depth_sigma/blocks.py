@@ -16,7 +16,7 @@ from gelform.solvers.system import FLOOR, problem_from_gradients
 
 _sum_blocks = Kernel(
     "sum_blocks",
-    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w] mask, f32[h,w] anchor, bool[h,w] region, bool[h,w]? rest, "
+    "f32[h,w,slopes] sigma, f32[h,w] weights, bool[h,w]? mask, f32[h,w] anchor, bool[h,w]? region, bool[h,w]? rest, "
     "f32 floor, i64 block, out f32[planes,w] work, out f32[planes,rows,columns] sums",
 )
 _errors_of_blocks = Kernel(
@@ -67,23 +67,24 @@ class Blocks:
         self,
         sigma: NDArray[np.float32],
         weights: NDArray[np.float32],
-        mask: NDArray[np.bool_],
+        mask: NDArray[np.bool_] | None,
         anchor: NDArray[np.float32] | None,
-        region: NDArray[np.bool_],
+        region: NDArray[np.bool_] | None,
         rest: NDArray[np.bool_] | None,
         floor: np.float32,
         parts: ErrorParts,
     ) -> None:
         block = self.size = parts.block
-        shape = block_rows_and_columns(mask.shape, block)
+        pixels = weights.shape
+        shape = block_rows_and_columns(pixels, block)
         sums = np.empty((FIRST + PER_SLOPE * sigma.shape[2], *shape), dtype=np.float32)
-        work = np.empty((len(sums), mask.shape[1]), dtype=np.float32)
-        hold = zeros(mask.shape) if anchor is None else anchor
+        work = np.empty((len(sums), pixels[1]), dtype=np.float32)
+        hold = zeros(pixels) if anchor is None else anchor
         _sum_blocks(sigma, weights, mask, hold, region, rest, floor, block, work, sums)
         weight = np.empty(shape, dtype=np.float32)
         self.white, self.common, self._usual = np.empty((3, *shape, 2), dtype=np.float32)
         errors = weight, self.white, self.common, self._usual
-        _errors_of_blocks(sums, *errors, block, *parts.of_blocks, *mask.shape)
+        _errors_of_blocks(sums, *errors, block, *parts.of_blocks, *pixels)
         self.mask = sums[INSIDE] > 0
         self.anchored = anchor is not None
         self.problem = problem_from_gradients(

@@ -146,15 +146,16 @@ class DepthSigma:
         shape = self.shape
         sigma = checked_sigma(gradients_sigma, shape)
         weight = _ones(shape) if weights is None else checked_weights(weights, shape)
-        inside = _ones(shape, bool) if mask is None else check_mask(mask, shape=shape)
+        inside = None if mask is None else check_mask(mask, shape=shape)
         hold = None if anchor is None else check_anchor(anchor, shape)
         region = zero_region(zero, shape)
         still = checked_rest(rest, shape)
-        if mask is not None:
+        if inside is not None:
             weight = weight * inside
         pixels = None
         if against is not None:
-            pixels = check_mask(against, shape=shape, name="against") & inside
+            pixels = check_mask(against, shape=shape, name="against")
+            pixels = pixels if inside is None else pixels & inside
         return self._of_pixels(sigma, weight, inside, hold, region, still, level, pixels)
 
     def unchecked(
@@ -175,16 +176,15 @@ class DepthSigma:
         zero : (H, W); needed without an anchor
         """
         weight = _ones(self.shape) if weights is None else weights
-        region = rest if zero is None else zero
-        return self._of_pixels(gradients_sigma, weight, _ones(self.shape, bool), anchor, region, rest)
+        return self._of_pixels(gradients_sigma, weight, None, anchor, zero, rest)
 
     def _of_pixels(
         self,
         sigma: NDArray[np.float32],
         weight: NDArray[np.float32],
-        inside: NDArray[np.bool_],
+        inside: NDArray[np.bool_] | None,
         anchor: NDArray[np.float32] | None,
-        region: NDArray[np.bool_],
+        region: NDArray[np.bool_] | None,
         rest: NDArray[np.bool_] | None,
         level: Level | None = None,
         against: NDArray[np.bool_] | None = None,
