@@ -15,6 +15,7 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -30,6 +31,7 @@ import numpy as np
 
 import batch_faults
 import gelform
+from batch_bare import bare_rate
 from gelform.batch import BatchSettings, verify_output
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
@@ -107,11 +109,15 @@ def rate(folder: Path, source: Path, name: str, engine: str = "pool") -> dict[st
 
 
 def rates(folder: Path, quick: bool) -> dict[str, Any]:
-    """Of each setting; of Ray beside the pool."""
-    count = 200 if quick else 20_000
+    """Of a bare loop; of each setting; of Ray beside the pool."""
+    count = 1000 if quick else 20_000
     make_input(folder, count)
+    bare = bare_rate(folder / "in", folder / "bare", WORKERS)
+    shutil.rmtree(folder / "bare")
     rows = [rate(folder, folder / "in", name) for name in SETTINGS]
+    rows = [row | {"of_bare": row["frames_per_s"] / bare} for row in rows]
     found: dict[str, Any] = {"frames": count, "shape": SHAPE, "reach_frames_per_s": REACH_PER_S, "rows": rows}
+    found["bare_loop_frames_per_s"] = bare
     if find_spec("ray") is None:
         return found | {"ray": "not installed"}
     rows.append(rate(folder, folder / "in", ON_RAY, "ray"))
