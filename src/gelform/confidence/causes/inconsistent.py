@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.confidence.causes import dark, saturated
-from gelform.confidence.causes.seen import COMMON, Seen
+from gelform.confidence.causes.seen import BRIGHTER, DARKER, Seen
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm, of what the channels do not have in common, and of lost parts not clipped."""
     torn = seen.where(seen.lost)
     torn[(saturated.sigma(seen) > 0) | (dark.sigma(seen) > 0)] = 0
-    mixed = np.abs(seen.common()) <= COMMON * seen.unexplained()
+    common, size = seen.common(), seen.unexplained()
+    mixed = (common >= DARKER * size) & (common <= BRIGHTER * size)
     return np.maximum(seen.beyond(mixed), torn)

@@ -17,7 +17,9 @@ SURE_LIMIT = 6.5  # of it: nothing is left of such a slope, nor of those that it
 LEAST_LIMIT, LEAST_SURE = 0.02, 0.06  # of color change, where the response was fitted to images without noise
 # A colour that no gradient explains moves the slope by more than the same difference along the colours that do.
 AMPLIFIED = 3.0
-COMMON = 0.6  # times the RMS of the channels, that their mean has to be for light or shadow
+# Times the RMS of the channels, that their mean has to be below for shadow, above for light. The slopes that are read take
+# part of a lost light for their own, more of it where the channels mix the lights: what is left need not be alike in them.
+DARKER, BRIGHTER = -0.25, 0.6
 BLOCK_PX = 16  # lost parts are found in such blocks
 # Slopes that differ by more from those this many blurs away than a small ball's do are blurred by the color change, and
 # off by so much of the rest. Chosen on simulated objects with walls.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.confidence.causes.seen import COMMON, Seen
+from gelform.confidence.causes.seen import DARKER, Seen
 
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm, of cast shadows and of what is unexplained where all channels are darker."""
-    common = seen.beyond(seen.common() < -COMMON * seen.unexplained())
+    common = seen.beyond(seen.common() < DARKER * seen.unexplained())
     return common if seen.cast is None else np.hypot(common, seen.cast)
