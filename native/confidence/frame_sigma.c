@@ -6,7 +6,7 @@ enum { PIXELS = 64 };  // at a time: unpacked to lines, on which the arithmetic 
 // What does not depend on the pixel; see PreparedSigma.
 struct settings {
   const float *common, *bias, *law, *gamut, *low;
-  float square, steps, grows, rest, bins_per_change, worth, unlearnt, learnt;
+  float square, steps, grows, rest, bins_per_change, worth, unlearnt;
   int32_t law_size, gamut_size;
 };
 
@@ -66,12 +66,12 @@ static inline void variance_by_law(struct lines *restrict l, const struct settin
     l->variance[k] = l->fraction[k] <= end ? l->variance[k] : grows * l->square[k];
 }
 
-// Slopes near the steepest that the presses showed at their place, and beyond: the variance is at least that share of them.
+// Slopes beyond the steepest that the presses showed at their place: a variance by how far beyond at least.
 static inline void variance_of_steepness(struct lines *restrict l, const struct settings *restrict s,
                                          const float *restrict place, const float *restrict per_steepest, ptrdiff_t n) {
   for (ptrdiff_t k = 0; k < n; k++) {
     const float slope = sqrtf(l->square[k]);
-    const float least = s->unlearnt * slope * larger(slope * per_steepest[k] - s->learnt, 0);
+    const float least = s->unlearnt * slope * larger(slope * per_steepest[k] - 1, 0);
     l->variance[k] = larger(l->variance[k] * place[k], least * least);
   }
 }
@@ -99,9 +99,9 @@ EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *give
                        const float *bias, const float *place, const float *per_steepest, const float *law,
                        const float *gamut, const float *low, float *gradients, bool *untouched, float *sigma,
                        float square, float steps, float grows, float rest, float bins_per_change, float worth,
-                       float unlearnt, float learnt, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t g) {
+                       float unlearnt, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t g) {
   const struct settings s = {common, bias, law, gamut, low, square, steps, grows, rest, bins_per_change,
-                             worth, unlearnt, learnt, (int32_t)t, (int32_t)g};
+                             worth, unlearnt, (int32_t)t, (int32_t)g};
   struct lines l = {0};
   if (t < 2) return WRONG_SIZE;
   for (ptrdiff_t start = 0; start < h * w; start += PIXELS) {

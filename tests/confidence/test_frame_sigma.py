@@ -9,7 +9,6 @@ from gelform.background.untouched import Reference
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence import frame_sigma
 from gelform.confidence.frame_sigma import (
-    LEARNT,
     UNLEARNT,
     PreparedSigma,
     UnknownSigma,
@@ -85,12 +84,12 @@ def test_colours_beyond_the_training_presses_are_not_trusted():
 
 
 def test_slopes_steeper_than_the_presses_showed_there_are_not_trusted():
-    law = replace(LAW, steepest=((0.4, 0.8),))
+    law = replace(LAW, steepest=((0.2, 0.8),))
     gradients = np.zeros((2, 8, 2), dtype=np.float32)
     gradients[..., 1] = 0.5
     _, sigma = PreparedSigma(law, (2, 8), None)(grey((2, 8)), gradients, NOTHING)
     at_half = 0.05  # the law's
-    np.testing.assert_allclose(sigma[:, 0], UNLEARNT * 0.5 * (0.5 / 0.4 - LEARNT), rtol=1e-5)
+    np.testing.assert_allclose(sigma[:, 0], UNLEARNT * 0.5 * (0.5 / 0.2 - 1), rtol=1e-5)
     np.testing.assert_allclose(sigma[:, -1], at_half, rtol=1e-2)
     assert sigma[0, 0] > sigma[0, 3] >= sigma[0, 5] >= sigma[0, -1]
     _, before = PreparedSigma(LAW, (2, 8), None)(grey((2, 8)), gradients, NOTHING)
@@ -104,7 +103,7 @@ def seen_gamut():
 
 def numpy_frame_sigma(
     change, hidden, given, common, bias, place, per_steepest, law, gamut, low, gradients, untouched, sigma, square,
-    steps, grows, rest, bins_per_change, worth, unlearnt, learnt,
+    steps, grows, rest, bins_per_change, worth, unlearnt,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     near = ((change - common) ** 2).sum(axis=-1) < square
@@ -114,7 +113,7 @@ def numpy_frame_sigma(
     at = np.sqrt(size2) * steps
     last = len(law) - 2
     variance = np.where(at <= last, np.interp(at, np.arange(len(law)), law), grows * size2) * place
-    least = unlearnt * np.sqrt(size2) * np.maximum(np.sqrt(size2) * per_steepest - learnt, 0)
+    least = unlearnt * np.sqrt(size2) * np.maximum(np.sqrt(size2) * per_steepest - 1, 0)
     variance = np.where(near, rest, np.maximum(variance, least**2))
     if gamut is not None:
         bins = (change.astype(float) - low) * bins_per_change
@@ -137,7 +136,7 @@ def test_the_kernel_agrees_with_numpy(shape, with_gamut, optional):
         mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]), prepared._place,
         rng.uniform(0.5, 2, shape).astype(np.float32), prepared._law, prepared._gamut, prepared._gamut_low,
         rng.normal(0, 0.5, (*shape, 2)).astype(np.float32), np.empty(shape, bool), np.empty(shape, np.float32), 0.3**2,
-        *prepared._numbers, *prepared._gamut_numbers, 0.3, 0.6,
+        *prepared._numbers, *prepared._gamut_numbers, 0.3,
     )  # fmt: skip
 
 

@@ -12,15 +12,15 @@ from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 
 STEEPEST = 1.0  # mm/mm
 TABLE = 64  # the law, tabulated for the frame's kernel
-# A slope s where the presses showed slopes up to t is off by no less than UNLEARNT s (s/t - LEARNT): what is steeper reads
-# like it. Chosen on simulated objects.
-UNLEARNT, LEARNT = 0.3, 0.7
+# A slope s where the presses showed slopes up to t is off by no less than UNLEARNT s (s/t - 1): what is steeper reads like
+# it. Simulated walls would have it larger, and already from 0.6 t on; that costs balls their rim.
+UNLEARNT = 0.3
 _frame_sigma = Kernel(
     "frame_sigma",
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, "
     "f32[h,w] per_steepest, f32[t] law, "
     "f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, "
-    "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth, f32 unlearnt, f32 learnt",
+    "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth, f32 unlearnt",
 )
 _solved_sigma = Kernel(
     "solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor, f32 limit"
@@ -59,9 +59,9 @@ class PreparedSigma:
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """Which pixels are untouched, and standard deviation of the slopes.
 
-        Untouched pixels have the deviation of rest. Slopes s nearly as steep as those that the training presses showed
-        at their place, or steeper, have `UNLEARNT s (s/steepest - LEARNT)` at least. A colour beyond those of the training
-        presses adds its distance to them (`Gamut`).
+        Untouched pixels have the deviation of rest. Slopes s beyond the steepest that the training presses showed at their
+        place have `UNLEARNT s (s/steepest - 1)` at least. A colour beyond those of the training presses adds its distance
+        to them (`Gamut`).
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class PreparedSigma:
         _frame_sigma(
             color_change, hidden, reference.given, reference.common_change, reference.bias, self._place,
             self._per_steepest, self._law, self._gamut, self._gamut_low, gradients, untouched, sigma,
-            reference.threshold**2, *self._numbers, *self._gamut_numbers, UNLEARNT, LEARNT,
+            reference.threshold**2, *self._numbers, *self._gamut_numbers, UNLEARNT,
         )  # fmt: skip
         return untouched, sigma
 
