@@ -50,6 +50,9 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
     until(lambda: replay.inner_text("#replay-at").startswith("5 / 9, 0:00.40"))
     wanted = gelform.Reconstructor(calibration)(indexed(recording).frame(4)).depth_mm
     assert replay.evaluate("gelform.frame.header.peak") == pytest.approx(wanted.max(), abs=1e-5)
+    until(
+        lambda: replay.inner_text("#number-peak .value").startswith(f"{wanted.max():.3f}")
+    )  # no later frame draws it
     replay.click("#step-back")
     until(lambda: number(replay) == 3, 20)
     replay.keyboard.press(".")

@@ -1,7 +1,7 @@
 """One browser: it is sent the newest frame when it has room for one, and never waits in a queue.
 
-Credit: the page gives one for each picture that it has drawn. Without credit nothing is sent, and what came
-meanwhile is passed over; so a slow or stalled page costs nobody anything but itself.
+Credit: the page gives one for each picture that it has drawn, at once or shortly before it draws the next one. Without
+credit nothing is sent, and what came meanwhile is passed over; so a slow or stalled page costs nobody anything but itself.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ const connection = new Connection();
 const pointer = new Pointer(() => redraw());
 const stages = [];
 // Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
-const SOFTWARE_MS = 42, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
+const SOFTWARE_MS = 46, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
 const surfaces = new Cadence(SURFACE_MS, schedule), curves = new Cadence(CURVES_MS, schedule), running = new Cadence(FACTS_MS, () => {});
 const stale = { pictures: true, surfaces: true, curves: true, panels: false };
 let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false, stateKey = "";
@@ -64,7 +64,7 @@ function redraw() {
   schedule();
 }
 
-/** At the next refresh of the screen; where the processor draws it, 24 times a second, so that it has time for the sensor. */
+/** At the next refresh of the screen; where the processor draws it, 21 times a second, so that it has time for the sensor. */
 function schedule() {
   if (due) return;
   const wait = inSoftware() ? nextAt - performance.now() : 0;

@@ -35,6 +35,8 @@ export class Surface {
     this.gridKey = this.colorsKey = "";
     this.drapes = null;
     gl.enable(gl.DEPTH_TEST);
+    gl.enable(gl.POLYGON_OFFSET_FILL);
+    gl.polygonOffset(1, 1); // the border lies in the surface: it is drawn before it
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   }
 
