@@ -17,7 +17,12 @@ from gelform.ball import center_jacobian
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
 from gelform.color_models import Samples
-from gelform.color_models._shared.least_squares import HUBER_SLOPE, polynomial_terms, unit_position
+from gelform.color_models._shared.least_squares import (
+    HUBER_SLOPE,
+    normal_equations,
+    polynomial_terms,
+    unit_position,
+)
 
 RIDGE = 1e-5
 MAX_STEP_PX = 3.0
@@ -89,11 +94,8 @@ def _solved(
     count: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients (terms, 2) and moves (N, 2) that minimise `sum weight |design w - target - jacobian move|^2`."""
-    weighted = design * weight[:, None]
-    normal = weighted.T @ design
-    normal += np.diag(RIDGE * np.diag(normal) + 1e-12)
-    factor = scipy.linalg.cho_factor(normal)
-    right = weighted.T @ target
+    normal, right = normal_equations(design, target, weight)
+    factor = scipy.linalg.cho_factor(normal + np.diag(RIDGE * np.diag(normal) + 1e-12))
     schur, rest = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     cross = np.empty((2, design.shape[1], 2 * count))
     for i in range(count):
