@@ -35,16 +35,28 @@ EXPORT int dct_right_side(const float *gradients, float *right, float scale_x, f
 
 enum { WIDEST_PRODUCT = 128 };
 
+// Columns `first` ... of a row times a table, as many lanes as said, at once: none waits for the one before.
+static inline void multiply_columns(const float *before, const float *table, float *row, ptrdiff_t first, int count, ptrdiff_t w) {
+  lanes totals[3] = {{0}, {0}, {0}};
+  for (ptrdiff_t n = 0; n < w; n++)
+    for (int k = 0; k < count; k++) totals[k] += before[n] * load_lanes(table + n * w + first + k * LANES);
+  for (int k = 0; k < count; k++) store_lanes(row + first + k * LANES, totals[k]);
+}
+
 // Multiply every row by a table in place, as a cosine transform of few columns is done soonest.
 EXPORT int dct_product(float *rows, const float *table, ptrdiff_t h, ptrdiff_t stride, ptrdiff_t w) {
   float before[WIDEST_PRODUCT];
   if (w > WIDEST_PRODUCT || w > stride) return WRONG_SIZE;
   for (ptrdiff_t i = 0; i < h; i++) {
     float *restrict row = rows + i * stride;
+    ptrdiff_t k = 0;
     memcpy(before, row, w * sizeof *row);
-    memset(row, 0, w * sizeof *row);
+    for (; k + 3 * LANES <= w; k += 3 * LANES) multiply_columns(before, table, row, k, 3, w);
+    for (; k + 2 * LANES <= w; k += 2 * LANES) multiply_columns(before, table, row, k, 2, w);
+    for (; k + LANES <= w; k += LANES) multiply_columns(before, table, row, k, 1, w);
+    for (ptrdiff_t j = k; j < w; j++) row[j] = 0;
     for (ptrdiff_t n = 0; n < w; n++)
-      for (ptrdiff_t k = 0; k < w; k++) row[k] += before[n] * table[n * w + k];
+      for (ptrdiff_t j = k; j < w; j++) row[j] += before[n] * table[n * w + j];
   }
   return OK;
 }
