@@ -1,4 +1,4 @@
-"""What the page does without WebGL, and when the machine sleeps: the server stands still, the socket is dropped."""
+"""What the page does without WebGL, with a graphics processor, and when the machine sleeps: the socket is dropped."""
 
 import os
 import signal
@@ -27,6 +27,27 @@ def test_without_webgl_the_surface_is_a_shaded_relief(visit, hub, picture):
     image = picture(page, "#surface")
     assert len(np.unique(image.reshape(-1, 3) // 16, axis=0)) > 20
     page.click("#reset-view")  # does nothing there, without an error
+
+
+GRAPHICS = """
+const get = WebGL2RenderingContext.prototype.getParameter, RENDERER = 0x9246;
+WebGL2RenderingContext.prototype.getParameter = function (name) {
+  return name === RENDERER ? "a graphics processor" : get.call(this, name);
+};
+"""
+
+
+def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit, hub, picture):
+    """The processor computes it here too, under another name."""
+    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    page = visit(before=GRAPHICS)
+    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"), 30)
+    assert page.evaluate("gelform.look.renderer") == "WebGL2"
+    assert page.evaluate("gelform.connection.ahead") == 2
+    until(lambda: page.evaluate("gelform.surface.grid") == [176, 132])
+    assert page.evaluate("gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)")
+    image = picture(page, "#surface")
+    assert len(np.unique(image.reshape(-1, 3) // 16, axis=0)) > 20
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs signals that stop a process")
