@@ -35,6 +35,11 @@ def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
         found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
         np.testing.assert_allclose(found[:3], wanted, atol=12)
+    pitch = hub.stations[0].newest.result.mm_per_px
+    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=pitch))
+    for y, x in ((row, column + 12), (row - 9, column), (0, 0)):
+        found = page.evaluate(script.replace("panes[0]", "panes[2]"), [int(x), int(y)])
+        np.testing.assert_allclose(found[:3], 127.5 + 127.5 * normals[y, x], atol=2)
     script = """([x, y]) => import('/js/maps/profile.js').then((module) => {
         const { alongX, alongY } = module.profilesThrough(gelform.frame, [x, y]);
         return [[...alongX], [...alongY]];
