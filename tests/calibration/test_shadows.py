@@ -10,7 +10,7 @@ from gelform.calibration.circles.find import ContactCircle, magnitude
 from gelform.calibration.circles.prepare import ColorChanges
 from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
 from gelform.calibration.forward import forward_from_presses
-from gelform.calibration.shadows import LEAST_NOISE, shadow_noise
+from gelform.calibration.shadows import LEAST_NOISE, LEAST_PRESSES, shadow_noise
 from gelform.color_models import PolynomialModel
 from gelform.simulate import simulate_ball_presses
 from gelform.simulate.presets import digit
@@ -20,7 +20,7 @@ from gelform.simulate.presets import digit
 def test_a_digit_with_and_without_shadows(casts):
     sensor = replace(digit(), shape=(160, 120), mm_per_px=0.10214, blur_px=0.8, cast_shadows=casts)
     made = simulate_ball_presses(
-        sensor, ball_diameters_mm=[4.7], count=10, rng=np.random.default_rng(1), oversample=1
+        sensor, ball_diameters_mm=[4.7], count=LEAST_PRESSES, rng=np.random.default_rng(1), oversample=1
     )
     background = made.background.astype(np.float32)
     changes = ColorChanges(background, ChangeSettings(blur_px=0.8))
@@ -37,5 +37,6 @@ def test_a_digit_with_and_without_shadows(casts):
     if casts:
         assert found is not None
         assert LEAST_NOISE <= found < 0.1
+        assert shadow_noise(model, forward, presses[1:], contacts[1:], background) is None  # too few to tell
     else:
         assert found is None

@@ -19,7 +19,8 @@ AROUND = 1.0, 2.0  # contact radii, where its shadows fall
 LEAST_NOISE = 0.03  # of color change: a fainter shadow is not worth looking for
 MOST, SIGMAS_OF_MOST = 95.0, 2.0
 CASTS_FROM = 0.05  # of the ring around a contact in shadow, median over presses; sensors without: up to 0.02
-MOST_PRESSES = 40
+# Of fewer presses color model and forward response know too little beside the contacts: what they leave is no shadow.
+LEAST_PRESSES, MOST_PRESSES = 18, 40
 
 
 def shadow_noise(
@@ -31,12 +32,16 @@ def shadow_noise(
 ) -> float | None:
     """Standard deviation of the darkness that slopes in contacts leave unexplained; None where presses cast no shadows.
 
+    None for fewer than 18 presses, too: they do not tell.
+
     Parameters
     ----------
     model, forward : fitted on the presses
     presses, contacts : prepared, and their circles
     background : (H, W, 3), the untouched image
     """
+    if len(presses) < LEAST_PRESSES:
+        return None
     step = max(1, -(-len(presses) // MOST_PRESSES))
     shape = presses[0].size.shape
     dark, away = _around_contacts(model, forward, presses[::step], contacts[::step], background)
