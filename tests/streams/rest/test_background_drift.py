@@ -131,6 +131,16 @@ def test_frames_that_measure_nothing_teach_nothing(reconstruct, at_rest):
     assert still(BackgroundDrift(rest), at_rest[0] // 2, torn, np.arange(0, 200, 1.0)) is None
 
 
+def test_light_that_would_be_beyond_white_is_white(reconstruct, at_rest):
+    """A bright corner, all lights up by a quarter: what is smooth elsewhere promises more than a camera shows."""
+    rest = np.mean(at_rest, axis=0, dtype=np.float32)
+    result = reconstruct.from_image(at_rest[0])
+    rest[:12, :12] = 240
+    found = still(BackgroundDrift(rest), np.minimum(1.25 * rest, 255), result, np.arange(0, 20, 1.0))
+    assert found[:12, :12].min() == found.max() == 255
+    np.testing.assert_allclose(found[60:, 60:], 1.25 * rest[60:, 60:], rtol=0.01)
+
+
 def test_a_background_can_be_taken(reconstruct, sensor, at_rest, pressed):
     """Also where something rests on the gel for ever; and in any light."""
     dimmed = [(0.9 * image).astype(np.uint8) for image in pressed]

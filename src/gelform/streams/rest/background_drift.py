@@ -37,6 +37,7 @@ DIFFERENT = {
     "not_this_gel",
 }  # a contact that fills the image, or another gel
 LEVELS = 256  # of a candidate, per grey level
+WHITE = 255.0  # what a camera shows at most; the smooth light can promise more
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,8 @@ class BackgroundDrift:
         self._step_s = time_s
         self._blocks[:], self._count = 0, 0
         self._contact[:] = False
-        return np.asarray(self._local * self.light.at(self._local.shape[:2]), dtype=np.float32)
+        lit = self._local * self.light.at(self._local.shape[:2])
+        return np.asarray(np.minimum(lit, WHITE), dtype=np.float32)
 
     def _averaged(self, blocks: NDArray[np.float32], step_s: float) -> NDArray[np.float32]:
         if self._mean is None:
