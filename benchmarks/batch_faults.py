@@ -80,8 +80,9 @@ def kill_once(folder: Path, output: Path, engine: str, who: str, after_s: float)
     process = started(folder, output, engine)
     time.sleep(after_s)
     below = descendants(process.pid)
-    mark = b"spawn_main" if engine == "pool" else b"ray::"
-    victims = [one for one in below if mark in command_of(one)] if who == "worker" else [process.pid]
+    marks = (b"spawn_main",) if engine == "pool" else (b"ray::_do", b"ray::IDLE")  # not Ray's own agents
+    workers = [one for one in below if any(mark in command_of(one) for mark in marks)]
+    victims = workers if who == "worker" else [process.pid]
     hit = process.poll() is None and bool(victims)
     if hit:
         os.kill(victims[int(after_s * 1e6) % len(victims)], signal.SIGKILL)

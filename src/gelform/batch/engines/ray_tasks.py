@@ -68,8 +68,10 @@ def _connected(ray: Any, workers: int, address: str | None) -> Any:
     local = {"num_cpus": workers, "include_dashboard": False} if address is None else {"address": address}
     try:
         ray.init(log_to_driver=False, logging_level="ERROR", **local)
-    except (ConnectionError, RuntimeError, ValueError) as problem:
-        raise WorkerLostError(f"Cannot reach Ray at {address}: {problem}. Look at: ray status.") from problem
+    except Exception as problem:  # Ray raises Exception itself where one of its own processes does not start
+        what = "start Ray here" if address is None else f"reach Ray at {address}"
+        said = str(problem).rstrip(".")
+        raise WorkerLostError(f"Cannot {what}: {said}. Look at: ray status.") from problem
     try:
         yield
     finally:
