@@ -57,6 +57,14 @@ def made_once(request, tmp_path_factory) -> MadeOnce:
 
 
 @pytest.fixture(scope="session")
+def playwright():
+    """Drives browsers; one for all tests of a process, which allows no second."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install playwright")
+    with sync_api.sync_playwright() as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of real sensor data; tests that ask for it are skipped where it is absent."""
     if not DATA.is_dir():

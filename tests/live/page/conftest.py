@@ -17,20 +17,18 @@ FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--disable-background-ne
 
 
 @pytest.fixture(scope="package")
-def browser(tmp_path_factory):
+def browser(request, tmp_path_factory):
     if CHROMIUM is None:
         pytest.skip("no Chromium: apt install chromium, or set GELFORM_CHROMIUM to one")
-    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install playwright")
-    with playwright.sync_playwright() as running:
-        context = running.chromium.launch_persistent_context(
-            str(tmp_path_factory.mktemp("profile")),
-            executable_path=CHROMIUM,
-            headless=True,
-            args=FLAGS,
-            viewport={"width": 1100, "height": 900},
-        )
-        yield context
-        context.close()
+    context = request.getfixturevalue("playwright").chromium.launch_persistent_context(
+        str(tmp_path_factory.mktemp("profile")),
+        executable_path=CHROMIUM,
+        headless=True,
+        args=FLAGS,
+        viewport={"width": 1100, "height": 900},
+    )
+    yield context
+    context.close()
 
 
 @pytest.fixture

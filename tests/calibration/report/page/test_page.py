@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,40 +113,36 @@ def test_it_is_small(page):
     assert len(page.encode()) < 1_000_000
 
 
-def test_a_real_browser_shows_it_without_a_word_or_a_request(page, tmp_path):
+@pytest.mark.skipif(not Path(CHROMIUM).is_file(), reason=f"no chromium at {CHROMIUM}")
+def test_a_real_browser_shows_it_without_a_word_or_a_request(page, playwright, tmp_path):
     """Light, dark and narrow: no console message, no request, no sideways scrolling; a press opens and closes."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     path = tmp_path / "report.html"
     path.write_text(page, encoding="utf-8")
-    with sync_api.sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(executable_path=CHROMIUM)
-        except sync_api.Error as problem:
-            pytest.skip(f"no chromium at {CHROMIUM}: {str(problem).splitlines()[0]}")
-        for width, scheme in ((1200, "light"), (1200, "dark"), (380, "light")):
-            tab = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
-            said, asked = [], []
-            tab.on("console", lambda message, said=said: said.append(message.text))
-            tab.on("request", lambda request, asked=asked: asked.append(request.url))
-            tab.goto(path.as_uri())
-            assert said == []
-            assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
-            assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            press = tab.locator("label.press").first
-            small = press.locator("svg").bounding_box()["width"]
-            press.click()
-            assert press.locator("svg").bounding_box()["width"] > 1.5 * small
-            press.click()
-            assert press.locator("svg").bounding_box()["width"] == small
-            tab.close()
-        paper = browser.new_page(color_scheme="dark")
-        paper.goto(path.as_uri())
-        paper.emulate_media(media="print", color_scheme="dark")
-        assert paper.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
-        assert min(backgrounds_behind_text(paper)) > 150, (
-            "dark ink on a dark ground: it was printed from a dark screen"
-        )
-        browser.close()
+    browser = playwright.chromium.launch(executable_path=CHROMIUM)
+    for width, scheme in ((1200, "light"), (1200, "dark"), (380, "light")):
+        tab = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
+        said, asked = [], []
+        tab.on("console", lambda message, said=said: said.append(message.text))
+        tab.on("request", lambda request, asked=asked: asked.append(request.url))
+        tab.goto(path.as_uri())
+        assert said == []
+        assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
+        assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        press = tab.locator("label.press").first
+        small = press.locator("svg").bounding_box()["width"]
+        press.click()
+        assert press.locator("svg").bounding_box()["width"] > 1.5 * small
+        press.click()
+        assert press.locator("svg").bounding_box()["width"] == small
+        tab.close()
+    paper = browser.new_page(color_scheme="dark")
+    paper.goto(path.as_uri())
+    paper.emulate_media(media="print", color_scheme="dark")
+    assert paper.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
+    assert min(backgrounds_behind_text(paper)) > 150, (
+        "dark ink on a dark ground: it was printed from a dark screen"
+    )
+    browser.close()
 
 
 def backgrounds_behind_text(tab):
