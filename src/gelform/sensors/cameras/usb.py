@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from typing import Any
 
 import cv2
@@ -64,13 +65,12 @@ class UsbCamera:
         self._lock = threading.Lock()
         self._closed = False
         self._capture = _opened(camera)
-        try:
+        with ExitStack() as undone:
+            undone.callback(self._capture.release)
             _set_mode(self._capture, wanted, known, camera.name)
             set_controls(self._capture, wanted, self._led_levels, camera.name)
             self.settings = self._read_back(known)
-        except BaseException:
-            self._capture.release()
-            raise
+            undone.pop_all()  # set as wanted: it stays open
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz: float | None = float(rate) if rate > 0 else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from urllib.parse import urlsplit
 
 from gelform.errors import SensorError, SourceLostError
@@ -46,14 +47,13 @@ class MjpegUrl:
         self._body = HttpBody(url, timeout_s)
         self._closed = False
         self._arrived: list[bytes] = []
-        try:
+        with ExitStack() as undone:
+            undone.callback(self._body.close)
             first = self._body.read(OPEN_S)
             self._splitter = PartSplitter(self._boundary(first))
             self._arrived = self._splitter.feed(first)
             self.settings = self._settings_of_first()
-        except BaseException:
-            self._body.close()
-            raise
+            undone.pop_all()  # it gives pictures: it stays open
         self._reduction = int(self.settings["reduced"])
 
     def __iter__(self) -> Iterator[Frame]:
