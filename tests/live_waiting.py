@@ -2,6 +2,8 @@
 
 import time
 
+from gelform.live.simulated.show import PRESS_S
+
 
 def until(true, timeout_s=30.0):
     """Wait until something is true; what it gave."""
@@ -10,3 +12,10 @@ def until(true, timeout_s=30.0):
         assert time.monotonic() < stop, "it did not happen in time"
         time.sleep(0.01)
     return given
+
+
+def held(station, x_px, y_px, depth_mm):
+    """Press the simulated sensor and keep it pressed; the first frame taken once the ball is all the way in."""
+    station.source.press_at(x_px, y_px, depth_mm, held_s=600)
+    still_s = time.monotonic() + PRESS_S + 0.1
+    return until(lambda: one if (one := station.newest) and one.frame.time_s > still_s else None)

@@ -22,7 +22,7 @@ def test_the_background_is_the_sensors(hub, sensor):
 
 def test_zero_is_set_and_taken_back(hub):
     station = hub.stations[0]
-    station.source.press_at(88, 66, 0.4, held_s=8)
+    station.source.press_at(88, 66, 0.4, held_s=600)
     until(lambda: station.newest.measures.peak > 0.3)
     actions.set_zero(hub, 0)
     until(lambda: station.newest.measures.peak < 0.1)

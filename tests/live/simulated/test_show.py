@@ -1,5 +1,7 @@
 """The simulated sensor as a source: frames at its rate, presses where they are asked for."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,9 @@ def test_closed_it_ends(show):
     next(source)
     show.close()
     assert list(source) == []
+
+
+def test_it_can_be_closed_just_as_its_loop_begins(show, monkeypatch):
+    start = threading.Thread.start
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: (show.close(), start(thread)))
+    assert list(show) == []

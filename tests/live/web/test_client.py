@@ -192,11 +192,14 @@ def test_of_several_stations_each_gets_its_turn(running, hub, sensor, calibratio
     until(lambda: hub.stations[1].newest)
     with opened(running) as socket:
         say(socket, **{**WATCH, "stations": [0, 1], "planes": ["image"], "few": [1]})
-        from_station = []
-        for _ in range(8):  # one credit at a time
+        sent, from_station = {0: 0, 1: 0}, []
+        for _ in range(8):  # one credit at a time, given when both have something new
+            until(lambda: all(hub.stations[one].newest.serial > sent[one] for one in sent))
             say(socket, do="credit")
-            from_station.append(next_frame(socket)[0]["station"])
-    assert 3 <= from_station.count(0) <= 5
+            header = next_frame(socket)[0]
+            sent[header["station"]] = header["serial"]
+            from_station.append(header["station"])
+    assert from_station in ([0, 1] * 4, [1, 0] * 4)
 
 
 def test_oversized_messages_are_cut_off(running):

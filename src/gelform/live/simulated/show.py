@@ -72,8 +72,9 @@ class Show(PacedSimulation):
         self._rest = self._levels_of(POINTER_BALL, 0.0, 0.0, 0.0)
 
     def __iter__(self) -> Iterator[Frame]:
-        self._rehearsal = threading.Thread(target=self._rehearse, name="simulated acts", daemon=True)
-        self._rehearsal.start()
+        rehearsal = threading.Thread(target=self._rehearse, name="simulated acts", daemon=True)
+        rehearsal.start()
+        self._rehearsal = rehearsal  # started, so that close() can wait for it
         return super().__iter__()
 
     def levels_at(self, index: int) -> NDArray[Any]:
