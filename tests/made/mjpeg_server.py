@@ -21,6 +21,7 @@ def part(content, with_length=True, boundary="frame"):
     return f"--{boundary}\r\nContent-Type: image/jpeg\r\n{length}\r\n".encode() + content + b"\r\n"
 
 
+SEEN = "seen"  # a piece: wait until the reader has a frame more
 HEADER = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
 
 
@@ -30,6 +31,8 @@ class MjpegServer:
     def __init__(self, pieces, header=HEADER):
         self.pieces, self.header = pieces, header
         self.requests = []
+        self.seen = threading.Semaphore(0)
+        self.sent = threading.Event()
         self._over = threading.Event()
         self._socket = socket.create_server(("127.0.0.1", 0))
         self._socket.settimeout(0.05)
@@ -62,8 +65,11 @@ class MjpegServer:
             for piece in self.pieces:
                 if piece is None:  # hang up
                     return
-                if isinstance(piece, float):
+                if piece == SEEN:
+                    self.seen.acquire(timeout=20)
+                elif isinstance(piece, float):
                     self._over.wait(piece)
                 else:
                     client.sendall(piece)
+            self.sent.set()
             self._over.wait(5)

@@ -114,7 +114,7 @@ def test_stages_are_timed(reconstruct, at_rest):
     assert stats.stage_ms.keys() == {"wait", "view", "reconstruct", "remember"} | (
         stats.stage_ms.keys() & {"learn"}
     )
-    assert stats.stage_ms["reconstruct"] > stats.stage_ms["view"] > 0
+    assert min(stats.stage_ms["reconstruct"], stats.stage_ms["view"]) > 0
     assert stats.latency_ms >= stats.stage_ms["reconstruct"]
 
 

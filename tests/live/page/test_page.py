@@ -59,8 +59,7 @@ def test_the_surface_is_drawn_and_turns(page, hub, picture):
     page.focus("#surface")
     for _ in range(4):
         page.keyboard.press("ArrowRight")
-    page.wait_for_timeout(400)
-    assert np.abs(picture(page, "#surface").astype(int) - before).mean() > 1
+    until(lambda: np.abs(picture(page, "#surface").astype(int) - before).mean() > 1)
 
 
 def test_buttons_do_what_they_say(page, hub):

@@ -10,7 +10,7 @@ from gelform.errors import SensorError, SourceLostError
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg.url import MjpegUrl
 from gelform.sensors.source import open_source
-from made.mjpeg_server import HEADER, MjpegServer, jpeg, part
+from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
 
 RED, GREEN, BLUE = jpeg(color=(200, 0, 0)), jpeg(color=(0, 200, 0)), jpeg(color=(0, 0, 200))
 WAIT_S = 20.0
@@ -18,7 +18,11 @@ WAIT_S = 20.0
 
 def taken(pieces, count, header=HEADER):
     with MjpegServer(pieces, header) as server, MjpegUrl(server.url) as source:
-        return [frame for _, frame in zip(range(count), source)], source
+        frames = []
+        for _, frame in zip(range(count), source):
+            frames.append(frame)
+            server.seen.release()
+        return frames, source
 
 
 def channel(frame):
@@ -26,7 +30,7 @@ def channel(frame):
 
 
 def test_frames_in_rgb_as_they_come():
-    frames, source = taken([part(RED), 0.1, part(GREEN), 0.1, part(BLUE)], 3)
+    frames, source = taken([part(RED), SEEN, part(GREEN), SEEN, part(BLUE)], 3)
     assert [channel(frame) for frame in frames] == [0, 1, 2]
     assert [frame.index for frame in frames] == [0, 1, 2]
     assert frames[1].encoded == GREEN
@@ -35,17 +39,18 @@ def test_frames_in_rgb_as_they_come():
 
 
 def test_of_many_that_wait_the_newest_is_taken():
-    with MjpegServer([part(RED), 0.05, part(RED) * 7 + part(BLUE)]) as server, MjpegUrl(server.url) as source:
+    with MjpegServer([part(RED), SEEN, part(RED) * 7 + part(BLUE)]) as server, MjpegUrl(server.url) as source:
         reader = iter(source)
         assert channel(next(reader)) == 0
-        time.sleep(0.3)
+        server.seen.release()
+        assert server.sent.wait(WAIT_S)
         frame = next(reader)
     assert (channel(frame), frame.index) == (2, 8)
 
 
 def test_torn_pictures_are_left_out_and_leave_a_gap():
     torn = part(GREEN[: len(GREEN) // 2])
-    frames, _ = taken([part(RED), 0.1, torn, 0.1, part(BLUE)], 2)
+    frames, _ = taken([part(RED), SEEN, torn, 0.1, part(BLUE)], 2)
     assert [(channel(frame), frame.index) for frame in frames] == [(0, 0), (2, 2)]
 
 
