@@ -28,7 +28,7 @@ def _nothing() -> None:
 
 @contextmanager
 def worker_processes(
-    count: int, prepare: Callable[..., None] = _nothing, *args: Any
+    count: int, prepare: Callable[..., None] = _nothing, *args: Any, kept: str = ""
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of new processes, of one thread of OpenCV each; an exception in the block cancels what has not begun.
 
@@ -37,6 +37,7 @@ def worker_processes(
     count : of processes
     prepare : called with `args` in each of them first; small ones: a pipe holds 64 kB, and starting a process that is
         killed before it reads the rest would never end
+    kept : what the error says of the work that was done until then, a sentence
 
     Raises
     ------
@@ -50,9 +51,9 @@ def worker_processes(
             yield pool
         except BrokenProcessPool as problem:
             lose.close()  # the pool forgets a process that was starting when it broke, and would wait for it for ever
-            raise WorkerLostError(
-                "A worker process was killed, perhaps for want of memory: run the same command again, with fewer --workers."
-            ) from problem
+            said = ("A worker process was killed, perhaps for want of memory.", kept)
+            again = "Run the same command again, with fewer --workers."
+            raise WorkerLostError(" ".join(one for one in (*said, again) if one)) from problem
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 

@@ -41,7 +41,7 @@ def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     workers = [one for one in children() - before if b"spawn_main" in command_of(one)]
     assert len(workers) == 2
     os.kill(workers[0], signal.SIGKILL)
-    with pytest.raises(WorkerLostError, match="run the same command again, with fewer --workers"):
+    with pytest.raises(WorkerLostError, match="What is done is kept, and not done again"):
         list(done)
     kept = [
         part

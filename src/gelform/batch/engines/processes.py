@@ -15,6 +15,8 @@ from gelform.batch.records import PartRecord
 from gelform.batch.work import Job, Stopped, Worker
 from gelform.exporters.worker_processes import interrupt_held, worker_processes
 
+KEPT = "What is done is kept, and not done again."
+
 _worker: Worker | None = None
 _stop: Any = None
 
@@ -45,7 +47,7 @@ def done_parts(
     with tempfile.TemporaryDirectory(prefix="gelform-batch-") as folder:
         shared = Path(folder) / "job"  # a file, since it may be large
         shared.write_bytes(pickle.dumps(job))
-        with worker_processes(workers, _prepare, shared, stop) as pool:
+        with worker_processes(workers, _prepare, shared, stop, kept=KEPT) as pool:
             try:
                 with interrupt_held():
                     waiting = {pool.submit(_do, part): part for part in parts}

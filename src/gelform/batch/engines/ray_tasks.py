@@ -7,6 +7,7 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from gelform.batch.engines.processes import KEPT
 from gelform.batch.extras import needed
 from gelform.batch.inputs.plan import Part
 from gelform.batch.work import Job, Worker
@@ -93,8 +94,8 @@ def _result(ray: Any, done: Any) -> tuple[int, int]:
         ray.exceptions.OutOfMemoryError,
     ) as problem:
         raise WorkerLostError(
-            f"A part's worker was lost {TRIES_AGAIN + 1} times, perhaps for want of memory: {problem} What is done is "
-            "kept: run the same command again."
+            f"A part's worker was lost {TRIES_AGAIN + 1} times, perhaps for want of memory: {problem} {KEPT} Run "
+            "the same command again."
         ) from problem
 
 

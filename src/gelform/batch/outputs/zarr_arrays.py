@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gelform.batch.extras import needed
 from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
-from gelform.batch.outputs.places import FRAMES, OutputFile, Place
+from gelform.batch.outputs.places import FRAMES, FlushedLater, OutputFile, Place
 from gelform.reconstruction import Reconstruction
 
 MOST_SHARD_FRAMES = 64
@@ -36,6 +36,7 @@ class ZarrArrays:
         blosc.use_threads = False  # the same bytes, and no threads beside the workers
         self.files: list[OutputFile] = []
         self._place = place
+        self._later = FlushedLater(place.output)
         self._length = shard_frames(place.settings.part_frames)
         self._chunks: dict[str, list[bytes]] = {}
         self._blank = blank_maps(place.settings, place.shape)
@@ -62,18 +63,20 @@ class ZarrArrays:
             if not any(chunks):
                 path.unlink(missing_ok=True)  # of frames that could be read when the part was done before
             else:
-                self.files.append(self._place.write(path, shard_bytes(chunks, self._length)))
+                self.files.append(self._later.write(path, shard_bytes(chunks, self._length)))
         self._chunks = {}
 
     def __enter__(self) -> ZarrArrays:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:
+    def __exit__(self, *error: Any) -> None:
+        if error[0] is not None:
+            self._later.__exit__(*error)
             return
-        if self._chunks:
-            self._write_shards()
-        self._write_nodes()
+        with self._later:
+            if self._chunks:
+                self._write_shards()
+            self._write_nodes()
 
     def _write_nodes(self) -> None:
         """Metadata of the arrays and of the groups above; the same bytes by every part of a sequence."""
@@ -81,10 +84,10 @@ class ZarrArrays:
         for name, blank in self._blank.items():
             attributes = {**attributes_of(name, place.settings), **place.facts}
             node = _array_node(blank, frames, self._length, attributes)
-            self.files.append(place.write(place.folder / name / NODE, _json(node)))
+            self.files.append(self._later.write(place.folder / name / NODE, _json(node)))
         group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
         for above in (place.part.sequence, *map(str, PurePosixPath(place.part.sequence).parents)):
-            self.files.append(place.write(place.output / FRAMES / above / NODE, group))
+            self.files.append(self._later.write(place.output / FRAMES / above / NODE, group))
 
 
 def shard_frames(part_frames: int) -> int:
