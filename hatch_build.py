@@ -26,7 +26,12 @@ FLAGS = (
     "-std=c11 -O3 -g0 -Wall -Wextra -fPIC -shared -fvisibility=hidden"
     " -ffp-contract=off -fno-math-errno -fno-trapping-math"
 )
-FLAGS_OF = {"base": "", "v3": "-mavx2 -mfma"}  # for each instruction set, the same sources
+AVX512 = "-mavx512f -mavx512cd -mavx512bw -mavx512dq -mavx512vl -mprefer-vector-width=512"
+FLAGS_OF = {  # for each instruction set, the same sources
+    "base": "",
+    "v3": "-mavx2 -mfma",
+    "v4": f"-mavx2 -mfma {AVX512}",
+}
 TAGS = {  # of wheels for other platforms, by zig's name of the target
     "x86_64-linux-gnu.2.17": "manylinux_2_17_x86_64.manylinux2014_x86_64",
     "aarch64-linux-gnu.2.17": "manylinux_2_17_aarch64.manylinux2014_aarch64",
@@ -46,13 +51,14 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
     built = [folder / f"kernels_{isa}{suffix}" for isa in isas]
 
     def compile_one(isa: str, library: Path) -> None:
-        # A running process may have the old library open: written beside it, then renamed.
-        unfinished = library.with_suffix(f"{suffix}.{os.getpid()}")
         own = shlex.split(os.environ.get("CC", ""))[1:]
-        run(
-            [*compiler(target), *FLAGS.split(), *FLAGS_OF[isa].split(), *own, "-o", str(unfinished), *sources]
-        )
-        unfinished.replace(library)
+        flags = [*FLAGS.split(), *FLAGS_OF[isa].split(), *own]
+        # A running process may have the old library open: written beside it, then moved. What else the compiler writes for
+        # Windows, symbols for a debugger and an import library, goes with the folder.
+        with tempfile.TemporaryDirectory(dir=folder) as beside:
+            unfinished = Path(beside) / library.name
+            run([*compiler(target), *flags, "-o", str(unfinished), *sources])
+            unfinished.replace(library)
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(compile_one, isas, built))

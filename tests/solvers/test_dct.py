@@ -185,11 +185,38 @@ def test_kernels_agree_with_numpy(shape, pad):
     assert_kernel_agrees(dct._sweep, swept, work, *dct._elimination(shape, (0.05, 0.08)))
 
 
-def test_few_columns_take_no_transform_of_scipy():
+@pytest.mark.parametrize("pad", [0, 5])
+@pytest.mark.parametrize("shape", [(1, 2), (4, 4), (5, 12), (16, 20), (19, 42), (33, 90), (7, 98), (40, 320)])
+def test_rows_of_smooth_widths_are_transformed_as_scipy_does(shape, pad):
+    """Of all radices, of numbers of rows that fill registers and that do not."""
+    work = np.random.default_rng(7).standard_normal((shape[0], shape[1] + pad)).astype(np.float32)
+    scratch = np.empty((3 * shape[1] + 1) * dct.ROWS, dtype=np.float32)
+
+    def expected(rows, turns, twists, scratch, back):
+        out = rows.copy()
+        out[:, : shape[1]] = (idct if back else scipy_dct)(rows[:, : shape[1]].astype(np.float64), axis=-1)
+        return out
+
+    for back in (0, 1):
+        assert_kernel_agrees(dct._cosine_rows, expected, work, *dct._turns(shape[1]), scratch, back)
+
+
+def test_widths_that_the_kernel_cannot_transform_are_refused():
+    assert [w for w in range(1, 50) if not dct._is_smooth(w) and w % 2 == 0] == [22, 26, 34, 38, 44, 46]
+    for width in (22, 26):
+        with pytest.raises(ValueError, match="do not fit"):
+            dct._cosine_rows(
+                np.zeros((1, width), np.float32), *dct._turns(width), np.empty(4000, np.float32), 0
+            )
+
+
+def test_few_columns_and_smooth_widths_take_no_transform_of_scipy():
     """Importing it would take half of a first frame's time."""
     code = (
         "import numpy, sys; from gelform.solvers.dct import DctSolver;"
         "DctSolver((60, 80), (1.0, 1.0))(numpy.ones((60, 80, 2)));"
+        "DctSolver((60, 79), (1.0, 1.0))(numpy.ones((60, 79, 2)));"
+        "DctSolver((240, 320), (1.0, 1.0))(numpy.ones((240, 320, 2)));"
         "sys.exit('scipy.fft' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

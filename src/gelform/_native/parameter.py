@@ -22,7 +22,6 @@ DTYPES = {
     "bool": np.dtype(np.bool_),
 }
 NUMBERS = {"f32": ctypes.c_float, "f64": ctypes.c_double, "i32": ctypes.c_int32, "i64": ctypes.c_int64}
-_byref, _from_buffer = ctypes.byref, ctypes.c_char.from_buffer  # four times as fast as array.ctypes.data
 _WRITTEN = re.compile(r"(out |finite )?(\w+)(\[[\w.,]*\]|\*|)(\??) (\w+)")
 
 
@@ -49,6 +48,11 @@ class Parameter:
         """What ctypes converts it to."""
         return NUMBERS[self.kind] if self.axes is None and not self.is_handle else ctypes.c_void_p
 
+    @property
+    def plain_dtype(self) -> Any:
+        """The dtype of arrays that need no closer look where they are writeable and in C order; None: all need one."""
+        return DTYPES.get(self.kind) if self.axes is not None and self.role != "finite" else None
+
     def pointer(self, array: Any) -> Any:
         """An array as C takes it: of the declared dtype, in C order.
 
@@ -57,12 +61,6 @@ class Parameter:
         TypeError, ValueError
             It is not, or it holds NaN where that was to be checked.
         """
-        if self.role != "finite" and type(array) is np.ndarray and array.dtype is DTYPES[self.kind]:
-            try:  # what most arrays are, writeable and in C order, is what this takes; others are looked at below
-                # numpy's stubs know its buffer from Python 3.12 on
-                return _byref(_from_buffer(array))  # type: ignore[arg-type]
-            except (TypeError, ValueError):
-                pass
         if array is None and self.optional:
             return None
         if not isinstance(array, np.ndarray) or array.dtype != DTYPES[self.kind]:
