@@ -225,17 +225,14 @@ def until_closed(socket):
 
 
 def test_so_many_pages_and_no_more(running):
-    many = [opened(running) for _ in range(MAX_CLIENTS)]
-    try:
+    with contextlib.ExitStack() as all_of_them:
+        many = [all_of_them.enter_context(opened(running)) for _ in range(MAX_CLIENTS)]
         for socket in many:
             next_words(socket, "state")
         with pytest.raises(ConnectionClosed), opened(running) as socket:
             socket.recv(timeout=3)
         many.pop().close()
         until(lambda: _welcome(running))
-    finally:
-        for socket in many:
-            socket.close()
 
 
 def _welcome(running):
