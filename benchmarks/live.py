@@ -47,11 +47,11 @@ COMPUTED_S = (
 
 
 class Live:
-    """`gelform live` as a process of its own, in a folder of its own."""
+    """`gelform live` as a process of its own, in a folder of its own; `words` are more of its command line."""
 
-    def __init__(self, folder: str) -> None:
+    def __init__(self, folder: str, *words: str) -> None:
         self.started = time.monotonic()
-        command = [sys.executable, "-m", "gelform", "live", "--quiet", "--folder", folder]
+        command = [sys.executable, "-m", "gelform", "live", *words, "--quiet", "--folder", folder]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()

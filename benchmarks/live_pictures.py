@@ -1,0 +1,139 @@
+"""Take the pictures of docs/live.md: `gelform live` on the simulated sensor in a headless Chromium.
+
+    python benchmarks/live_pictures.py [-o docs/images/live]     # about two minutes
+
+Playwright drives the Chromium that GELFORM_CHROMIUM names, or the one on PATH.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import gelform
+from gelform.frames import Frame
+from gelform.live.simulated.acts import ACTS
+from gelform.live.simulated.ready import presses_of
+from gelform.sensors import simulated_sensor_named
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
+from live import CHROMIUM, COMPUTED_S, FLAGS, Live
+
+DESKTOP, GUIDE, LARGE, PHONE = (1360, 1010), (1360, 900), (1300, 1145), (390, 844)
+QUALITY = 88
+HELD_AT = 12
+SEEK = f"(() => {{ const s = document.getElementById('scrub'); s.value = {HELD_AT}; s.dispatchEvent(new Event('input')) }})()"
+
+
+@contextmanager
+def served(folder: str, *words: str) -> Iterator[Any]:
+    """`gelform live` and a browser; opens its page at a size (width, height), in light or dark colours."""
+    from playwright.sync_api import sync_playwright
+
+    live = Live(folder, *words)
+    try:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
+
+            def opened(size: tuple[int, int], theme: str = "light") -> Any:
+                viewport = {"width": size[0], "height": size[1]}
+                page = browser.new_page(viewport=viewport, color_scheme=theme)
+                page.goto(live.url)
+                until(page, "window.gelform?.frame")
+                return page
+
+            yield opened
+            browser.close()
+    finally:
+        live.close()
+
+
+def until(page: Any, condition: str, longest_s: float = 120.0) -> None:
+    """The page's policy forbids Playwright's own waiting for a script: it would have to evaluate text."""
+    stop = time.monotonic() + longest_s
+    while not page.evaluate(f"Boolean({condition})"):
+        if time.monotonic() > stop:
+            raise TimeoutError(f"Expected {condition} within {longest_s:g} s.")
+        page.wait_for_timeout(50)
+
+
+def keep(page: Any, path: Path) -> None:
+    """What the page shows, as JPEG."""
+    image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    print(path)
+
+
+def of_the_sensor(folder: Path) -> None:
+    """The page at work, on a desk and on a phone, and the guide in the middle of its presses."""
+    with tempfile.TemporaryDirectory() as work, served(work) as opened:
+        time.sleep(COMPUTED_S)  # until all objects are there
+        for name, size, theme in (
+            ("desktop-light", DESKTOP, "light"),
+            ("desktop-dark", DESKTOP, "dark"),
+            ("phone-dark", PHONE, "dark"),
+        ):
+            page = opened(size, theme)
+            page.wait_for_timeout(3000)  # rates and curves have begun
+            until(page, "gelform.frame.header.contacts?.length > 4 && gelform.frame.header.peak > 0.35")
+            keep(page, folder / f"{name}.jpg")
+            page.close()
+        page = opened(GUIDE)
+        page.click("#tab-calibrate")
+        page.fill("#ball", "5")
+        page.click("#guide-start")
+        until(page, "gelform.facts.guides[0]?.count >= 7 && gelform.facts.guides[0].target")
+        page.wait_for_timeout(400)
+        keep(page, folder / "calibrate.jpg")
+
+
+def of_a_recording(folder: Path) -> None:
+    """A recording held at a frame, by two calibrations."""
+    sensor = simulated_sensor_named("three-edges")
+    screw = next(act for act in ACTS if isinstance(act.indenter, Screw))
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        for presses, path in ((12, work / "twelve-presses.npz"), (5, work / "five-presses.npz")):
+            made = simulate_ball_presses(
+                sensor,
+                ball_diameters_mm=[5.0],
+                count=presses,
+                rng=np.random.default_rng(presses),
+                oversample=1,
+            )
+            gelform.calibrate(presses_of(made)).save(path)
+        recording = FolderRecording(work / "screw", RecordingFacts(sensor.name, None, {}, screw.rate_hz))
+        rng = np.random.default_rng(0)
+        for k, pose in enumerate(screw.poses(sensor)):
+            image = simulate_pose(sensor, screw.indenter, pose, rng=rng).image
+            recording.write(Frame(image, k / screw.rate_hz, k, k))
+        recording.close()
+        with served(name, str(work / "screw"), "-c", str(work / "twelve-presses.npz")) as opened:
+            page = opened(LARGE)
+            page.click("#step-back")  # holds
+            page.evaluate(SEEK)
+            until(page, f"gelform.frame.header.replay?.[0] === {HELD_AT}")
+            page.select_option("#compare", "five-presses.npz")
+            until(page, "gelform.frame.has('other')")
+            page.wait_for_timeout(1000)
+            keep(page, folder / "replay.jpg")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", type=Path, default=Path("docs/images/live"), help="folder of the pictures")
+    asked = parser.parse_args()
+    asked.o.mkdir(parents=True, exist_ok=True)
+    of_the_sensor(asked.o)
+    of_a_recording(asked.o)
