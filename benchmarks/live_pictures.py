@@ -31,7 +31,8 @@ from live import CHROMIUM, COMPUTED_S, FLAGS, Live
 DESKTOP, GUIDE, LARGE, PHONE = (1360, 1010), (1360, 900), (1300, 1145), (390, 844)
 QUALITY = 88
 HELD_AT = 12
-SEEK = f"(() => {{ const s = document.getElementById('scrub'); s.value = {HELD_AT}; s.dispatchEvent(new Event('input')) }})()"
+SCRUB = "document.getElementById('scrub')"
+SEEK = f"{SCRUB}.value = {HELD_AT}; {SCRUB}.dispatchEvent(new Event('input'))"
 
 
 @contextmanager
