@@ -68,7 +68,8 @@ def written_file(
             handle.flush()
             if flushed:
                 os.fsync(handle.fileno())
-        check_free(path, overwrite=overwrite, error=error)  # another process may have been quicker
+        if not overwrite:  # another process may have been quicker
+            check_free(path, overwrite=False, error=error)
         os.replace(temporary, path)
     except OSError as problem:
         raise error(
@@ -122,15 +123,23 @@ def write_npz(
     ValueError, TypeError
         Settings that JSON cannot say (NaN included), an array of objects, or a reserved name.
     """
-    members = members_to_write(arrays, meta, kind, version)
+    members = _members_to_write(arrays, meta, kind, version)
     with written_file(path, overwrite=overwrite, error=error) as handle:
         _write_members(handle, members)
 
 
-def members_to_write(
+def npz_bytes(
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
+) -> bytes:
+    """The bytes that `write_npz` writes; arguments and errors as there."""
+    content = io.BytesIO()
+    _write_members(content, _members_to_write(arrays, meta, kind, version))
+    return content.getvalue()
+
+
+def _members_to_write(
     arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int
 ) -> dict[str, NDArray[Any]]:
-    """What `write_npz` puts into a file: the member `meta`, then the arrays; arguments and errors as there."""
     from gelform import __version__
 
     prepared = {name: _storable(name, values) for name, values in arrays.items()}

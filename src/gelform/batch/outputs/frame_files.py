@@ -10,7 +10,7 @@ import numpy as np
 from gelform.batch.outputs.maps import maps_of
 from gelform.batch.outputs.places import FlushedLater, OutputFile, Place, output_file
 from gelform.errors import DataError
-from gelform.exporters.npz_bytes import npz_bytes
+from gelform.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
 
 KIND, VERSION = "gelform maps", 1

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-import secrets
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 from gelform.batch.inputs.plan import Part
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
-from gelform.npz_files import check_free
+from gelform.npz_files import written_file
 
 FRAMES, PARTS = "frames", "parts"
 FLUSHED_AT_ONCE = 4
@@ -123,34 +121,11 @@ def write_output(output: Path, path: Path, content: bytes, *, flushed: bool = Tr
     DataError
         The disk is full, or the folder cannot be written to.
     """
-    try:
-        try:
-            _write_whole(os.fspath(path), content, flushed)
-        except FileNotFoundError:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _write_whole(os.fspath(path), content, flushed)
-    except OSError as problem:
-        check_free(path, overwrite=True)
-        raise DataError(
-            f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
-        ) from problem
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_file(path, overwrite=True, flushed=flushed) as file:
+        file.write(content)
     name = path.relative_to(output).as_posix()
     return OutputFile(name, len(content), hashlib.sha256(content).hexdigest())
-
-
-def _write_whole(path: str, content: bytes, flushed: bool) -> None:
-    """As `written_file`, of content that is there already, and without its looks at the folder before the write."""
-    temporary = os.path.join(os.path.dirname(path), f".gelform-{secrets.token_hex(6)}.tmp")
-    try:
-        with open(temporary, "xb") as handle:
-            handle.write(content)
-            if flushed:
-                handle.flush()
-                os.fsync(handle.fileno())
-        os.replace(temporary, path)
-    finally:
-        with suppress(OSError):  # where it has its name now
-            os.unlink(temporary)
 
 
 def output_file(output: Path, path: Path) -> OutputFile:
