@@ -10,6 +10,7 @@ from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.inputs import (
+    _followed_notes,
     check_inputs,
     contact_in_background,
     input_notes,
@@ -195,3 +196,9 @@ def test_frames_of_one_press_are_no_presses(presses):
     )
     with pytest.raises(gelform.CalibrationError, match="presses at 3 places or more, got 1 among"):
         gelform.calibrate(replace(presses, presses=frames))
+
+
+def test_a_gel_that_leaves_the_ball_early_is_named(prepared):
+    cut = [replace(press, followed=0.6) for press in prepared[:3]]
+    assert not _followed_notes(prepared)
+    assert "leaves the ball at about 0.54" in _followed_notes(cut)[0]

@@ -68,17 +68,20 @@ def fit_all(
         untouched_change=untouched_change(used, contacts),
         held_out={},
         training_digests=tuple(press.digest for press in own),
-        settings=_settings(presses, chosen, [press.image for press in own]),
+        settings=_settings(presses, chosen, [press.image for press in own], used[0].followed),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         gamut=Gamut.fit(samples.color_change, samples.gradients),
     )
 
 
-def _settings(presses: Presses, chosen: Candidate, images: Sequence[Any]) -> dict[str, Any]:
+def _settings(
+    presses: Presses, chosen: Candidate, images: Sequence[Any], followed: float = 1.0
+) -> dict[str, Any]:
     """What the run chose and was given, as the calibration records it."""
     return {
         "zone": chosen.zone,
+        **({} if followed == 1 else {"followed": followed}),
         **dict(chosen.settings),
         **({} if chosen.start is None else {"start": chosen.start.digest}),
         "presses": len(images),

@@ -10,6 +10,7 @@ from dataclasses import replace
 from os import PathLike
 
 from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.followed import followed_share
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import Refined, refine
 from gelform.calibration.circles.samples import PreparedPress
@@ -81,7 +82,7 @@ def calibrate(
 
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
-    refined, folds = _refined_and_folded(prepared, found, repeated_images(presses), model, progress)
+    prepared, refined, folds = _refined_and_folded(prepared, found, repeated_images(presses), model, progress)
     _check_enough(presses, refined, len(folds))
 
     candidates, zones = _candidates(color_model, len(folds[0].training), first_unit)
@@ -129,15 +130,23 @@ def _refined_and_folded(
     excluded: dict[int, str],
     start: HierarchicalModel | None,
     progress: Progress,
-) -> tuple[Refined, list[Fold]]:
-    """Circles of the presses that fit, and the folds; what the folds contradict is left out of both."""
+) -> tuple[list[PreparedPress], Refined, list[Fold]]:
+    """The presses with how far they follow the ball, circles of those that fit, and the folds.
+
+    What the folds contradict is left out of circles and folds.
+    """
     refined = refine(prepared, found, excluded=excluded, start=start, progress=progress)
+    used = refined.accepted
+    share = followed_share([prepared[i] for i in used], [refined.contacts[i] for i in used])
+    if share < 1:
+        prepared = [replace(press, followed=share) for press in prepared]
+        refined = refine(prepared, found, excluded=excluded, start=start, progress=progress)
     folds = make_folds(prepared, found, refined.accepted, start=start, progress=progress)
     odd = unlike_the_others(prepared, found, folds, start=start)
     if odd:
         refined = refine(prepared, found, excluded={**excluded, **odd}, start=start, progress=progress)
         folds = make_folds(prepared, found, refined.accepted, start=start, progress=progress)
-    return refined, folds
+    return prepared, refined, folds
 
 
 def _check_enough(presses: Presses, refined: Refined, folds: int) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gelform.background.change import color_change_from_image
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
+from gelform.calibration.circles.followed import USUAL_CIRCLE
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
@@ -136,7 +137,18 @@ def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Re
     contacts = [refined.contacts[i] for i in refined.accepted]
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
     order = light_order_note(presses, prepared, contacts)
-    return (*presses.notes, *covered, *(() if order is None else (order,)))
+    return (*presses.notes, *covered, *_followed_notes(prepared), *(() if order is None else (order,)))
+
+
+def _followed_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
+    """A note where the gel leaves the ball far inside of what the eye calls the rim."""
+    if not prepared or prepared[0].followed == 1:
+        return ()
+    share = prepared[0].followed * USUAL_CIRCLE
+    return (
+        f"The gel leaves the ball at about {share:.2f} of the visible circles' radius: nothing further out trains. Errors "
+        "that are counted up to the visible rim hold the gel against a ball that it does not touch there.",
+    )
 
 
 def light_order_note(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,8 @@ def prepared_by_offset(
     by_offset = {USUAL_OFFSET: prepared}
     for offset in set(offsets) - by_offset.keys():
         if offset > 0 or float(presses.background.min()) > 0:
-            by_offset[offset] = prepare(presses, offset)
+            followed = prepared[0].followed
+            by_offset[offset] = [replace(press, followed=followed) for press in prepare(presses, offset)]
     return by_offset
 
 

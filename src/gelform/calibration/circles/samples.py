@@ -34,6 +34,7 @@ class PreparedPress:
     usable : (H, W) bool, False on marker dots; None where all pixels are
     background : (H, W, 3) float32, the untouched image that all presses share; or None
     depth_px : (H, W) float32, the depth that a plain model reads, px; None until a model asks for it
+    followed : share of the visible radius inside which the gel follows the ball; the same for all presses
     """
 
     name: str
@@ -43,12 +44,18 @@ class PreparedPress:
     usable: NDArray[np.bool_] | None = None
     background: NDArray[np.float32] | None = None
     depth_px: NDArray[np.float32] | None = None
+    followed: float = 1.0
+
+    def followed_radius(self, contact: ContactCircle) -> float:
+        """Radius, px, up to which the gel follows the ball."""
+        visible = contact.radius_px
+        return min(self.followed * visible, followed_radius(visible, self.ball_radius_px))
 
     def pixels(
         self, contact: ContactCircle, zone: float, count: int | None = None
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of about `count` pixels inside `zone` of the followed radius, on a regular lattice."""
-        radius = zone * followed_radius(contact.radius_px, self.ball_radius_px)
+        radius = zone * self.followed_radius(contact)
         height, width = self.size.shape
         top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
         left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))

@@ -81,7 +81,7 @@ def report_content(
             f"Expected the {len(report.presses)} presses of the report, got {len(names)} others."
         )
     samples: tuple[HeldOutSample, ...] = report.samples
-    zone = float(calibration.settings["zone"])
+    zone = float(calibration.settings["zone"]) * calibration.settings.get("followed", 1.0)
     inner = [one.within(ZONE) for one in samples]
     reconstruct = Reconstructor(calibration, depth_sigma=False)
     sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in inner]

@@ -149,8 +149,9 @@ def measure_held_out(
         for i, circle, result in _reconstructed(own, presses, held_out, candidate, fold):
             errors[i] = saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
             samples.append(sample_of(i, presses.presses[i], circle, result, mm_per_px))
-            radius_px = held_out.presses[candidate.change_offset][i].ball_radius_px
-            slope_errors.append(_slope_errors(result, circle, radius_px))
+            slope_errors.append(
+                _slope_errors(result, circle, prepared[i].ball_radius_px, prepared[i].followed)
+            )
         if candidate != chosen:
             for i, circle, result in _reconstructed(saved, presses, held_out, chosen, fold):
                 saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
@@ -187,7 +188,7 @@ def _reconstructed(
 
 
 def _slope_errors(
-    result: Reconstruction, circle_px: tuple[float, float, float], ball_radius_px: float
+    result: Reconstruction, circle_px: tuple[float, float, float], ball_radius_px: float, share: float
 ) -> list[NDArray[np.float64]]:
     """Errors (N, 2) of the slopes that were read and of those of the solved depth, inside the contact.
 
@@ -196,7 +197,8 @@ def _slope_errors(
     x, y, radius = circle_px
     height, width = result.shape
     rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
-    inside = np.hypot(cols - x, rows - y) < ZONE * followed_radius(radius, ball_radius_px)
+    reach = ZONE * min(share * radius, followed_radius(radius, ball_radius_px))
+    inside = np.hypot(cols - x, rows - y) < reach
     rows, cols = rows[inside], cols[inside]
     assert result.observed_gradients is not None
     maps = result.observed_gradients, result.gradients

@@ -62,7 +62,8 @@ def learning_curve(
     if len(accepted) < MIN_ACCEPTED:
         return None
     own = presses.subset(accepted)
-    to_refine = prepare(own)
+    followed = calibration.settings.get("followed", 1.0)
+    to_refine = [replace(press, followed=followed) for press in prepare(own)]
     offset = COLOR_MODELS[calibration.color_model.name].change_offset
     to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
     found = find_contacts(to_refine)

@@ -73,8 +73,9 @@ def press_score(
 
 def lattice_of(press: PreparedPress, found: ContactCircle) -> Lattice:
     """Where a press is scored: the same for every model."""
-    zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / found.radius_px)
-    step = max(1, round(2 * zone * found.radius_px / PATCH))
+    radius = press.followed * found.radius_px
+    zone = max(0.5, 1 - INSET_PX * scale_of(press.size.shape) / radius)
+    step = max(1, round(2 * zone * radius / PATCH))
     scored = np.zeros(press.size.shape, dtype=bool)
     rows, cols = press.pixels(found, zone)
     scored[rows, cols] = True
