@@ -93,10 +93,11 @@ static ptrdiff_t falling_off(const float *restrict bed, const float *restrict be
 }
 
 // Depth that is known to be there becomes the bed's share of what bends the surface, and is added to the bending: the
-// pressure. The bed's stiffness is the median ratio where the surface bends by less than `below`, if `least` pixels do.
-EXPORT int pressure_on_bed(const float *sigma, float *bed, float *bent, float *work, float every_sigma, float sigmas,
-                           float below, int64_t least, float stiffest, ptrdiff_t count, ptrdiff_t n) {
-  float stiffness = 0;
+// pressure. Where the bed's stiffness is not known (0), it is the median ratio where the surface bends by less than `below`,
+// if `least` pixels do.
+EXPORT int pressure_on_bed(const float *sigma, float *bed, float *bent, float *work, float known, float every_sigma,
+                           float sigmas, float below, int64_t least, float stiffest, ptrdiff_t count, ptrdiff_t n) {
+  float stiffness = known;
   ptrdiff_t falling = 0;
   if (n < 2 * count) return WRONG_SIZE;
   for (ptrdiff_t i = 0; i < count; i += CHUNK) {
@@ -105,7 +106,7 @@ EXPORT int pressure_on_bed(const float *sigma, float *bed, float *bent, float *w
       for (ptrdiff_t k = i; k < i + some; k++) bed[k] = larger(bed[k] - sigmas * sigma[k], 0);
     else
       for (ptrdiff_t k = i; k < i + some; k++) bed[k] = larger(bed[k] - sigmas * every_sigma, 0);
-    falling += falling_off(bed + i, bent + i, below, work + falling, some);
+    if (known == 0) falling += falling_off(bed + i, bent + i, below, work + falling, some);
   }
   if (falling > 0 && falling >= least) stiffness = smaller(median(work, falling, (uint32_t *)(work + falling)), stiffest);
   for (ptrdiff_t i = 0; i < count; i++) bed[i] *= stiffness, bent[i] += bed[i];

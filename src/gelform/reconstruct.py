@@ -140,6 +140,7 @@ class Reconstructor:
         self._health = FrameHealth(self.background)
         shape = calibration.image_shape
         self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.get("gel_thickness_mm"))
+        self._relaxation_mm = calibration.settings.get("relaxation_mm")
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
@@ -207,7 +208,7 @@ class Reconstructor:
             gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
             observed_gradients=observed,
             confidence=read.confidence,
-            contact=contact_unchecked(depth_mm, (self._pitch, self._pitch), depth_sigma),
+            contact=contact_unchecked(depth_mm, (self._pitch, self._pitch), depth_sigma, self._relaxation_mm),
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
@@ -265,11 +266,7 @@ class Reconstructor:
         known = self.calibration.slope_sigma
         if known is None or self.calibration.mm_per_px is None:
             return None
-        return DepthSigma(
-            self.calibration.image_shape,
-            mm_per_px=self._pitch,
-            **known.correlation,
-        )
+        return DepthSigma(self.calibration.image_shape, mm_per_px=self._pitch, **known.correlation)
 
     def _integrate(
         self, read: _Read

@@ -49,5 +49,6 @@ def test_the_cameras_settings_are_kept(presses, calibration):
     assert "camera" not in calibration.settings
     candidate = SimpleNamespace(zone="contact", settings={}, start=None)
     with_camera = replace(presses, camera={"exposure": 50.0})
-    kept = _settings(with_camera, candidate, [press.image for press in presses.presses])
+    kept = _settings(with_camera, candidate, [press.image for press in presses.presses], relaxation_mm=0.5)
     assert kept["camera"] == {"exposure": 50.0}
+    assert kept["relaxation_mm"] == 0.5

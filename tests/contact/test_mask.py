@@ -49,6 +49,19 @@ def test_gel_that_is_drawn_down_beside_an_object_is_no_contact():
     assert depth[r > edge + 0.15].max() > 0.25  # though it is deep there
 
 
+@pytest.mark.parametrize("length", [0.35, 0.6])
+def test_the_gels_relaxation_length_says_what_is_drawn_down(length):
+    """With a length that is too small, the gel beside a disc seems to be held down."""
+    y, x = np.mgrid[:240, :320]
+    r, edge = np.hypot(x - 150, y - 110) * PITCH, 2.0
+    depth = 0.2 * np.where(r < edge, 1, k0(np.maximum(r, edge) / length) / k0(edge / length))
+    noisy, how = depth + slopes_noise(depth.shape, 0.01), {"depth_sigma_mm": np.full(depth.shape, 0.01)}
+    contact = contact_from_depth(noisy, mm_per_px=PITCH, relaxation_mm=length, **how)
+    assert contact[r < edge - 0.2].mean() > 0.98
+    assert not contact[r > edge + 0.2].any()
+    assert contact_from_depth(noisy, mm_per_px=PITCH, relaxation_mm=0.5 * length, **how)[r > edge + 0.2].any()
+
+
 def test_a_ring_stays_hollow():
     y, x = np.mgrid[:240, :320]
     r = np.hypot(x - 160, y - 120) * PITCH
@@ -113,6 +126,7 @@ def test_the_contact_of_a_simulated_press(layout):
     [
         ({"mm_per_px": 0}, "mm_per_px > 0"),
         ({"noise_factor": 0}, "noise_factor > 0"),
+        ({"relaxation_mm": 0}, "relaxation_mm > 0"),
         ({"min_area_mm2": float("nan")}, "min_area_mm2 >= 0"),
         ({"depth_sigma_mm": np.zeros((7, 8))}, r"depth_sigma_mm of shape \(8, 8\)"),
     ],
@@ -176,20 +190,22 @@ def test_noise_of_the_depths_below_0_agrees_with_numpy(shift):
 
 @pytest.mark.parametrize("with_sigma", [True, False])
 @pytest.mark.parametrize("least", [5, 10_000])
-def test_pressure_agrees_with_numpy(with_sigma, least):
+@pytest.mark.parametrize("known", [0.0, 4.0])
+def test_pressure_agrees_with_numpy(with_sigma, least, known):
     rng = np.random.default_rng(0)
     depth, bent = (rng.normal(0.2, 0.5, (19, 23)).astype(np.float32) for _ in range(2))
     sigma = rng.uniform(0, 0.2, depth.shape).astype(np.float32) if with_sigma else None
 
-    def by_numpy(sigma, bed, bent, work, every_sigma, sigmas, below, least, stiffest):
+    def by_numpy(sigma, bed, bent, work, known, every_sigma, sigmas, below, least, stiffest):
         bed = np.maximum(bed - sigmas * (every_sigma if sigma is None else sigma), 0)
         falling = (bent < below) & (bed > 0)
         ratio = np.median(-bent[falling] / bed[falling]) if falling.sum() >= least else 0
-        return bed * min(ratio, stiffest), bent + bed * min(ratio, stiffest)
+        stiffness = known or min(ratio, stiffest)
+        return bed * stiffness, bent + bed * stiffness
 
     work = np.empty(2 * depth.size, np.float32)
     for stiffest in (0.1, 25.0):
-        arguments = sigma, depth, bent, work, 0.1, 2.0, -0.3, least, stiffest
+        arguments = sigma, depth, bent, work, known, 0.1, 2.0, -0.3, least, stiffest
         assert_kernel_agrees(mask._pressure_on_bed, by_numpy, *arguments)
 
 

@@ -172,7 +172,7 @@ SETTINGS = {
     ),
     "contact_from_depth": (
         lambda **s: gelform.contact_from_depth(DEPTH, mm_per_px=MM_PER_PX, **s),
-        ("depth_sigma_mm", "noise_factor", "min_area_mm2"),
+        ("depth_sigma_mm", "relaxation_mm", "noise_factor", "min_area_mm2"),
     ),
     "ChangeSettings": (
         lambda **s: gelform.color_change_from_image(IMAGE, REST, gelform.ChangeSettings(**s)),

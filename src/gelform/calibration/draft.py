@@ -17,6 +17,7 @@ from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.forward import forward_from_presses, image_noise
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.relaxation import relaxation_from_presses
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.shadows import shadow_noise
 from gelform.calibration.unlabelled import steepest_at_places
@@ -51,6 +52,7 @@ def fit_all(
     model = chosen.fit_samples(samples)
     forward = forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px, presses.sensor_name)
     cast = shadow_noise(model, forward, used, contacts, presses.background)
+    relaxation_mm = relaxation_from_presses(model, used, contacts, presses.background, presses.mm_per_px)
     return Calibration(
         sensor_name=presses.sensor_name,
         serial=presses.serial,
@@ -68,7 +70,7 @@ def fit_all(
         untouched_change=untouched_change(used, contacts),
         held_out={},
         training_digests=tuple(press.digest for press in own),
-        settings=_settings(presses, chosen, [press.image for press in own], used[0].followed),
+        settings=_settings(presses, chosen, [press.image for press in own], used[0].followed, relaxation_mm),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         gamut=Gamut.fit(samples.color_change, samples.gradients),
@@ -76,9 +78,13 @@ def fit_all(
 
 
 def _settings(
-    presses: Presses, chosen: Candidate, images: Sequence[Any], followed: float = 1.0
+    presses: Presses,
+    chosen: Candidate,
+    images: Sequence[Any],
+    followed: float = 1.0,
+    relaxation_mm: float | None = None,
 ) -> dict[str, Any]:
-    """What the run chose and was given, as the calibration records it."""
+    """What the run chose and was given and how the gel relaxes, as the calibration records it."""
     return {
         "zone": chosen.zone,
         **({} if followed == 1 else {"followed": followed}),
@@ -88,6 +94,7 @@ def _settings(
         "response": presses.response,
         **({"camera": dict(presses.camera)} if presses.camera else {}),
         **presses.geometry.settings(),
+        **({} if relaxation_mm is None else {"relaxation_mm": relaxation_mm}),
         "image_noise": image_noise(images, presses.background).tolist(),
     }
 

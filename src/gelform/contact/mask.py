@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.background.change import LANES, blur_taps
-from gelform.checks import check_map, check_mm_per_px, check_number
+from gelform.checks import check_map, check_mm_per_px, check_number, check_positive
 from gelform.contact.contacts import runs_work
 
 NOISE_FACTOR, MIN_AREA_MM2 = 4.5, 0.05  # by default
@@ -49,8 +49,8 @@ _magnitude_of_share = Kernel(
 _median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _pressure_on_bed = Kernel(
     "pressure_on_bed",
-    "f32[...]? sigma, out f32[...] bed, out f32[...] bent, out f32[n] work, f32 every_sigma, f32 sigmas, f32 below, "
-    "i64 least, f32 stiffest",
+    "f32[...]? sigma, out f32[...] bed, out f32[...] bent, out f32[n] work, f32 known, f32 every_sigma, f32 sigmas, "
+    "f32 below, i64 least, f32 stiffest",
 )
 _contact_regions = Kernel(
     "contact_regions",
@@ -76,6 +76,7 @@ def contact_from_depth(
     *,
     mm_per_px: float | Sequence[float],
     depth_sigma_mm: ArrayLike | None = None,
+    relaxation_mm: float | None = None,
     noise_factor: float = NOISE_FACTOR,
     min_area_mm2: float = MIN_AREA_MM2,
 ) -> NDArray[np.bool_]:
@@ -83,10 +84,10 @@ def contact_from_depth(
 
     Beside an object the surface is held by the gel alone: a membrane under tension on an elastic bed, whose depth z
     falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). So the pressure on it in units of its tension,
-    `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, on a ball as on a flat face. L is read from the
-    frame itself, where the surface falls off. A contact starts where p exceeds 1.7 times `noise_factor` of its noise,
-    goes on where it exceeds `noise_factor` of it and a third of z/L^2, and ends where it is about half of what it is
-    around: gel that is drawn down beside an object is no contact, and hollow contacts stay hollow.
+    `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, on a ball as on a flat face. A contact starts where
+    p exceeds 1.7 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
+    and ends where it is about half of what it is around: gel that is drawn down beside an object is no contact, and
+    hollow contacts stay hollow.
 
     Parameters
     ----------
@@ -94,6 +95,8 @@ def contact_from_depth(
     mm_per_px : float or (x, y), mm
     depth_sigma_mm : (H, W), mm, standard deviation of the depth; the depth counts by what it has beyond twice that.
         Without it: that of the depths below 0, which no contact makes
+    relaxation_mm : L, mm; a calibration knows its gel's as `settings["relaxation_mm"]`. Without it L is read from the
+        frame, where the surface falls off: much less exactly, and where it hardly falls off not at all
     noise_factor : how many standard deviations of the frame's noise count
     min_area_mm2 : smaller regions are specks, mm^2
 
@@ -111,6 +114,8 @@ def contact_from_depth(
         raise ValueError(f"Expected depth_mm of one frame, (H, W), got {depth.shape}.")
     for name, value in (("noise_factor", noise_factor), ("min_area_mm2", min_area_mm2)):
         check_number(value, name)
+    if relaxation_mm is not None:
+        check_positive(relaxation_mm, "relaxation_mm")
     if not (noise_factor > 0 and min_area_mm2 >= 0):
         raise ValueError(
             f"Expected noise_factor > 0 and min_area_mm2 >= 0, got {noise_factor} and {min_area_mm2}."
@@ -120,26 +125,30 @@ def contact_from_depth(
     if depth_sigma_mm is not None:
         sigma = check_map(depth_sigma_mm, "depth_sigma_mm", shape=depth.shape, nonnegative=True)
         sigma = np.ascontiguousarray(sigma)
-    return contact_unchecked(depth, pitch, sigma, noise_factor, min_area_mm2)
+    return contact_unchecked(depth, pitch, sigma, relaxation_mm, noise_factor, min_area_mm2)
 
 
 def contact_unchecked(
     depth: NDArray[np.float32],
     pitch: tuple[float, float],
     sigma: NDArray[np.float32] | None,
+    relaxation_mm: float | None = None,
     noise_factor: float = NOISE_FACTOR,
     min_area_mm2: float = MIN_AREA_MM2,
 ) -> NDArray[np.bool_]:
     """`contact_from_depth` of what a Reconstructor made: float32, finite, in C order, the sigma not negative."""
-    found = _pressure(depth, sigma, pitch)
+    found = _pressure(depth, sigma, pitch, relaxation_mm)
     limit = max(noise_factor * _noise(found.pressure), LEAST_PRESSURE)
     return _regions(found, limit, min_area_mm2 / (pitch[0] * pitch[1]))
 
 
 def _pressure(
-    depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, pitch: tuple[float, float]
+    depth: NDArray[np.float32],
+    sigma: NDArray[np.float32] | None,
+    pitch: tuple[float, float],
+    relaxation_mm: float | None = None,
 ) -> _Pressure:
-    """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0."""
+    """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0, as L is from the falling off."""
     finest, finest_noise = None, 0.0
     for smoothing in SMOOTHINGS_PX:
         smooth, bent = _bent(depth, pitch, smoothing)
@@ -150,7 +159,8 @@ def _pressure(
     every = _noise_mm(depth) if sigma is None else 0.0
     work = np.empty(2 * depth.size, dtype=np.float32)
     rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
-    _pressure_on_bed(sigma, smooth, bent, work, every, *rules)
+    known = 0.0 if relaxation_mm is None else min(relaxation_mm**-2, STIFFEST)
+    _pressure_on_bed(sigma, smooth, bent, work, known, every, *rules)
     return _Pressure(bent, smooth, finest, finest_noise)
 
 
