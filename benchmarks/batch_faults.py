@@ -63,6 +63,11 @@ def kills(folder: Path, rounds: int, engine: str = "pool") -> dict[str, Any]:
             equal += again and tree(output) == whole and verify_output(output)[2] == []
             shutil.rmtree(output)
             tried = k + 1
+            print(
+                f"  {engine}, {who}: {equal} of {tried} byte-equal, {killed} kills hit",
+                file=sys.stderr,
+                flush=True,
+            )
         row = {"engine": engine, "killed": who, "moments": tried, "kills_that_hit": killed}
         rows.append({**row, "run_went_on_by_itself": went_on, "byte_equal": equal})
     return {"frames": len(list((folder / "in").rglob("*.png"))), "usual_s": usual_s, "rows": rows}

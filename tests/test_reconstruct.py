@@ -34,6 +34,29 @@ def test_depth_in_millimetres(calibration, press):
     assert result.known.all()
 
 
+def test_without_the_slopes_sigma_the_depth_is_the_same(calibration, press):
+    torn = press.image.copy()
+    torn[200:] = 255
+    for image in (press.image, torn):
+        whole = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False).from_image(image)
+        plain = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
+        result = plain.from_image(image)
+        for name in ("depth_mm", "gradients", "observed_gradients", "contact", "known"):
+            np.testing.assert_array_equal(getattr(result, name), getattr(whole, name))
+        assert (result.health, result.contacts) == (whole.health, whole.contacts)
+        assert result.gradients_sigma is None
+        assert (result.confidence == 1).all()
+        assert whole.gradients_sigma is not None
+    with pytest.raises(gelform.GelformError, match="slope_sigma=True"):
+        plain.explain(press.image)
+
+
+@pytest.mark.parametrize("asked", [{"solver": "auto", "depth_sigma": False}, {"solver": "dct"}])
+def test_a_sigma_that_is_needed(calibration, asked):
+    with pytest.raises(ValueError, match="slope_sigma=True"):
+        gelform.Reconstructor(calibration, slope_sigma=False, **asked)
+
+
 def test_zero_is_the_untouched_gel(calibration, press):
     """Not the frame's mean, which a press lifts: the median of the pixels that nothing touched."""
     depth = gelform.Reconstructor(calibration)(press.image).depth_mm

@@ -128,15 +128,6 @@ def write_npz(
         _write_members(handle, members)
 
 
-def npz_bytes(
-    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
-) -> bytes:
-    """The bytes that `write_npz` writes; arguments and errors as there."""
-    content = io.BytesIO()
-    _write_members(content, _members_to_write(arrays, meta, kind, version))
-    return content.getvalue()
-
-
 def _members_to_write(
     arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int
 ) -> dict[str, NDArray[Any]]:

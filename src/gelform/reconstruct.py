@@ -19,7 +19,9 @@ from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.color_models.seam import gradients_from_pending
 from gelform.confidence import (
+    AllAlike,
     Explanation,
+    PreparedCauses,
     PreparedSigma,
     UnknownSigma,
     explanation_of,
@@ -82,6 +84,8 @@ class Reconstructor:
     solver : "auto" or a name in `gelform.solvers.SOLVERS`
         "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dct4`) get neither weights nor anchor.
     depth_sigma : whether results have `depth_sigma_mm`; without it a frame takes a quarter less time
+    slope_sigma : whether results have `gradients_sigma` and the confidence that follows from it. Only a solver that treats
+        all slopes alike can do without (confidence is 1 then), and without `depth_sigma`; depth and contact are the same
 
     Attributes
     ----------
@@ -94,7 +98,7 @@ class Reconstructor:
     CalibrationError
         The background given is clearly not of the calibrated sensor, or the file cannot be read.
     ValueError, TypeError
-        A background of another size than the calibrated images, or an unknown solver.
+        A background of another size than the calibrated images, an unknown solver, or one that needs slope_sigma.
     """
 
     def __init__(
@@ -104,9 +108,12 @@ class Reconstructor:
         *,
         solver: str = "auto",
         depth_sigma: bool = True,
+        slope_sigma: bool = True,
     ) -> None:
         self.calibration = calibration = as_calibration(calibration)
         self.solver = checked_solver(solver)
+        if not slope_sigma and (depth_sigma or takes_weights(solver)):
+            raise ValueError("Expected slope_sigma=True for a solver with weights and for depth_sigma=True.")
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
         self._checked = partial(check_viewed_image, calibration.image_shape, calibration.view.frame_shape)
@@ -121,17 +128,15 @@ class Reconstructor:
         self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
         self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
         self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
-        if calibration.slope_sigma is not None:
+        self._states_sigma = slope_sigma and calibration.slope_sigma is not None
+        if calibration.slope_sigma is not None and slope_sigma:
             self._sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
-        self._causes = prepared_causes(
-            self.background,
-            calibration.change,
-            clean=self._clean,
-            levels=calibration.settings.get("image_noise"),
-            gamut=calibration.gamut,
-            forward=calibration.forward,
-            shadows=takes_weights(self.solver),
-        )
+        self._causes: PreparedCauses | AllAlike = AllAlike()
+        if slope_sigma:
+            self._causes = prepared_causes(
+                self.background, calibration.change, clean=self._clean, levels=calibration.settings.get("image_noise"),
+                gamut=calibration.gamut, forward=calibration.forward, shadows=takes_weights(self.solver),
+            )  # fmt: skip
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         known = calibration.slope_sigma
@@ -197,7 +202,7 @@ class Reconstructor:
         with self._pool.one() as change:
             read = self._read(self._checked(image), change, markers)
             albedo = self._albedo_source(change)
-        faults, observed, observed_sigma = read.faults, read.observed, read.observed_sigma
+        faults, observed = read.faults, read.observed
         solution, depth_sigma, difference = self._integrate(read)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
         faults.widen(depth_sigma, self._limit.ignorance_mm)
@@ -205,7 +210,7 @@ class Reconstructor:
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=slopes_of_solution(depth_mm, (self._pitch, self._pitch)),
-            gradients_sigma=solved_sigma(observed_sigma, self._solved_factor),
+            gradients_sigma=solved_sigma(read.observed_sigma, self._solved_factor),
             observed_gradients=observed,
             confidence=read.confidence,
             contact=contact_unchecked(depth_mm, (self._pitch, self._pitch), depth_sigma, self._relaxation_mm),
@@ -225,7 +230,7 @@ class Reconstructor:
     def explain(self, image: ArrayLike) -> Explanation:
         """Why each pixel of an image was trusted or not: the sigma that each cause adds, and its share.
 
-        Of the same sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
+        Of the sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
         """
         image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change)
@@ -255,7 +260,7 @@ class Reconstructor:
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
         untouched, sigma = self._sigma(change, observed, reference, hidden)
         confidence = self._causes(image, change, observed, reference, hidden, sigma, came)
-        stated = None if self.calibration.slope_sigma is None else sigma
+        stated = sigma if self._states_sigma else None
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
         return _Read(
             faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence
@@ -263,8 +268,7 @@ class Reconstructor:
 
     def _prepared_sigma(self) -> DepthSigma | None:
         """The depth's standard deviation, where that of the slopes and the scale are known."""
-        known = self.calibration.slope_sigma
-        if known is None or self.calibration.mm_per_px is None:
+        if (known := self.calibration.slope_sigma) is None or self.calibration.mm_per_px is None:
             return None
         return DepthSigma(self.calibration.image_shape, mm_per_px=self._pitch, **known.correlation)
 

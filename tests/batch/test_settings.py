@@ -30,3 +30,18 @@ def test_every_map_can_be_kept_and_said_in_json():
     facts = BatchSettings(keep=KEPT).facts()
     assert json.loads(json.dumps(facts)) == facts
     assert facts["keep"] == list(KEPT)
+
+
+@pytest.mark.parametrize(
+    ("asked", "needed"),
+    [
+        ({}, True),
+        ({"solver": "dct"}, True),
+        ({"depth_sigma": False}, True),
+        ({"solver": "dct", "depth_sigma": False}, False),
+        ({"solver": "dct", "depth_sigma": False, "keep": ("depth", "confidence")}, True),
+        ({"solver": "dct", "depth_sigma": False, "keep": ("all",)}, True),
+    ],
+)
+def test_sigma_of_slopes_where_it_is_used(asked, needed):
+    assert BatchSettings(**asked).slope_sigma is needed

@@ -58,7 +58,7 @@ def reference_from_color_change(
     common = _common_change(color_change)
     height, width = gradients.shape[:2]
     step = max(1, round((height * width / SAMPLES) ** 0.5))
-    near, count = _near(color_change, common, threshold, hidden, step)
+    near, count = near_common(color_change, common, threshold, hidden, step)
     share = count / (-(-height // step) * -(-width // step))
     if share >= MIN_UNTOUCHED:
         return Reference(common, threshold, medians_where(gradients, near, step)[0], None, ())
@@ -72,14 +72,14 @@ def reference_from_color_change(
 def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
     """Pixels (H, W) whose colour did not change: |change - what most pixels have in common| < threshold."""
     change = np.ascontiguousarray(color_change, dtype=np.float32)
-    return _near(change, _common_change(change), threshold)[0]
+    return near_common(change, _common_change(change), threshold)[0]
 
 
 def _common_change(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
     return medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
 
 
-def _near(
+def near_common(
     color_change: NDArray[np.float32],
     common: NDArray[np.float32],
     threshold: float,
@@ -88,4 +88,4 @@ def _near(
 ) -> tuple[NDArray[np.bool_], int]:
     """Pixels (H, W) near the common change, of every `step`-th row and column, and their number."""
     near = np.zeros(color_change.shape[:2], dtype=bool)
-    return near, _near_common(color_change, hidden, common, near, np.float32(threshold) ** 2, step)
+    return near, _near_common(color_change, hidden, common, near, threshold**2, step)

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from gelform.solvers import SOLVERS
+from gelform.solvers.inputs import takes_weights
 
 KEPT = ("depth", "known", "depth_sigma", "gradients", "confidence", "contact")
 FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
@@ -88,6 +89,12 @@ class BatchSettings:
     def frames_in_a_part(self) -> int:
         """The most images in a part; those of a whole sequence where that is one file."""
         return sys.maxsize if self.form in WHOLE_SEQUENCES else self.part_frames
+
+    @property
+    def slope_sigma(self) -> bool:
+        """Whether the slopes' standard deviation is needed: kept, for weights, or for that of depth."""
+        kept = "confidence" in self.keep or self.keep == ("all",)
+        return kept or self.depth_sigma or takes_weights(self.solver)
 
     def facts(self) -> dict[str, Any]:
         """The settings as JSON has them."""

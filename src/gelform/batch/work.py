@@ -125,4 +125,5 @@ class Worker:
             background=background,
             solver=settings.solver,
             depth_sigma=settings.depth_sigma,
+            slope_sigma=settings.slope_sigma,
         )

@@ -3,10 +3,13 @@
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, solved_sigma, with_model_sigma
 from gelform.confidence.limits import prepared_causes
+from gelform.confidence.raised import AllAlike, PreparedCauses
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
 
 __all__ = [
+    "AllAlike",
     "Explanation",
+    "PreparedCauses",
     "PreparedSigma",
     "SlopeErrors",
     "SlopeSigma",

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.untouched import Reference, untouched_from_color_change
+from gelform.background.untouched import Reference, near_common
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 
@@ -99,12 +99,13 @@ class UnknownSigma:
         hidden: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """As `PreparedSigma`."""
-        gradients -= reference.bias
+        height, width = gradients.shape[:2]
+        rows = gradients.reshape(height, 2 * width)
+        rows -= np.tile(reference.bias, width)
         untouched = reference.given
         if untouched is None:
-            untouched = untouched_from_color_change(color_change, reference.threshold)
-            untouched &= True if hidden is None else ~hidden
-        return untouched, np.full(gradients.shape[:2], self._usual)
+            untouched, _ = near_common(color_change, reference.common_change, reference.threshold, hidden)
+        return untouched, np.full((height, width), self._usual)
 
 
 def with_model_sigma(

@@ -14,6 +14,7 @@ from gelform.confidence.causes import dark, saturated, seen
 from gelform.confidence.causes.compression import added_levels
 from gelform.confidence.causes.seen import Limits, Seen, with_margin
 from gelform.confidence.forward_cells import explained_change
+from gelform.errors import GelformError
 
 _raise_sigma = Kernel(
     "raise_sigma",
@@ -131,6 +132,25 @@ class PreparedCauses:
         raised = np.hypot(sigma[reached], np.float32(limits.unseen))
         sigma[reached] = raised
         confidence[reached] = np.minimum(np.square(np.float32(limits.clean) / raised), 1)
+
+
+class AllAlike:
+    """Where results state no deviation of the slopes: each has a confidence of 1, as solvers without weights count it."""
+
+    def __call__(self, *frame: Any) -> NDArray[np.float32]:
+        """Confidence (H, W), of the arguments of `PreparedCauses`; the sigma stays as it is."""
+        _, _, gradients, *_ = frame
+        return np.ones(gradients.shape[:2], dtype=np.float32)
+
+    def seen(self, *frame: Any, **masks: Any) -> Seen:
+        """Refused: nothing was looked for.
+
+        Raises
+        ------
+        GelformError
+            Always.
+        """
+        raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
 
 
 def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import io
+import json
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from gelform import __version__
 from gelform.batch.outputs.maps import maps_of
 from gelform.batch.outputs.places import FlushedLater, OutputFile, Place, output_file
 from gelform.errors import DataError
-from gelform.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
 
 KIND, VERSION = "gelform maps", 1
@@ -31,9 +35,7 @@ class FrameFiles:
             return _png(maps_of(result, settings)["depth_mm"])
         if settings.keep == ("all",):
             return result
-        meta = {"calibration_digest": result.calibration_digest, "index": result.index}
-        scale = {"mm_per_px": np.asarray(result.mm_per_px, dtype=np.float64)}
-        return npz_bytes({**maps_of(result, settings), **scale}, meta, kind=KIND, version=VERSION)
+        return _npz(result, maps_of(result, settings))
 
     def add(self, name: str, index: int, prepared: bytes | Reconstruction | None) -> dict[str, Any]:
         """Write the frame's file; nothing where it has an error."""
@@ -56,6 +58,15 @@ class FrameFiles:
 
 def _row(file: OutputFile) -> dict[str, Any]:
     return {"output": file.path, "bytes": file.bytes, "sha256": file.sha256}
+
+
+def _npz(result: Reconstruction, maps: Mapping[str, NDArray[Any]]) -> bytes:
+    """Without a digest of its own: the part's record has that of the file."""
+    meta = {"format": KIND, "format_version": VERSION, "gelform_version": __version__}
+    meta |= {"calibration_digest": result.calibration_digest, "index": result.index}
+    content, scale = io.BytesIO(), np.asarray(result.mm_per_px, dtype=np.float64)
+    np.savez(content, **maps, mm_per_px=scale, meta=np.array(json.dumps(meta)))  # type: ignore[arg-type]
+    return content.getvalue()
 
 
 def _png(levels: Any) -> bytes:
