@@ -234,14 +234,9 @@ class Reconstructor:
         """
         image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change)
-        seen = self._causes.seen(
-            read.faults.image,
-            change,
-            self._model.gradients_from_color(change)[0],
-            markers=read.markers,
-            lost=read.faults.lost,
-            lost_image=image,
-        )
+        gradients, _ = self._model.gradients_from_color(change)
+        masks = {"markers": read.markers, "lost": read.faults.lost}
+        seen = self._causes.seen(read.faults.image, change, gradients, **masks, lost_image=image)
         return explanation_of(seen, read.sigma, read.confidence)
 
     def _read(
