@@ -57,6 +57,16 @@ static inline lanes load_lanes(const float *values) {
 
 static inline void store_lanes(float *values, lanes x) { memcpy(values, &x, sizeof x); }
 
+// Both in turn: p[0], q[0], p[1], ...
+static inline void store_in_turn(float *values, lanes p, lanes q) {
+  lanes first, last;
+  for (int k = 0; k < LANES / 2; k++) {
+    first[2 * k] = p[k], first[2 * k + 1] = q[k];
+    last[2 * k] = p[k + LANES / 2], last[2 * k + 1] = q[k + LANES / 2];
+  }
+  store_lanes(values, first), store_lanes(values + LANES, last);
+}
+
 // Before a loop: its iterations do not depend on each other, though the compiler cannot see it.
 #if defined(__clang__)
 #define INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")

@@ -1,5 +1,6 @@
 """What is held at rest: untouched gel, drifted gel too, but never the flat face of something pressed."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -219,3 +220,17 @@ def test_a_coarse_map_is_spread_bilinearly(coarse, shape):
     spread = ndimage.map_coordinates(values.astype(float), np.meshgrid(*places, indexing="ij"), order=1)
     work, out = np.empty(4 * shape[1], np.float32), np.empty(shape, np.float32)
     assert_kernel_agrees(room._spread_over_chosen, lambda *_: chosen * spread, values, chosen, work, out)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (13, 30), (60, 80)])
+def test_distances_are_those_of_opencv(shape):
+    for share in (0.0, 0.03, 0.3):
+        chosen = np.random.default_rng(8).random(shape) < share
+        chosen.flat[chosen.size // 3] = True
+        work = np.empty((shape[0] + 2) * (shape[1] + 2), np.float32)
+
+        def by_opencv(chosen, work, distance):
+            return cv2.distanceTransform((~chosen).view(np.uint8), cv2.DIST_L2, 3).reshape(chosen.shape)
+
+        found = np.zeros(shape, np.float32)
+        assert_kernel_agrees(room._distance_to_chosen, by_opencv, chosen, work, found)

@@ -6,21 +6,19 @@ struct hierarchical {
   const float *nodes;      // (rows, columns, terms, 2), PIXELS pixels apart
   const int32_t *parents;  // (terms, 2)
   ptrdiff_t rows, columns, terms, w;
-  float *line, *planes, *p, *q, *ramps;  // work: (columns, terms, 2), (3, padded), (padded), (padded), (terms, 4)
+  float *line, *planes, *ramps;  // work: (columns, terms, 2), (3, padded), (terms, 4)
 };
 
 static ptrdiff_t hierarchical_work(ptrdiff_t columns, ptrdiff_t terms, ptrdiff_t w) {
-  return columns * terms * 2 + 5 * padded_width(w) + terms * 4;
+  return columns * terms * 2 + 3 * padded_width(w) + terms * 4;
 }
 
 static void place_work(struct hierarchical *m, float *work) {
   const ptrdiff_t padded = padded_width(m->w);
   m->line = work;
   m->planes = work + m->columns * m->terms * 2;
-  m->p = m->planes + 3 * padded;
-  m->q = m->p + padded;
-  m->ramps = m->q + padded;
-  memset(m->planes, 0, sizeof(float) * 5 * padded);
+  m->ramps = m->planes + 3 * padded;
+  memset(m->planes, 0, sizeof(float) * 3 * padded);
 }
 
 // The coefficients in row y at the nodes' columns around pixels first ... first + count - 1.
@@ -68,10 +66,9 @@ static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t f
       p += product * (ramp[0] + RAMP * ramp[1]);
       q += product * (ramp[2] + RAMP * ramp[3]);
     }
-    store_lanes(m->p + start, p);
-    store_lanes(m->q + start, q);
+    if (count - start >= PIXELS) store_in_turn(gradients + 2 * start, p, q);
+    else row_of_slopes((const float *)&p, (const float *)&q, gradients + 2 * start, count - start);
   }
-  row_of_slopes(m->p, m->q, gradients, count);
 }
 
 static bool nodes_fit(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w) {
@@ -81,7 +78,7 @@ static bool nodes_fit(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t 
 EXPORT int hierarchical_gradients(const float *change, const float *nodes, const int32_t *parents, float *work,
                                   float *gradients, ptrdiff_t h, ptrdiff_t w, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                   ptrdiff_t n) {
-  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL, NULL};
+  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL};
   if (!nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) || n < hierarchical_work(c, t, w))
     return WRONG_SIZE;
   place_work(&model, work);
@@ -96,7 +93,7 @@ EXPORT int hierarchical_from_image(const uint8_t *image, const float *light, con
                                    ptrdiff_t w, ptrdiff_t s, ptrdiff_t k, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                    ptrdiff_t n) {
   struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, w, k - 1, 0, 0, 0, NULL, NULL, 0};
-  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL, NULL, NULL};
+  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL};
   const ptrdiff_t own = blurred_change_work(w, rows.radius);
   if (s != 3 * w || !nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) ||
       !place_ring(&rows, work, n) || n < own + hierarchical_work(c, t, w))

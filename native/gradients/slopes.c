@@ -8,9 +8,15 @@ static inline float one_sided(const float *z, ptrdiff_t step, ptrdiff_t n) {
 }
 
 // Inner pixels of a row, from its own depths and those of the rows above and below.
-static inline void inner_slopes(const float *restrict above, const float *restrict here, const float *restrict below, float per_x,
-                                float per_y, float *restrict gradients, ptrdiff_t w) {
-  for (ptrdiff_t x = 1; x < w - 1; x++) {
+static inline void inner_slopes(const float *above, const float *here, const float *below, float per_x, float per_y,
+                                float *gradients, ptrdiff_t w) {
+  ptrdiff_t x = 1;
+  for (; x + LANES <= w - 1; x += LANES) {
+    const lanes p = per_x * (load_lanes(here + x + 1) - load_lanes(here + x - 1));
+    const lanes q = per_y * (load_lanes(below + x) - load_lanes(above + x));
+    store_in_turn(gradients + 2 * x, p, q);
+  }
+  for (; x < w - 1; x++) {
     gradients[2 * x] = per_x * (here[x + 1] - here[x - 1]);
     gradients[2 * x + 1] = per_y * (below[x] - above[x]);
   }

@@ -8,7 +8,6 @@ the gel beside touched gel, which is drawn down with it by less than a colour te
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,6 +45,7 @@ _rest_hold = Kernel(
 _spread_over_chosen = Kernel(
     "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
 )
+_distance_to_chosen = Kernel("distance_to_chosen", "bool[h,w] chosen, out f32[n] work, out f32[h,w] distance")
 WORDS_OF_COVER, WORDS_OF_RUN, WORDS_OF_REGION = 16, 6, 4  # of native/anchor
 
 
@@ -69,7 +69,8 @@ class RestAnchor:
         runs = rows * ((columns + 1) // 2)
         of_frame = WORDS_OF_COVER * columns + 4 * shape[1]
         of_coarse = runs * (WORDS_OF_RUN + WORDS_OF_REGION) + 4 * rows * columns
-        self._pool = Pool(lambda: np.empty(max(of_frame, of_coarse), dtype=np.float32))
+        size = max(of_frame, of_coarse, (rows + 2) * (columns + 2))
+        self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
 
     def __call__(
         self,
@@ -93,17 +94,18 @@ class RestAnchor:
             _coarse_trust(confidence, untouched, work, trust, share)
             slopes = self._coarse_slopes(gradients, confidence, trust, work)
             depth = self._solver(slopes).depth_mm
-            far = self._far_from(share < min(TOUCHED_SHARE, float(share.max())))
+            far = self._far_from(share < min(TOUCHED_SHARE, float(share.max())), work)
             limits = self.hold, UNTOUCHED_SHARE, PRESSED_MM, FACE_MM
             _rest_hold(depth, share, far, work, weight, *limits)
             _spread_over_chosen(weight, untouched, work, anchor)
         return anchor
 
-    def _far_from(self, touched: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    def _far_from(self, touched: NDArray[np.bool_], work: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """0-1 on the coarse grid: 0 at touched gel, 1 far from it; None where nothing is touched."""
         if not touched.any():
             return None
-        distance = cv2.distanceTransform((~touched).view(np.uint8), cv2.DIST_L2, 3).reshape(self._coarse)
+        distance = np.empty(self._coarse, np.float32)
+        _distance_to_chosen(touched, work, distance)
         far: NDArray[np.float32] = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
         return far
 

@@ -141,7 +141,7 @@ class PreparedHierarchical:
         self._nodes = np.ascontiguousarray(model.nodes, dtype=np.float32)
         self._parents = monomial_parents(monomials(3, model.degree))
         _, columns, terms, _ = self._nodes.shape
-        self._work_size = 2 * columns * terms + 4 * terms + 5 * -(-model.shape[1] // NODE_PX) * NODE_PX
+        self._work_size = 2 * columns * terms + 4 * terms + 3 * -(-model.shape[1] // NODE_PX) * NODE_PX
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""

@@ -137,7 +137,7 @@ def _placed(depth: NDArray[np.float32], request: Request) -> NDArray[np.float32]
     """Each island at its own zero, then levelled, then filled beyond the mask."""
     mask = request.mask
     if mask is None:
-        if request.anchor is None or not request.anchor.any():
+        if request.anchor is None or not request.anchor.max() > 0:
             depth -= zero_depth(depth, request.zero, request.region)
         return _levelled(depth, request, request.region)
     labels = _islands(mask)
