@@ -9,7 +9,6 @@ import hashlib
 import io
 import json
 import os
-import secrets
 import tokenize
 import zipfile
 import zlib
@@ -61,7 +60,7 @@ def written_file(
     """
     path = check_path(path)
     check_free(path, overwrite=overwrite, error=error)
-    temporary = path.parent / f".gelform-{secrets.token_hex(6)}.tmp"
+    temporary = path.parent / f".gelform-{os.urandom(6).hex()}.tmp"
     try:
         with open(temporary, "x+b") as handle:
             yield handle

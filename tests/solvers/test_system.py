@@ -10,17 +10,19 @@ from gelform.solvers.system import FLOOR, edge_system, problem_from_gradients
 from kernel_agreement import assert_kernel_agrees
 
 
-def scaled(weights, mask, floor, confidence, trusted, found):
+def scaled(weights, mask, anchor, floor, confidence, trusted, known, found):
     """In numpy: what `scale_weights` writes."""
     inside = np.ones(weights.shape, bool) if mask is None else mask
     largest = weights[inside].max(initial=0)
     if largest == 0:
-        return confidence * 0, trusted & False, np.array([0.0, 0.0])
+        return confidence * 0, trusted & False, known & False, np.array([0.0, 0.0])
     share = np.where(inside, weights, 0) / largest
+    enough = share >= np.float32(floor)
     count = np.count_nonzero(inside & (share < np.float32(floor)))
     return (
         np.maximum(share, np.float32(floor)) * inside,
-        share >= np.float32(floor),
+        enough,
+        enough if anchor is None else enough | (anchor > 0),
         np.array([largest, count]),
     )
 
@@ -32,16 +34,18 @@ def test_weights_are_scaled_as_in_numpy(shape, masked, size):
     rng = np.random.default_rng(1)
     weights = (10 ** rng.uniform(-5, 0, shape) * size).astype(np.float32)
     mask = rng.uniform(size=shape) > 0.4 if masked else None
-    outputs = np.zeros(shape, np.float32), np.zeros(shape, bool), np.zeros(2)
-    assert_kernel_agrees(system._scale_weights, scaled, weights, mask, FLOOR, *outputs)
+    outputs = np.zeros(shape, np.float32), *np.zeros((2, *shape), bool), np.zeros(2)
+    anchor = np.maximum(rng.uniform(-1, 1, shape), 0).astype(np.float32)
+    for held in (None, anchor):
+        assert_kernel_agrees(system._scale_weights, scaled, weights, mask, held, FLOOR, *outputs)
 
 
 def test_weights_of_zero_leave_nothing_trusted():
     weights, outputs = (
         np.zeros((3, 4), np.float32),
-        (np.zeros((3, 4), np.float32), np.zeros((3, 4), bool), np.ones(2)),
+        (np.zeros((3, 4), np.float32), *np.zeros((2, 3, 4), bool), np.ones(2)),
     )
-    assert_kernel_agrees(system._scale_weights, scaled, weights, None, FLOOR, *outputs)
+    assert_kernel_agrees(system._scale_weights, scaled, weights, None, None, FLOOR, *outputs)
 
 
 def test_edges_of_pixels_are_those_of_their_harmonic_means():

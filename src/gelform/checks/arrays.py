@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
     ValueError
         Rows of different lengths, or masked values: what is unknown is said by a mask of its own.
     """
-    if type(values) is not np.ndarray and np.ma.is_masked(values):  # numpy.ma takes 20 ms to import
+    # numpy.ma takes 20 ms to import; where nobody has, nothing is masked
+    if type(values) is not np.ndarray and "numpy.ma" in sys.modules and np.ma.is_masked(values):
         raise ValueError(
             f"Expected {name} without masked values. Give numbers everywhere and say where with mask=."
         )

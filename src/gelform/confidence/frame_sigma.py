@@ -33,7 +33,7 @@ class PreparedSigma:
     def __init__(self, sigma: SlopeSigma, shape: tuple[int, int], gamut: Gamut | None) -> None:
         grid = np.array(sigma.place)
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
-        places = np.broadcast_arrays(x[None, :], y[:, None])
+        places = x[None, :], y[:, None]
         self._place = (factor_at(grid, *places) ** 2).astype(np.float32)
         self._per_steepest = np.zeros(shape, np.float32)
         if sigma.steepest is not None:

@@ -197,17 +197,16 @@ def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> N
 
 
 def factor_at(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
-    """Factors at places 0-1, bilinear between the cells' centres."""
+    """Factors at places 0-1, bilinear between the cells' centres; x and y are broadcast against each other."""
     rows, columns = grid.shape
     column = np.clip(np.asarray(x) * columns - 0.5, 0, columns - 1).astype(np.float32)
     row = np.clip(np.asarray(y) * rows - 0.5, 0, rows - 1).astype(np.float32)
-    flat = column.reshape(-1, 1), row.reshape(-1, 1)
-    left, top = (np.minimum(v.astype(int), max(n - 2, 0)) for v, n in zip(flat, (columns, rows)))
+    left, top = (np.minimum(v.astype(int), max(n - 2, 0)) for v, n in ((column, columns), (row, rows)))
     right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
-    u, v = flat[0] - left, flat[1] - top
+    u, v = column - left, row - top
     upper = (1 - u) * grid[top, left] + u * grid[top, right]
     lower = (1 - u) * grid[bottom, left] + u * grid[bottom, right]
-    value: NDArray[np.float64] = ((1 - v) * upper + v * lower).reshape(np.shape(column))
+    value: NDArray[np.float64] = np.asarray((1 - v) * upper + v * lower)
     return value
 
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy  # its parts load at first use: a weighted solve needs none of them
+import scipy  # its parts load at first use: the usual sizes need none of them
 from numpy.typing import NDArray
 
 from gelform._native import Kernel

@@ -43,7 +43,8 @@ class Problem(NamedTuple):
 
 _scale_weights = Kernel(
     "scale_weights",
-    "f32[h,w] weights, bool[h,w]? mask, f32 floor, out f32[h,w] confidence, out bool[h,w] trusted, out f64[2] found",
+    "f32[h,w] weights, bool[h,w]? mask, f32[h,w]? anchor, f32 floor, out f32[h,w] confidence, out bool[h,w] trusted, "
+    "out bool[h,w] known, out f64[2] found",
 )
 
 
@@ -66,13 +67,14 @@ def problem_from_gradients(
         return _problem_per_edge(gradients, weights, mask, anchor)
     if weights is None:
         return Problem(gradients, mask.astype(np.float32), None, None, mask, anchor, mask.copy())
-    confidence, trusted, found = np.empty(shape, np.float32), np.empty(shape, bool), np.empty(2)
+    confidence, found = np.empty(shape, np.float32), np.empty(2)
+    trusted, known = np.empty(shape, bool), np.empty(shape, bool)
     pixels = np.ascontiguousarray(weights, dtype=np.float32)
-    _scale_weights(pixels, None if whole else mask, FLOOR, confidence, trusted, found)
+    held = None if anchor is _constant(shape, 0.0) else anchor
+    _scale_weights(pixels, None if whole else mask, held, FLOOR, confidence, trusted, known, found)
     largest, untrusted = _checked_largest(float(found[0])), int(found[1])
     if untrusted:
         gradients = fill_unknown(gradients, trusted)
-    known = trusted if anchor is _constant(shape, 0.0) else trusted | (anchor > 0)
     return Problem(gradients, confidence, None, None, mask, _relative(anchor, largest), known)
 
 
