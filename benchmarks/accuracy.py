@@ -26,6 +26,7 @@ import numpy as np
 import gelform
 from accuracy_objects import anchor, deep, objects, walls
 from accuracy_presses import few, real_deep, sigma
+from accuracy_punches import punches
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.calibration.presses.folder import Presses
@@ -292,6 +293,7 @@ PARTS: dict[str, Any] = {
     "deep": deep,
     "objects": objects,
     "walls": walls,
+    "punches": punches,
 }
 NEEDS_DATA = ("real", "sigma", "few", "real_deep")
 

@@ -58,9 +58,11 @@ def objects(quick: bool) -> dict[str, Any]:
     sensors = {**LAYOUTS, "gelsight-mini": gelsight_mini()}
     figures: dict[str, Any] = {}
     for name, sensor in list(sensors.items())[: 1 if quick else None]:
-        reconstruct = gelform.Reconstructor(gelform.calibrate(_presses(_usual(sensor, 12 if quick else 30))))
+        reconstruct = gelform.Reconstructor(
+            gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
+        )
         figures[name] = {
-            f"{what}, {depth_mm} mm": _height(sensor, reconstruct, indenter, depth_mm)
+            f"{what}, {depth_mm} mm": height_of(sensor, reconstruct, indenter, depth_mm)
             for what, (indenter, depths) in list(OBJECTS.items())[: 2 if quick else None]
             for depth_mm in depths
         }
@@ -74,7 +76,8 @@ def objects(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _height(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm: float) -> dict[str, Any]:
+def height_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm: float) -> dict[str, Any]:
+    """Height over the true one, per cent, of an object that is pressed in, and whether 2 sigma cover what is missing."""
     press = simulate_press(sensor, indenter, depth_mm=depth_mm, rng=np.random.default_rng(SEED))
     result = reconstruct.from_image(press.image)
     face = press.depth_mm > FACE * press.depth_mm.max()
@@ -98,7 +101,7 @@ def walls(quick: bool) -> dict[str, Any]:
     sensors = {**LAYOUTS, "gelsight-mini": gelsight_mini()}
     figures: dict[str, Any] = {}
     for name, sensor in list(sensors.items())[: 1 if quick else None]:
-        presses = _presses(_usual(sensor, 12 if quick else 30))
+        presses = presses_of(usual_presses(sensor, 12 if quick else 30))
         reconstruct = gelform.Reconstructor(gelform.calibrate(presses, color_model="hierarchical"))
         rows = np.concatenate(
             [
@@ -142,7 +145,7 @@ def anchor(quick: bool) -> dict[str, Any]:
     """What the anchor costs flat punches: depth of the face, per cent, of true slopes and of those that are read."""
     figures: dict[str, Any] = {}
     for name, sensor in list(LAYOUTS.items())[: 1 if quick else None]:
-        calibration = gelform.calibrate(_presses(_usual(sensor, 12 if quick else 30)))
+        calibration = gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
         reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
         for width_mm, depth_mm in ((2.0, 0.05), (2.0, 0.1), (2.0, 0.3), (6.0, 0.1), (6.0, 0.3)):
             rng = np.random.default_rng(SEED)
@@ -188,7 +191,7 @@ def deep(quick: bool) -> dict[str, Any]:
             count = 12 if quick else 24
             sets = {
                 "deep": _deep(sensor, count),
-                "usual": _usual(sensor, count, (DEEP_BALL_MM,)),
+                "usual": usual_presses(sensor, count, (DEEP_BALL_MM,)),
             }
             for depth, made in sets.items():
                 figures[f"{what}, {depth}"] = one = _held_out(made)
@@ -200,7 +203,7 @@ def deep(quick: bool) -> dict[str, Any]:
 def _held_out(made: SimulatedPresses) -> dict[str, Any]:
     """Presses used, how far their centres are from the truth, and held-out errors; or why it was refused."""
     try:
-        report = gelform.calibrate(_presses(made)).report
+        report = gelform.calibrate(presses_of(made)).report
     except gelform.CalibrationError as problem:
         return {"refused": str(problem)}
     off = [
@@ -216,7 +219,10 @@ def _held_out(made: SimulatedPresses) -> dict[str, Any]:
     }
 
 
-def _usual(sensor: SimulatedSensor, count: int, balls_mm: Sequence[float] = (5.0, 8.0)) -> SimulatedPresses:
+def usual_presses(
+    sensor: SimulatedSensor, count: int, balls_mm: Sequence[float] = (5.0, 8.0)
+) -> SimulatedPresses:
+    """Presses of balls by hand, all over the gel."""
     return simulate_ball_presses(
         sensor, ball_diameters_mm=balls_mm, count=count, rng=np.random.default_rng(SEED)
     )
@@ -237,7 +243,8 @@ def _deep(sensor: SimulatedSensor, count: int) -> SimulatedPresses:
     return SimulatedPresses(sensor, simulate_background(sensor, rng), tuple(presses))
 
 
-def _presses(made: SimulatedPresses) -> gelform.Presses:
+def presses_of(made: SimulatedPresses) -> gelform.Presses:
+    """Simulated presses as calibration reads them."""
     with tempfile.TemporaryDirectory() as folder:
         gelform.save_simulated_presses(Path(folder) / "presses", made, truth=False)
         return gelform.read_presses(Path(folder) / "presses")

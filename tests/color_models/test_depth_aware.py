@@ -88,6 +88,23 @@ def test_without_depths_it_is_the_plain_model(presses):
     np.testing.assert_allclose(ours, theirs, atol=1e-7)
 
 
+def test_a_share_lies_between_the_plain_model_and_the_whole(presses, both):
+    whole = both[1]
+    change = colours_of(*bump((40.0, 30.0), 2.0, 5.0)[:2])
+    none, half, one = (
+        whole.with_share(s).prepare(np.empty(0), SHAPE).gradients_from_color(change)[0] for s in (0, 0.5, 1)
+    )
+    plain = whole.plain.prepare(np.empty(0), SHAPE).gradients_from_color(change)[0]
+    np.testing.assert_allclose(none, plain, atol=1e-6)
+    moved, middle = np.abs(one - none).max(), np.abs(half - (none + one) / 2).max()
+    assert moved > 0.02
+    assert middle < 0.05 * moved
+    read = DepthAwareModel.depth_reader(samples_of(presses))
+    fitted = DepthAwareModel.fit(samples_of(presses, read), share=0.5)
+    np.testing.assert_allclose(fitted.place, 0.5 * whole.place)
+    np.testing.assert_allclose(fitted.beside.nodes, whole.with_share(0.5).beside.nodes)
+
+
 def test_an_exposure_step_is_no_depth(both):
     prepared = both[1].prepare(np.empty(0), SHAPE)
     depth, gradients, _ = bump((47.0, 35.0), 3.0, 6.0)

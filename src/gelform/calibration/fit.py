@@ -17,11 +17,13 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.circles.sigma import circle_sigmas
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.draft import fit_all
+from gelform.calibration.heights import judged_by_heights
 from gelform.calibration.inputs import check_inputs, input_notes, repeated_images
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.held_out import measure_held_out
 from gelform.calibration.report.record import report_of_run
 from gelform.calibration.selection.candidates import (
+    AUTO,
     ZONES,
     Candidate,
     Start,
@@ -91,6 +93,9 @@ def calibrate(
     sizes = size_folds(prepared, found, refined.accepted, start=model, progress=progress)
     held_out = HeldOutPresses(by_offset, found, folds, sizes)
     selection = select(able, held_out, zones=zones, progress=progress)
+    selection, judged = judged_by_heights(
+        presses, by_offset, refined, selection, held_out, named=color_model != AUTO
+    )
 
     draft = fit_all(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
     measured = measure_held_out(draft, presses, held_out, selection, progress=progress)
@@ -100,7 +105,7 @@ def calibrate(
         measured,
         circle_sigmas(prepared, found, folds, model),
         selection,
-        notes=(*_left_out(candidates, able), *input_notes(presses, prepared, refined)),
+        notes=(*_left_out(candidates, able), *judged, *input_notes(presses, prepared, refined)),
         seconds=time.monotonic() - began,
         start=first_unit,
     )

@@ -5,7 +5,9 @@ is less deep, the lamps stand otherwise, and slopes there are read low or high. 
 read first by the plain map, and the slopes are read again with `z (1, x, y)` and `z (R, G, B)` beside its terms; then
 once more, with the depth of these. What it learns from is the depth that the plain map reads, never the ball's.
 
-One ball at one depth says nothing of depth: there it is as deep as it is steep. See docs/choosing-a-color-model.md.
+One ball at one depth says nothing of depth: there it is as deep as it is steep. How large the terms of the depth are
+all together, balls say badly; flat punches of known height say it (`calibration.heights`). See
+docs/choosing-a-color-model.md.
 """
 
 from __future__ import annotations
@@ -64,9 +66,20 @@ class DepthAwareModel:
 
     @classmethod
     def fit(
-        cls, samples: Samples, *, position_degrees: tuple[int, ...] = (5, 4, 3), ridge: float = 3e-4
+        cls,
+        samples: Samples,
+        *,
+        position_degrees: tuple[int, ...] = (5, 4, 3),
+        ridge: float = 3e-4,
+        share: float = 1.0,
     ) -> DepthAwareModel:
-        """Penalised Huber regression, as `HierarchicalModel.fit`; samples without `depth_px` leave the depth out."""
+        """Penalised Huber regression, as `HierarchicalModel.fit`; samples without `depth_px` leave the depth out.
+
+        Parameters
+        ----------
+        samples, position_degrees, ridge : as for `HierarchicalModel.fit`
+        share : of `with_share`; presses of balls tell the terms of the depth but not well how large they are all together
+        """
         plain = HierarchicalModel.fit(samples, position_degrees=position_degrees, ridge=ridge)
         untouched = _untouched_change(samples)
         if samples.depth_px is None:
@@ -81,7 +94,14 @@ class DepthAwareModel:
         penalties = np.array([*PLACE_PENALTIES, *COLOR_PENALTIES])
         nodes, found = fitted_nodes(samples, position_degrees, ridge, terms, penalties)
         beside = replace(plain, nodes=nodes)
-        return cls(plain, beside, found[:3] / scale, found[3:] / (scale * change_scale), untouched)
+        whole = cls(plain, beside, found[:3] / scale, found[3:] / (scale * change_scale), untouched)
+        return whole.with_share(share)
+
+    def with_share(self, share: float) -> DepthAwareModel:
+        """The model on the line from the plain one (share 0) to this one (1), and beyond it."""
+        nodes = self.plain.nodes + share * (self.beside.nodes - self.plain.nodes)
+        beside = replace(self.beside, nodes=nodes)
+        return replace(self, beside=beside, place=share * self.place, color=share * self.color)
 
     @classmethod
     def depth_reader(cls, samples: Samples, **settings: Any) -> Read:

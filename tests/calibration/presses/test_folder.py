@@ -109,6 +109,43 @@ def test_labels_and_other_indenters(copy, presses):
     assert read.presses[0].label == (80.5, 60.0, 21.0)
 
 
+def flat_rows(header, rows, *heights):
+    """The first presses listed as those of a flat punch of some heights."""
+    flat = [[row[0], "", "flat", height] for row, height in zip(rows, heights)]
+    return [*header, "indenter", "height_mm"], flat + [[*row, "", ""] for row in rows[len(heights) :]]
+
+
+def test_flat_punches_of_known_height_are_read_beside_the_balls(copy):
+    whole = gelform.read_presses(copy)
+    rewrite(copy, lambda header, rows: flat_rows(header, rows, "0.2", "", "0.35"))
+    calls = []
+    read = gelform.read_presses(copy, progress=lambda *call: calls.append(call))
+    assert [(flat.name, flat.height_mm) for flat in read.flats] == [
+        (whole.presses[0].name, 0.2),
+        (whole.presses[2].name, 0.35),
+    ]
+    assert read.flats[1].digest == whole.presses[2].digest
+    assert [press.name for press in read.presses] == [press.name for press in whole.presses[3:]]
+    assert read.notes == ("1 rows of a flat punch without height_mm were left out.",)
+    assert calls[-1][:2] == (13, 13)
+    assert whole.flats == ()
+    assert whole.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("height", "message"),
+    [
+        ("35", "0.01 to 20 mm, got 35. Is it in mm"),
+        ("low", "height_mm as a number, got 'low'"),
+        ("-0.1", "got -0.1"),
+    ],
+)
+def test_a_height_that_cannot_be_is_refused(copy, height, message):
+    rewrite(copy, lambda header, rows: flat_rows(header, rows, height))
+    with pytest.raises(gelform.DataError, match=message):
+        gelform.read_presses(copy)
+
+
 def test_progress_is_reported(copy):
     calls = []
     gelform.read_presses(copy, progress=lambda *call: calls.append(call))

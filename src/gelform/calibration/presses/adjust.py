@@ -10,6 +10,7 @@ import numpy as np
 from gelform.calibration.geometry.crosstalk import Crosstalk
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.folder import Press, Presses, as_presses
+from gelform.calibration.presses.press_set import ListedFlat, flat_from_frame
 from gelform.checks import check_is
 from gelform.errors import DataError
 from gelform.frames import pixels_digest
@@ -64,8 +65,11 @@ def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -
         )
     background = image_from_frame(presses.background, view).astype(np.float32)
     seen = tuple(_through(press, view) for press in presses.presses)
+    flats = tuple(
+        flat_from_frame(ListedFlat(flat.name, flat.height_mm), flat.image, view) for flat in presses.flats
+    )
     geometry = replace(presses.geometry, lens=source)
-    return replace(presses, presses=seen, background=background, view=view, geometry=geometry)
+    return replace(presses, presses=seen, flats=flats, background=background, view=view, geometry=geometry)
 
 
 def _through(press: Press, view: View) -> Press:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -18,13 +18,15 @@ from gelform.calibration.presses.packages import (
 )
 from gelform.calibration.presses.press_set import (
     Listed,
+    ListedFlat,
     Press,
     Presses,
     ReadOptions,
     Source,
+    flat_from_frame,
     press_from_frame,
 )
-from gelform.calibration.presses.tables import diameter, number, table_rows
+from gelform.calibration.presses.tables import diameter, height, number, table_rows
 from gelform.calibration.presses.video import presses_from_video
 from gelform.checks import check_path
 from gelform.errors import DataError
@@ -35,6 +37,7 @@ from gelform.sensors.video_files import is_video
 from gelform.view import image_from_frame
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
+BALL, FLAT = "ball", "flat"  # indenters
 NAMED_ODD = 5
 
 
@@ -122,13 +125,20 @@ def _read(place: Path, source: Source, options: ReadOptions, progress: Progress)
         raise DataError(f"No press in {place}: expected images and a presses.csv with a row for each.")
     frame_shape = (source.background.shape[0], source.background.shape[1])
     view = options.view(settings, frame_shape)
-    presses, sizes = [], {}
+    presses, flats, sizes = [], [], {}
+    count = len(source.listed) + len(source.flats)
     for done, listed in enumerate(source.listed):
         frame = source.frame(done)
         sizes[listed.name] = (frame.shape[0], frame.shape[1])
         if sizes[listed.name] == frame_shape:
             presses.append(press_from_frame(listed, frame, view))
-        progress(done + 1, len(source.listed), "reading presses")
+        progress(done + 1, count, "reading presses")
+    for done, flat in enumerate(source.flats, start=len(source.listed)):
+        frame = source.frame(done)
+        sizes[flat.name] = (frame.shape[0], frame.shape[1])
+        if sizes[flat.name] == frame_shape:
+            flats.append(flat_from_frame(flat, frame, view))
+        progress(done + 1, count, "reading presses")
     _check_one_size(sizes, frame_shape)
     return Presses(
         folder=str(place),
@@ -143,6 +153,8 @@ def _read(place: Path, source: Source, options: ReadOptions, progress: Progress)
         response=settings.response,
         camera=settings.camera,
         geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
+        notes=source.notes,
+        flats=tuple(flats),
     )
 
 
@@ -170,21 +182,30 @@ def _px(size: tuple[int, int]) -> str:
 
 
 def press_folder_source(folder: Path, options: ReadOptions) -> Source:
-    """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels), `background.png`, images."""
+    """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels, flat punches), `background.png`, images."""
     rest = read_background(options.background or background_in(folder))
-    listed = list(_press_table(folder))
-    return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
-
-
-def _press_table(folder: Path) -> Iterator[Listed]:
+    balls: list[Listed] = []
+    flats: list[ListedFlat] = []
+    unknown = 0  # flat punches that nobody measured
     for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
-        if row.get("indenter", "ball") not in ("", "ball"):
-            continue  # other indenters are for evaluation by other means
-        label = None
-        if all(row.get(column) for column in LABEL_COLUMNS):
-            x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
-            label = (x, y, radius)
-        yield Listed(row["image"], diameter(row["ball_diameter_mm"], where), label)
+        indenter = row.get("indenter", "")
+        if indenter in ("", BALL):
+            balls.append(_listed_ball(row, where))
+        elif indenter == FLAT and row.get("height_mm"):
+            flats.append(ListedFlat(row["image"], height(row["height_mm"], where)))
+        else:
+            unknown += indenter == FLAT  # other indenters are for evaluation by other means
+    names = [ball.name for ball in balls] + [flat.name for flat in flats]
+    notes = () if not unknown else (f"{unknown} rows of a flat punch without height_mm were left out.",)
+    return Source(rest, balls, lambda k: read_image(folder / names[k]), flats=flats, notes=notes)
+
+
+def _listed_ball(row: Mapping[str, str], where: str) -> Listed:
+    label = None
+    if all(row.get(column) for column in LABEL_COLUMNS):
+        x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
+        label = (x, y, radius)
+    return Listed(row["image"], diameter(row["ball_diameter_mm"], where), label)
 
 
 def plain_source(folder: Path, options: ReadOptions) -> Source:

@@ -43,6 +43,24 @@ class Press:
 
 
 @dataclass(frozen=True)
+class FlatPress:
+    """One press of a flat punch of known height, level on the gel.
+
+    Attributes
+    ----------
+    name : path of the image below the folder
+    image : (H, W, 3) uint8, RGB, after the view
+    height_mm : how far the middle of its face stands over the gel around it
+    digest : SHA-256 of the image's pixels
+    """
+
+    name: str
+    image: NDArray[Any]
+    height_mm: float
+    digest: str
+
+
+@dataclass(frozen=True)
 class Presses:
     """Presses of one sensor with one gel.
 
@@ -60,6 +78,7 @@ class Presses:
         only one untouched frame to tell it
     camera : how the camera was set, from sensor.toml; empty where that is not known
     notes : what a user should know of how they were read, such as parts of a video that were left out
+    flats : presses of a flat punch of known height, beside those of a ball
     """
 
     folder: str
@@ -76,6 +95,7 @@ class Presses:
     background_noise: NDArray[np.float64] | None = None
     camera: Mapping[str, float | str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    flats: tuple[FlatPress, ...] = ()
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -83,7 +103,7 @@ class Presses:
         return self.background.shape[0], self.background.shape[1]
 
     def subset(self, indices: Sequence[int]) -> Presses:
-        """The same sensor with some of the presses."""
+        """The same sensor with some of the presses of a ball, and all flat ones."""
         return replace(self, presses=tuple(self.presses[i] for i in indices))
 
 
@@ -168,6 +188,14 @@ class Listed:
 
 
 @dataclass(frozen=True)
+class ListedFlat:
+    """One press of a flat punch as a table lists it, before its image is read."""
+
+    name: str
+    height_mm: float
+
+
+@dataclass(frozen=True)
 class Source:
     """Presses as a reader finds them.
 
@@ -175,14 +203,18 @@ class Source:
     ----------
     background : (H, W, 3) uint8, RGB, the untouched frame
     listed : the presses
-    frame : gives the frame of the k-th press, (H, W, 3) uint8, RGB
+    frame : gives the frame of the k-th press, (H, W, 3) uint8, RGB; after those of balls come the flat ones
     known : what the data say of the sensor, where they do
+    flats : presses of a flat punch
+    notes : what a user should know of how they were listed
     """
 
     background: NDArray[Any]
     listed: Sequence[Listed]
     frame: Callable[[int], NDArray[Any]]
     known: SensorSettings | None = None
+    flats: Sequence[ListedFlat] = ()
+    notes: tuple[str, ...] = ()
 
 
 def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:
@@ -191,3 +223,9 @@ def press_from_frame(listed: Listed, frame: NDArray[Any], view: View) -> Press:
     return Press(
         listed.name, image, listed.ball_diameter_mm, listed.label, pixels_digest(image), listed.center_px
     )
+
+
+def flat_from_frame(listed: ListedFlat, frame: NDArray[Any], view: View) -> FlatPress:
+    """A press of a flat punch whose image is the frame seen through the view."""
+    image = np.ascontiguousarray(image_from_frame(frame, view))
+    return FlatPress(listed.name, image, listed.height_mm, pixels_digest(image))

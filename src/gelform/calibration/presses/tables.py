@@ -12,6 +12,7 @@ from gelform.checks import check_positive
 from gelform.errors import DataError
 
 MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0
+MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
@@ -67,6 +68,16 @@ def check_ball_diameter(ball_diameter_mm: float) -> float:
     if value < MIN_BALL_MM:
         raise ValueError(
             f"Expected ball_diameter_mm of at least {MIN_BALL_MM:g} mm, got {value:g}. Is it in mm?"
+        )
+    return value
+
+
+def height(text: str, where: str) -> float:
+    """How far a flat punch stands over the gel around it, mm, of a table: 0.01 to 20."""
+    value = number(text, "height_mm", where)
+    if not MIN_HEIGHT_MM <= value <= MAX_HEIGHT_MM:
+        raise DataError(
+            f"Expected height_mm of {MIN_HEIGHT_MM:g} to {MAX_HEIGHT_MM:g} mm, got {value:g}. Is it in mm? ({where})"
         )
     return value
 
