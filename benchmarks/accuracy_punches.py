@@ -1,8 +1,7 @@
-"""A part of accuracy.py: heights of objects, calibrated on balls alone and with flat punches of known height.
+"""Parts of accuracy.py: heights of objects, calibrated on balls alone and with flat punches of known height.
 
-The four layouts that rules were made on, and ten sensors that no rule has seen: lamps, gel, coating and camera are drawn at
-random.
-`quick` takes one sensor and few objects: whether it runs, not a figure.
+The four layouts that rules were made on, and ten sensors that no rule has seen: lamps, gel, coating and camera drawn
+at random. `quick` takes one sensor and few objects: whether it runs, not a figure.
 """
 
 from __future__ import annotations
@@ -90,16 +89,23 @@ def flat_presses(sensor: SimulatedSensor, seed: int) -> tuple[FlatPress, ...]:
 
 
 def punches(quick: bool) -> dict[str, Any]:
-    """Heights of the eight objects with and without punches of known height: four layouts, ten new sensors."""
-    sensors = {**LAYOUTS, "gelsight-mini": gelsight_mini()}
-    sensors |= {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN}
+    """Heights of the eight objects with and without punches of known height: the four layouts that rules were made on."""
+    return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()})
+
+
+def punches_drawn(quick: bool) -> dict[str, Any]:
+    """The same on ten sensors that no rule has seen."""
+    return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN})
+
+
+def _table(quick: bool, sensors: dict[str, SimulatedSensor]) -> dict[str, Any]:
     chosen = list(sensors.items())[: 1 if quick else None]
     with ProcessPoolExecutor(2) as pool:
         figures = dict(zip((name for name, _ in chosen), pool.map(partial(_compared, quick), *zip(*chosen))))
+    keys = ("mean %", "rms off 100", "gentle mean %", "gentle range %", "within 2 sigma")
     rows = []
     for name, one in figures.items():
         alone, known = one["balls"], one["balls and punches"]
-        keys = ("mean %", "rms off 100", "gentle mean %", "gentle range %", "within 2 sigma")
         rows.append([name, known["model"], *(f"{_said(alone[k])} -> {_said(known[k])}" for k in keys)])
     print("\n" + table(["heights", "model with punches", *keys], rows))
     return figures

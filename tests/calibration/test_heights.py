@@ -62,7 +62,10 @@ def test_the_judgement_is_clear_from_two_standard_errors_on():
     heights = np.array([0.2]), np.array([0.16]), np.array([0.24])
     assert HeightJudgement(*heights, share=0.5, share_sigma=0.24).clear
     assert not HeightJudgement(*heights, share=0.5, share_sigma=0.26).clear
-    assert HeightJudgement(*heights, share=3.0, share_sigma=0.1).used_share == MOST
+    beyond = HeightJudgement(*heights, share=3.0, share_sigma=0.1)
+    assert beyond.used_share == MOST
+    assert not beyond.clear
+    assert "check height_mm" in beyond.why_not
     assert HeightJudgement(*heights, share=-1.0, share_sigma=0.1).used_share == 0
     assert HeightJudgement(*heights, share=0.5, share_sigma=0.1).percent(0.5) == pytest.approx(100)
 
@@ -118,6 +121,15 @@ def test_the_punches_ask_for_a_share_and_are_then_read_right(presses, made, prep
     reconstruct = gelform.Reconstructor(calibration, depth_sigma=False)
     read = [face_height_mm(reconstruct.from_image(flat.image).depth_mm) for flat in known]
     np.testing.assert_allclose(read, [flat.height_mm for flat in known], rtol=0.01)
+
+
+def test_a_punch_with_a_steep_wall_does_not_count(sensor, presses, prepared, made):
+    refined, selection, flats = made[1], made[3], made[4]
+    draft = fit_all(presses, prepared, refined, replace(selection.chosen, model="depth_aware"))
+    deep = simulate_press(sensor, Punch(4.0), depth_mm=0.9, rng=np.random.default_rng(5))
+    steep = FlatPress("deep", deep.image, 0.9, "deep")
+    assert len(judgement(draft, [*flats, steep]).known_mm) == len(flats)
+    assert judgement(draft, [steep]) is None
 
 
 def test_balls_that_are_read_worse_keep_the_plain_model(presses, made, monkeypatch):

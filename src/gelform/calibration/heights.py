@@ -25,15 +25,19 @@ from gelform.calibration.selection.trials import HeldOutPresses, Trial
 from gelform.calibration_file import Calibration
 from gelform.color_models import DepthAwareModel, HierarchicalModel
 from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
 
 RELATIVE_SIGMA = 0.04  # of a height that is read: walls, tilt, the place
 ABSOLUTE_SIGMA_MM = 0.01  # of a height as users know it
 CLEAR = 2.0  # standard errors by which the share has to differ from 0
 INFORMED = 0.5  # standard error of a share up to which it is used where the model was asked for by name
-MOST = 1.25  # of the share; what punches ask for beyond it has other causes
+MOST = 1.25  # of the share; what punches ask for clearly beyond it has other causes
+STEEP = 0.75  # of the steepest slopes that balls show: a punch with a steeper wall is read low for that
+WALL = (0.3, 0.7)  # parts of the largest depth between which the wall is
 STANDING = 0.5  # of the largest depth: more than that is the punch and a narrow strip around it
 MIDDLE = 0.6  # of the radius of a disc as large as what stands: the face, without its edge
 SMOOTHED_PX = 5
+UNREAD = "cut by the border, without a face, or pressed in so far that the wall around the face is too steep to read"
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,15 @@ class HeightJudgement:
 
     @property
     def clear(self) -> bool:
-        """Whether the punches say clearly that terms of the depth read them better."""
-        return self.share > CLEAR * self.share_sigma
+        """Whether the punches say clearly that terms of the depth read them better, and ask for no more than these."""
+        return CLEAR * self.share_sigma < self.share < MOST + CLEAR * self.share_sigma
+
+    @property
+    def why_not(self) -> str:
+        """Why the punches decide nothing."""
+        if self.share > MOST + CLEAR * self.share_sigma:
+            return "and more was asked for than these terms explain: check height_mm and mm_per_px."
+        return "too unclear a difference to count."
 
     def percent(self, share: float) -> float:
         """Mean height over the known one with a share of the terms, per cent."""
@@ -100,10 +111,10 @@ def judged_by_heights(
     draft = fit_all(presses, by_offset[aware.change_offset], refined, aware)
     judged = judgement(draft, presses.flats)
     if judged is None:
-        return selection, (f"No face was found in {_counted(len(presses.flats))} of known height.",)
+        return selection, (f"{_counted(len(presses.flats))} of known height did not count: {UNREAD}.",)
     tells = judged.share_sigma <= INFORMED if named else judged.clear
     if not tells:
-        return selection, (_said(judged, presses, "too unclear a difference to count."),)
+        return selection, (_said(judged, presses, judged.why_not),)
     aware = _with_share(aware, judged.used_share)
     (trial,) = held_out.try_candidates([aware])
     if not named and _worse_on_balls(trial, selection):
@@ -144,8 +155,24 @@ def _share(
 
 
 def _heights_read(calibration: Calibration, flats: Sequence[FlatPress]) -> NDArray[np.float64]:
+    """Heights of the faces, NaN where there is none or the wall is steep."""
     reconstruct = Reconstructor(calibration, depth_sigma=False)
-    return np.array([face_height_mm(reconstruct.from_image(flat.image).depth_mm) for flat in flats])
+    known = calibration.slope_sigma
+    steepest = np.inf if known is None or known.steepest is None else float(np.median(known.steepest))
+    results = [reconstruct.from_image(flat.image) for flat in flats]
+    return np.array(
+        [
+            face_height_mm(result.depth_mm) if wall_slope(result) < STEEP * steepest else np.nan
+            for result in results
+        ]
+    )
+
+
+def wall_slope(result: Reconstruction) -> float:
+    """Slope that most of the wall around a face stays under."""
+    part = result.depth_mm / max(float(result.depth_mm.max()), 1e-9)
+    slopes = np.linalg.norm(result.gradients[(part > WALL[0]) & (part < WALL[1])], axis=-1)
+    return float(np.quantile(slopes, 0.95)) if slopes.size else 0.0
 
 
 def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
@@ -195,5 +222,5 @@ def _said(judged: HeightJudgement, presses: Presses, end: str) -> str:
         f"{_counted(found)} of known height: the color model without terms of the depth reads {plain:.1f} % of it, "
         f"depth_aware with the share {share:g} of its terms (+- {judged.share_sigma:.2f}) {judged.percent(share):.1f} %, "
         + end
-        + (f" {lost} more are cut by the border or show no face." if lost else "")
+        + (f" {lost} more did not count: {UNREAD}." if lost else "")
     )
