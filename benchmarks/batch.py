@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+import batch_disk
 import batch_faults
 import gelform
 from batch_bare import bare_rate
@@ -176,7 +177,7 @@ def with_input(
     """A measurement that wants some frames in a folder first."""
 
     def measured(folder: Path) -> dict[str, Any]:
-        make_input(folder, frames // 5 if quick else frames)
+        make_input(folder, max(40, frames // 5) if quick else frames)
         return measure(folder, 2 if quick else rounds)
 
     return measured
@@ -191,7 +192,7 @@ def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
         "kills": with_input(batch_faults.kills, 400, 20, quick),
         "kills_ray": with_input(partial(batch_faults.kills, engine="ray"), 400, 20, quick),
         "corrupt": with_input(batch_faults.corrupt, 2000, 1, quick),
-        "disk": with_input(batch_faults.disk, 400, 1, quick),
+        "disk": with_input(batch_disk.disk, 80, 1, quick),
         "lossy": with_input(batch_faults.lossy, DIFFERENT, 1, False),
     }
 

@@ -1,4 +1,4 @@
-"""What is done to a batch on purpose: processes killed, inputs torn, a disk filled, a video compressed. See `batch.py`."""
+"""What is done to a batch on purpose: processes killed, inputs torn, a video compressed. See `batch.py`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ import numpy as np
 
 import gelform
 from gelform.batch import BatchSettings, run_batch, verify_output
-from gelform.errors import DataError
 
 SETTINGS = BatchSettings("npz", keep=("depth",), solver="dct", depth_sigma=False, part_frames=16)
 DRIVER = """
@@ -156,34 +155,6 @@ def corrupt(folder: Path, rounds: int) -> dict[str, Any]:
         "done": done,
         "exact": exact,
     } | {"reasons": reasons}
-
-
-def disk(folder: Path, rounds: int) -> dict[str, Any]:
-    """A disk that is full in the middle of a run, for each form: the error, what is wrong then, and the run gone on with."""
-    rows = []
-    for form in ("npz", "zarr", "hdf5", "ffv1"):
-        small = folder / "disk"
-        small.mkdir(exist_ok=True)
-        size = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(small)]
-        if subprocess.run(size, capture_output=True).returncode:
-            return {"left out": "a small file system cannot be mounted here"}
-        settings = BatchSettings(form, keep=("depth",), solver="dct", depth_sigma=False, part_frames=16)
-        try:
-            (small / "filler").write_bytes(bytes(7_800_000))
-            said = ""
-            try:
-                run_batch(folder / "in", folder / "cal.npz", small / "out", settings)
-            except DataError as problem:
-                said = str(problem).replace(f"{folder}/", "")
-            wrong = [one.what for one in verify_output(small / "out")[2] if "not done" not in one.what]
-            (small / "filler").unlink()
-            subprocess.run(["mount", "-o", "remount,size=1g", str(small)], check=True)
-            complete = run_batch(folder / "in", folder / "cal.npz", small / "out", settings).complete
-            whole = complete and not verify_output(small / "out")[2]
-            rows.append({"form": form, "error": said, "wrong_then": len(wrong), "whole_after": whole})
-        finally:
-            subprocess.run(["umount", "-l", str(small)], check=True)
-    return {"rows": rows}
 
 
 def lossy(folder: Path, rounds: int) -> dict[str, Any]:
