@@ -384,7 +384,7 @@ def _leave_out(stack: ExitStack, reconstruct: gelform.Reconstructor) -> None:
 
     stack.enter_context(patch.object(reconstruct, "_health", FrameFaults))
     stack.enter_context(patch.object(reconstruct, "_causes", confidence))
-    stack.enter_context(patch("gelform.reconstruct.contact_unchecked", lambda *_, **__: nowhere))
+    stack.enter_context(patch.object(reconstruct, "_contact", lambda *_: nowhere))
 
 
 PARTS = {

@@ -34,14 +34,15 @@ static inline void sum_along(const float *padded, ptrdiff_t rows, float *out, pt
   }
 }
 
-// Marks what is above the limit in a row, and takes the row into the window.
+// Marks what is above the limit in a row, and takes the row into the window. `noise`: of each place, times the limit.
 static void take_row(const struct window *o, const struct rules *rule, const float *restrict pressure,
-                     const float *restrict bed, uint8_t *restrict map, ptrdiff_t y, ptrdiff_t w) {
+                     const float *restrict bed, const float *restrict noise, uint8_t *restrict map, ptrdiff_t y,
+                     ptrdiff_t w) {
   float *restrict values = o->padded + o->reach, *restrict ones = o->count_padded + o->reach;
   float *sums = o->sums + y % o->rows * o->stride, *counts = o->counts + y % o->rows * o->stride;
   int32_t any = 0;
   for (ptrdiff_t x = 0; x < w; x++) {
-    const int32_t above = pressure[x] > larger(rule->limit, rule->least_of_bed * bed[x]);
+    const int32_t above = pressure[x] > larger(rule->limit * noise[x], rule->least_of_bed * bed[x]);
     values[x] = above ? pressure[x] : 0;
     ones[x] = above ? 1.0f : 0.0f;
     any += above;
@@ -102,28 +103,32 @@ static void mark_core(uint8_t *map, ptrdiff_t y, uint8_t *column, ptrdiff_t h, p
   }
 }
 
-static void count_seeds(struct run *runs, int32_t count, const float *pressure, float seed, ptrdiff_t w) {
+static void count_seeds(struct run *runs, int32_t count, const float *pressure, const float *noise, float seed,
+                        ptrdiff_t w) {
   for (int32_t k = 0; k < count; k++) {
     const int32_t first = first_of(runs, k);
     int32_t seeds = 0;
-    for (ptrdiff_t x = runs[k].from; x < runs[k].to; x++) seeds += pressure[runs[k].y * w + x] > seed;
+    const ptrdiff_t row = runs[k].y * w;
+    for (ptrdiff_t at = row + runs[k].from; at < row + runs[k].to; at++) seeds += pressure[at] > seed * noise[at];
     if (first != k) runs[first].area += runs[k].area;
     runs[first].seeds += seeds;
   }
 }
 
 // Takes a run into the contact, and of the pixels next to it those that bend outwards by the finest smoothing.
-static void keep_run(const struct run *run, const float *finest, float limit, bool *contact, ptrdiff_t h, ptrdiff_t w) {
+static void keep_run(const struct run *run, const float *finest, const float *noise, float limit, bool *contact,
+                     ptrdiff_t h, ptrdiff_t w) {
   memset(contact + run->y * w + run->from, 1, (size_t)(run->to - run->from));
   if (finest == NULL) return;
   const ptrdiff_t left = run->from > 0 ? run->from - 1 : 0, right = run->to < w ? run->to : w - 1;
   for (ptrdiff_t y = run->y > 0 ? run->y - 1 : 0; y <= run->y + 1 && y < h; y++)
-    for (ptrdiff_t at = y * w + left; at <= y * w + right; at++) contact[at] |= finest[at] > limit;
+    for (ptrdiff_t at = y * w + left; at <= y * w + right; at++) contact[at] |= finest[at] > limit * noise[at];
 }
 
-// `finest`: the bending by the finest smoothing, where the pressure is of a wider one, or NULL.
-EXPORT int contact_regions(const float *pressure, const float *bed, const float *finest, bool *contact, float *work,
-                           int64_t reach, float limit, float finest_limit, float least_of_bed, float flat, float of_flat,
+// `noise`: of each place, in units of which the limits are. `finest`: the bending by the finest smoothing, where the pressure
+// is of a wider one, or NULL.
+EXPORT int contact_regions(const float *pressure, const float *bed, const float *noise, const float *finest, bool *contact,
+                           float *work, int64_t reach, float limit, float finest_limit, float least_of_bed, float flat, float of_flat,
                            float half, float seed, float min_px, float min_seeds, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
   const struct rules rule = {limit, least_of_bed, flat, of_flat, half};
   if (reach < 1 || reach > MAX_REACH || n < window_work(reach, w) + 2 * whole(w) + runs_work(h, w)) return WRONG_SIZE;
@@ -134,19 +139,19 @@ EXPORT int contact_regions(const float *pressure, const float *bed, const float 
   int32_t flat_faces = 0;
   for (ptrdiff_t y = 0; y < h + reach; y++) {
     const ptrdiff_t at = (y - reach) * w;
-    if (y < h) take_row(&o, &rule, pressure + y * w, bed + y * w, map + y * w, y, w);
+    if (y < h) take_row(&o, &rule, pressure + y * w, bed + y * w, noise + y * w, map + y * w, y, w);
     if (y < reach || memchr(map + at, ABOVE, (size_t)w) == NULL) continue;
     mean_around(&o, around, around + whole(w), y - reach, h);
     flat_faces += judge_row(&rule, pressure + at, bed + at, around, map + at, w);
   }
   for (ptrdiff_t y = 0; flat_faces > 0 && y < h; y++) mark_core(map, y, (uint8_t *)work, h, w);
   const int32_t count = find_runs(map, HALF | CORE, CORNERS, runs, h, w);
-  count_seeds(runs, count, pressure, seed, w);
+  count_seeds(runs, count, pressure, noise, seed, w);
   memset(contact, 0, (size_t)(h * w));
   for (int32_t k = 0; k < count; k++) {
     const struct run *first = runs + first_of(runs, k);
     if ((float)first->area >= min_px && (float)first->seeds >= min_seeds)
-      keep_run(runs + k, finest, finest_limit, contact, h, w);
+      keep_run(runs + k, finest, noise, finest_limit, contact, h, w);
   }
   return OK;
 }

@@ -57,12 +57,15 @@ EXPORT int bent_surface(const float *depth, const float *taps, float *smooth, fl
   return OK;
 }
 
-// The magnitude that a share of every `step`-th value is below.
-EXPORT int magnitude_of_share(const float *values, float *work, float *magnitude, int64_t step, double share,
-                              ptrdiff_t count, ptrdiff_t n) {
+// The magnitude that a share of every `step`-th value, over its place's unit where there are such, is below.
+EXPORT int magnitude_of_share(const float *values, const float *units, float *work, float *magnitude, int64_t step,
+                              double share, ptrdiff_t count, ptrdiff_t n) {
   ptrdiff_t taken = 0;
   if (step < 1 || count < 1 || n < 2 * ((count + step - 1) / step)) return WRONG_SIZE;
-  for (ptrdiff_t i = 0; i < count; i += step) work[taken++] = fabsf(values[i]);
+  if (units == NULL)
+    for (ptrdiff_t i = 0; i < count; i += step) work[taken++] = fabsf(values[i]);
+  else
+    for (ptrdiff_t i = 0; i < count; i += step) work[taken++] = fabsf(values[i]) / units[i];
   *magnitude = kth_smallest(work, taken, (ptrdiff_t)(share * (double)(taken - 1)), (uint32_t *)(work + taken));
   return OK;
 }

@@ -29,7 +29,7 @@ from gelform.confidence import (
     with_model_sigma,
 )
 from gelform.confidence.limits import prepared_causes
-from gelform.contact import contact_unchecked
+from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.difference import DepthDifference
 from gelform.depth_sigma.inputs import checked_sigma
@@ -145,7 +145,9 @@ class Reconstructor:
         self._health = FrameHealth(self.background)
         shape = calibration.image_shape
         self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.get("gel_thickness_mm"))
-        self._relaxation_mm = calibration.settings.get("relaxation_mm")
+        noise = noise_by_place(self._model, self._untouched_image, calibration.settings.get("image_noise"))
+        relaxation_mm = calibration.settings.get("relaxation_mm")
+        self._contact = PreparedContact((self._pitch, self._pitch), relaxation_mm, noise)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
@@ -213,7 +215,7 @@ class Reconstructor:
             gradients_sigma=solved_sigma(read.observed_sigma, self._solved_factor),
             observed_gradients=observed,
             confidence=read.confidence,
-            contact=contact_unchecked(depth_mm, (self._pitch, self._pitch), depth_sigma, self._relaxation_mm),
+            contact=self._contact(depth_mm, depth_sigma),
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,

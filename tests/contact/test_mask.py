@@ -90,6 +90,21 @@ def test_nothing_is_found_on_a_gel_at_rest():
     assert not contact_from_depth(drifted, mm_per_px=PITCH, depth_sigma_mm=sigma).any()
 
 
+def test_a_noisy_place_is_no_contact_and_hides_none_elsewhere():
+    """A sixth of the gel has four times the noise of the rest."""
+    touched, *_ = cap(center=(80, 120), depth_mm=0.04)
+    noise = np.ones(touched.shape, np.float32)
+    noise[:, 270:] = 4.0
+    sigma, taken = 0.02 * noise, 0
+    for seed in range(4):
+        rest = slopes_noise(noise.shape, 0.02 * noise[..., None], seed)
+        knows, does_not = (mask.PreparedContact((PITCH, PITCH), 0.5, n) for n in (noise, np.ones_like(noise)))
+        assert not knows(rest, sigma).any()
+        assert knows((rest + touched).astype(np.float32), sigma)[:, :160].any()
+        taken += does_not(rest, sigma).any()
+    assert taken > 0
+
+
 def test_specks_go():
     """A cap of 5 pixels across."""
     depth, _, radius = cap(depth_mm=0.003)
@@ -165,13 +180,14 @@ def test_bending_agrees_with_numpy(margin, shape):
 def test_noise_agrees_with_numpy():
     values = np.random.default_rng(0).normal(0, 1, (31, 17)).astype(np.float32)
 
-    def by_numpy(values, work, magnitude, step, share):
-        sample = np.sort(np.abs(values.ravel()[::step]))
+    def by_numpy(values, units, work, magnitude, step, share):
+        sample = np.sort(np.abs(values if units is None else values / units).ravel()[::step])
         return sample[[int(share * (sample.size - 1))]]
 
     arguments = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
-    for step in (1, 3):
-        assert_kernel_agrees(mask._magnitude_of_share, by_numpy, values, *arguments, step, 0.3)
+    for units in (None, np.linspace(0.5, 3, values.size, dtype=np.float32).reshape(values.shape)):
+        for step in (1, 3):
+            assert_kernel_agrees(mask._magnitude_of_share, by_numpy, values, units, *arguments, step, 0.3)
 
 
 @pytest.mark.parametrize("shift", [0.0, -3.0, 5.0])
@@ -212,6 +228,7 @@ def test_pressure_agrees_with_numpy(with_sigma, least, known):
 def regions_by_numpy(
     pressure,
     bed,
+    noise,
     finest,
     contact,
     work,
@@ -225,7 +242,7 @@ def regions_by_numpy(
     seed,
     *least,
 ):
-    above = pressure > np.maximum(limit, of_bed * bed)
+    above = pressure > np.maximum(limit * noise, of_bed * bed)
     window = np.ones(2 * reach + 1)
 
     def total(values):
@@ -241,10 +258,10 @@ def regions_by_numpy(
     kept = np.zeros_like(found)
     for k in range(1, count + 1):
         here = labels == k
-        if here.sum() >= least[0] and (pressure[here] > seed).sum() >= least[1]:
+        if here.sum() >= least[0] and (pressure > seed * noise)[here].sum() >= least[1]:
             kept |= here
     grown = ndimage.binary_dilation(kept, np.ones((3, 3)))
-    return kept if finest is None else kept | (grown & (finest > finest_limit))
+    return kept if finest is None else kept | (grown & (finest > finest_limit * noise))
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])
@@ -256,8 +273,9 @@ def test_regions_agree_with_numpy(shape, finest_limit):
     bed = np.maximum(ndimage.gaussian_filter(rng.normal(0, 20, shape), 4) + pressure, 0).astype(np.float32)
     finest = None if finest_limit is None else rng.normal(0, 1, shape).astype(np.float32)
     rules = 4, 0.2, finest_limit or 0.0, 0.35, 0.4, 0.75, 0.65, 0.8, 6.0, 3.0
-    blank, work = np.empty(shape, bool), np.empty(40_000, np.float32)
-    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, pressure, bed, finest, blank, work, *rules)
+    noise = rng.uniform(0.5, 2, shape).astype(np.float32)
+    maps = pressure, bed, noise, finest, np.empty(shape, bool), np.empty(40_000, np.float32)
+    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, *maps, *rules)
 
 
 def test_a_face_pressed_flat_is_contact_in_its_middle():
@@ -266,8 +284,9 @@ def test_a_face_pressed_flat_is_contact_in_its_middle():
     pressure[8:22, 10:30] = np.tile([[0.5, 2.0], [2.0, 0.5]], (7, 10))
     bed = np.full(pressure.shape, 0.6, np.float32)
     rules = 4, 0.2, 0.0, 0.35, 0.4, 0.75, 0.65, 0.8, 6.0, 3.0
-    blank, work = np.empty(pressure.shape, bool), np.empty(40_000, np.float32)
-    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, pressure, bed, None, blank, work, *rules)
-    wanted = regions_by_numpy(pressure, bed, None, None, None, *rules)
+    everywhere = np.ones_like(pressure)
+    maps = pressure, bed, everywhere, None, np.empty(pressure.shape, bool), np.empty(40_000, np.float32)
+    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, *maps, *rules)
+    wanted = regions_by_numpy(pressure, bed, everywhere, None, None, None, *rules)
     assert wanted[10:20, 12:28].all()
     assert not wanted[8:22, 10:30].all()

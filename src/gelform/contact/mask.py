@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from gelform.background.change import LANES, blur_taps
 from gelform.checks import check_map, check_mm_per_px, check_number, check_positive
 from gelform.contact.contacts import runs_work
 
-NOISE_FACTOR, MIN_AREA_MM2 = 4.5, 0.05  # by default
+NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default
 # Standard deviations of a Gaussian, before the surface's bending is taken: the first ...
 SMOOTHINGS_PX = 0.7, 1.5, 2.5
 QUIET = 0.06  # ... that leaves no more noise than this, 1/mm
@@ -26,7 +27,7 @@ SIGMA_OF_HALF = 1.4826  # the same over the median magnitude of its negative hal
 SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
 STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is told
-SEED = 1.7  # times the noise factor, where contacts start
+SEED = 1.5  # times the noise factor, where contacts start
 LEAST_SEEDS = 4  # pixels
 SIGMAS_OF_RIM = (
     2.0  # that a pixel beside a region has to exceed the finest smoothing's noise by, to be part of it
@@ -44,7 +45,8 @@ _bent_surface = Kernel(
     "i64 margin",
 )
 _magnitude_of_share = Kernel(
-    "magnitude_of_share", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step, f64 share"
+    "magnitude_of_share",
+    "f32[...] values, f32[...]? units, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
 )
 _median_below = Kernel("median_below", "f32[...] values, out f32[n] work, out f32[1] magnitude, i64 step")
 _pressure_on_bed = Kernel(
@@ -54,7 +56,7 @@ _pressure_on_bed = Kernel(
 )
 _contact_regions = Kernel(
     "contact_regions",
-    "f32[h,w] pressure, f32[h,w] bed, f32[h,w]? finest, out bool[h,w] contact, out f32[n] work, "
+    "f32[h,w] pressure, f32[h,w] bed, f32[h,w] noise, f32[h,w]? finest, out bool[h,w] contact, out f32[n] work, "
     "i64 reach, f32 limit, f32 finest_limit, f32 least_of_bed, f32 flat, f32 of_flat, f32 half, f32 seed, f32 min_px, "
     "f32 min_seeds",
 )
@@ -85,7 +87,7 @@ def contact_from_depth(
     Beside an object the surface is held by the gel alone: a membrane under tension on an elastic bed, whose depth z
     falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). So the pressure on it in units of its tension,
     `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, on a ball as on a flat face. A contact starts where
-    p exceeds 1.7 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
+    p exceeds 1.5 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
     and ends where it is about half of what it is around: gel that is drawn down beside an object is no contact, and
     hollow contacts stay hollow.
 
@@ -125,41 +127,50 @@ def contact_from_depth(
     if depth_sigma_mm is not None:
         sigma = check_map(depth_sigma_mm, "depth_sigma_mm", shape=depth.shape, nonnegative=True)
         sigma = np.ascontiguousarray(sigma)
-    return contact_unchecked(depth, pitch, sigma, relaxation_mm, noise_factor, min_area_mm2)
+    prepared = PreparedContact(pitch, relaxation_mm, np.ones_like(depth), noise_factor, min_area_mm2)
+    return prepared(depth, sigma)
 
 
-def contact_unchecked(
-    depth: NDArray[np.float32],
-    pitch: tuple[float, float],
-    sigma: NDArray[np.float32] | None,
-    relaxation_mm: float | None = None,
-    noise_factor: float = NOISE_FACTOR,
-    min_area_mm2: float = MIN_AREA_MM2,
-) -> NDArray[np.bool_]:
-    """`contact_from_depth` of what a Reconstructor made: float32, finite, in C order, the sigma not negative."""
-    found = _pressure(depth, sigma, pitch, relaxation_mm)
-    limit = max(noise_factor * _noise(found.pressure), LEAST_PRESSURE)
-    return _regions(found, limit, min_area_mm2 / (pitch[0] * pitch[1]))
+@dataclass(frozen=True)
+class PreparedContact:
+    """`contact_from_depth` for the frames of one sensor, float32, finite, in C order.
+
+    Attributes
+    ----------
+    pitch : (x, y), mm
+    relaxation_mm : of the gel; None where unknown
+    noise : (H, W) float32 > 0, how noisy each place is over the median place
+    noise_factor, min_area_mm2 : as of `contact_from_depth`
+    """
+
+    pitch: tuple[float, float]
+    relaxation_mm: float | None
+    noise: NDArray[np.float32]
+    noise_factor: float = NOISE_FACTOR
+    min_area_mm2: float = MIN_AREA_MM2
+
+    def __call__(self, depth: NDArray[np.float32], sigma: NDArray[np.float32] | None) -> NDArray[np.bool_]:
+        """The mask (H, W) of a depth, mm, and its standard deviation >= 0."""
+        found = _pressure(depth, sigma, self)
+        limit = max(self.noise_factor * _noise(found.pressure, self.noise), LEAST_PRESSURE)
+        return _regions(found, limit, self.noise, self.min_area_mm2 / (self.pitch[0] * self.pitch[1]))
 
 
 def _pressure(
-    depth: NDArray[np.float32],
-    sigma: NDArray[np.float32] | None,
-    pitch: tuple[float, float],
-    relaxation_mm: float | None = None,
+    depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, sensor: PreparedContact
 ) -> _Pressure:
     """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0, as L is from the falling off."""
     finest, finest_noise = None, 0.0
     for smoothing in SMOOTHINGS_PX:
-        smooth, bent = _bent(depth, pitch, smoothing)
-        noise = _noise(bent)
+        smooth, bent = _bent(depth, sensor.pitch, smoothing)
+        noise = _noise(bent, sensor.noise)
         if noise <= QUIET:
             break
         finest, finest_noise = (bent, noise) if finest is None else (finest, finest_noise)
     every = _noise_mm(depth) if sigma is None else 0.0
     work = np.empty(2 * depth.size, dtype=np.float32)
     rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
-    known = 0.0 if relaxation_mm is None else min(relaxation_mm**-2, STIFFEST)
+    known = 0.0 if sensor.relaxation_mm is None else min(sensor.relaxation_mm**-2, STIFFEST)
     _pressure_on_bed(sigma, smooth, bent, work, known, every, *rules)
     return _Pressure(bent, smooth, finest, finest_noise)
 
@@ -184,12 +195,12 @@ def _taps(smoothing: float) -> NDArray[np.float32]:
     return blur_taps(smoothing)
 
 
-def _noise(values: NDArray[np.float32]) -> float:
-    """Standard deviation of a map (H, W) where nothing is: of the share of it that is smallest."""
+def _noise(values: NDArray[np.float32], by_place: NDArray[np.float32]) -> float:
+    """Standard deviation of a map (H, W) where nothing is, at a place of unit noise: of the share that is smallest."""
     step = max(1, values.size // NOISE_SAMPLES)
     work = np.empty(2 * -(-values.size // step), dtype=np.float32)
     magnitude = np.empty(1, dtype=np.float32)
-    _magnitude_of_share(values, work, magnitude, step, SHARE_AT_REST)
+    _magnitude_of_share(values, by_place, work, magnitude, step, SHARE_AT_REST)
     return SIGMA_OF_SHARE * float(magnitude[0])
 
 
@@ -202,7 +213,7 @@ def _noise_mm(depth: NDArray[np.float32]) -> float:
     return SIGMA_OF_HALF * float(found[0])
 
 
-def _regions(found: _Pressure, limit: float, min_px: float) -> NDArray[np.bool_]:
+def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px: float) -> NDArray[np.bool_]:
     """Where the pressure is above the limit and half of what it is around, in regions that start for sure.
 
     A wider smoothing draws a contact's rim inwards; the pixels next to it are contact too where the finest one has the
@@ -215,6 +226,6 @@ def _regions(found: _Pressure, limit: float, min_px: float) -> NDArray[np.bool_]
     work = np.empty(sums + runs_work(contact.shape), dtype=np.float32)
     shares = LEAST_OF_BED, FLAT, OF_FLAT, HALF
     least = SEED * limit, min_px, min(LEAST_SEEDS, max(min_px, 1))
-    maps = found.pressure, found.bed, found.finest, contact, work
+    maps = found.pressure, found.bed, noise, found.finest, contact, work
     _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, SIGMAS_OF_RIM * found.finest_noise, *shares, *least)
     return contact
