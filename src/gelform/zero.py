@@ -52,13 +52,14 @@ def zero_depth(
 
 def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
-    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
-    if np.count_nonzero(region[::step, ::step]) < MEDIAN_SAMPLES / 20:
-        step = 1
     if maps.ndim > 2:
         return np.stack([median_over(one, region) for one in maps])
+    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
     values = np.ascontiguousarray(maps, dtype=np.float32)[..., None]
-    return medians_where(values, region, step)[0].reshape(())
+    median, count = medians_where(values, region, step)
+    if count < MEDIAN_SAMPLES / 20 and step > 1:
+        median, _ = medians_where(values, region)
+    return median.reshape(())
 
 
 def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:

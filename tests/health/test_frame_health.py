@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.health import FrameHealth
+from gelform.health import FrameHealth, frame_health
+from kernel_agreement import assert_kernel_agrees
 from made.worn_frames import SHAPE, constant, gel, pressed, with_part
 
 EVERYWHERE = slice(None)
@@ -163,3 +164,19 @@ def test_a_few_rows_at_the_border_are_lost_and_not_the_rest(health):
     assert names(faults) == ["torn"]
     assert faults.lost[:7].all()
     assert not faults.lost[32:].any()
+
+
+@pytest.mark.parametrize("rows", [1, 40, 240])
+def test_the_signs_of_faults_are_those_of_numpy(rows):
+    rng = np.random.default_rng(9)
+    means, ends = rng.integers(0, 256, (7, 9, 3), np.uint8), rng.integers(0, 256, (2, 7, 9, 3), np.uint8)
+    ranges, jumps = rng.integers(0, 9, (7, 9), np.uint8), rng.uniform(0, 5.1, rows).astype(np.float32)
+
+    def counted(means, ranges, digests, jumps, dark_to, saturated_from, work, signs, flat, jump):
+        ended = (means < dark_to) | (means >= saturated_from)
+        repeated = len(digests) - len(np.unique(digests))
+        return np.array([np.sum(ranges <= flat), ended.sum(), repeated, jumps.max() > jump], np.int32)
+
+    for digests in (np.arange(rows), rng.integers(-3, 3, rows), rng.integers(-(2**60), 2**60, rows)):
+        arrays = means, ranges, digests, jumps, *ends, np.empty(256, np.int32), np.zeros(4, np.int32)
+        assert_kernel_agrees(frame_health._signs, counted, *arrays, 2, 5.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
+from math import inf, log
 from typing import Any
 
 import numpy as np
@@ -129,7 +129,8 @@ def compared(
 
 
 def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) -> None:
-    if gain is not None and (gain.min() < RATIO_REFUSE[0] or gain.max() > RATIO_REFUSE[1]):
+    gains = [1.0] if gain is None else gain.tolist()
+    if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
         raise CalibrationError(
             f"The background is not of this image: untouched pixels are {_times(gain)} times as bright as in "
             f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
@@ -161,7 +162,7 @@ def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
 
 def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
     least = exposure.least_change
-    if not (np.isfinite(least) and least > LEAST_REFUSE):
+    if not LEAST_REFUSE < least < inf:
         return ()
     message = (
         f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %: a "

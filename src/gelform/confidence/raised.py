@@ -47,6 +47,9 @@ class PreparedCauses:
         self._cells = cells
         self._shadows = shadows
         self._rest = as_levels(rest)
+        unexplained = limits.unexplained, limits.sure, limits.per_change
+        self._variances = *unexplained, limits.unseen, limits.clean
+        self._bend = limits.per_bend, seen.BEND_FROM, seen.STEEP, seen.LEAST_CONFIDENCE, limits.reach_px
 
     def __call__(
         self,
@@ -80,9 +83,8 @@ class PreparedCauses:
         confidence, marked = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
         count = _raise_sigma(
             pixels, color_change, gradients, unseen, self._cells, reference.bias, limits.gain, sigma,
-            confidence, marked, limits.unexplained, limits.sure, limits.per_change, limits.unseen, limits.clean,
-            limits.worth * added, limits.per_bend, seen.BEND_FROM, seen.STEEP,
-            seen.LEAST_CONFIDENCE, limits.reach_px, dark.DARK_TO, saturated.SATURATED_FROM,
+            confidence, marked, *self._variances, limits.worth * added, *self._bend,
+            dark.DARK_TO, saturated.SATURATED_FROM,
         )  # fmt: skip
         if count:
             self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)

@@ -111,26 +111,32 @@ def _prepared(name: str, shape: tuple[int, int], pitch: tuple[float, float]) -> 
 def solved(request: Request) -> Solution:
     """Each frame of the stack solved, at its zero."""
     solver = _prepared(request.solver, request.shape, request.pitch)
-    g = request.gradients
-    stacked = isinstance(request.weights, np.ndarray) and request.weights.ndim > 2
-    frames = []
-    for index in np.ndindex(g.shape[:-3]):
-        weights = request.weights[index] if stacked else request.weights  # type: ignore[index,call-overload]
-        frame = solver(g[index], weights, request.mask, request.anchor)
-        if not is_finite(frame.depth_mm):
-            raise ConvergenceError(
-                f"Expected finite depth, got infinity or NaN from solver {request.solver!r}. Slopes, weights, anchor "
-                "or mm_per_px differ by more than float32 holds: check their scales."
-            )
-        frames.append(frame._replace(depth_mm=_placed(frame.depth_mm, request)))
+    g, weights = request.gradients, request.weights
     if g.ndim == 3:
-        return frames[0]
+        return _solved_frame(solver, g, weights, request)
+    stacked = isinstance(weights, np.ndarray) and weights.ndim > 2
+    frames = [
+        _solved_frame(solver, g[index], weights[index] if stacked else weights, request)  # type: ignore[index,call-overload]
+        for index in np.ndindex(g.shape[:-3])
+    ]
     return Solution(
         np.stack([f.depth_mm for f in frames]).reshape(g.shape[:-1]),
         np.stack([f.known for f in frames]).reshape(g.shape[:-1]),
         max(f.iterations for f in frames),
         max(f.tolerance for f in frames),
     )
+
+
+def _solved_frame(
+    solver: Solver, gradients: NDArray[np.float32], weights: Weights, request: Request
+) -> Solution:
+    frame = solver(gradients, weights, request.mask, request.anchor)
+    if not is_finite(frame.depth_mm):
+        raise ConvergenceError(
+            f"Expected finite depth, got infinity or NaN from solver {request.solver!r}. Slopes, weights, anchor "
+            "or mm_per_px differ by more than float32 holds: check their scales."
+        )
+    return frame._replace(depth_mm=_placed(frame.depth_mm, request))
 
 
 def _placed(depth: NDArray[np.float32], request: Request) -> NDArray[np.float32]:

@@ -9,13 +9,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.background.check import Finding
 from gelform.errors import CalibrationError
 from gelform.health.blocks import BLOCK_PX, Blocks, blocks_from_image, pixels_from_image
 from gelform.health.levels import Levels
-from gelform.health.torn import Torn, torn_finding
+from gelform.health.torn import FLAT_RANGE, JUMP, MIN_SHARE, Torn, torn_finding
 
 MOST_TORN = 0.95  # a frame of one colour is dark or saturated where that colour is an end of the range
+
+
+_signs = Kernel(
+    "health_signs",
+    "u8[bh,bw,3] means, u8[bh,bw] ranges, i64[h] digests, f32[h] jumps, u8[bh,bw,3] dark_to, u8[bh,bw,3] saturated_from, "
+    "out i32[n] work, out i32[4] signs, i32 flat, f32 jump",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +87,8 @@ class FrameHealth:
         if self._is_background(blocks, image):
             message = "The frame is the background itself, pixel for pixel: frozen, or the background was given as a frame."
             return FrameFaults(image, (Finding("frozen", message, 1.0),))
+        if self._is_plainly_sound(blocks):
+            return FrameFaults(image)
         torn = self._torn(blocks, image)
         if torn is not None and torn.mean() > MOST_TORN and self._levels(blocks)[1] is not None:
             torn = None
@@ -90,6 +100,17 @@ class FrameHealth:
             lost |= blocks.pixels(clipped, image.shape[1])
         findings = (*(() if torn is None else (torn_finding(torn),)), *levels)
         return FrameFaults(np.where(lost[..., None], self._pixels, image), findings, lost)
+
+    def _is_plainly_sound(self, blocks: Blocks) -> bool:
+        """Nothing is to be seen of what any of the faults begins with: nearly every frame, and a tenth of their time."""
+        signs, rows = np.empty(4, dtype=np.int32), len(blocks.row_digests)
+        work = np.empty(1 << rows.bit_length(), dtype=np.int32)
+        digests, ends = blocks.row_digests, (self._levels.dark_to, self._levels.saturated_from)
+        seen = blocks.means, blocks.ranges, digests, blocks.row_jumps, *ends
+        _signs(*seen, work, signs, FLAT_RANGE, JUMP)
+        flat, ending, repeated, jumping = signs.tolist()
+        few_flat, few_repeated = flat <= MIN_SHARE * blocks.ranges.size, repeated <= MIN_SHARE * rows
+        return few_flat and few_repeated and not ending and not jumping
 
     def _is_background(self, blocks: Blocks, image: NDArray[Any]) -> bool:
         if blocks.row_digests[0] != self._rest_digests[0]:

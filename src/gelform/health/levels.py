@@ -22,12 +22,16 @@ class Levels:
     Parameters
     ----------
     rest : blocks of the untouched image
+
+    Attributes
+    ----------
+    dark_to, saturated_from : (h, w, 3) uint8, means below or from which on a channel of a block counts
     """
 
     def __init__(self, rest: Blocks) -> None:
         # Levels are compared as integers of the blocks' own type: -1 and 256 have no place in it.
-        self._dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
-        self._saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
+        self.dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
+        self.saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
         self._may_saturate = rest.means < BELOW
 
     def __call__(
@@ -40,8 +44,8 @@ class Levels:
         blocks : of the frame
         torn : (h, w) blocks that are counted elsewhere
         """
-        dark = blocks.means < self._dark_to
-        saturated = blocks.means >= self._saturated_from
+        dark = blocks.means < self.dark_to
+        saturated = blocks.means >= self.saturated_from
         if not (dark.any() or saturated.any()):
             return (), None
         saturated &= self._may_saturate

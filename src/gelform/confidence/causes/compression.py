@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +47,6 @@ def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_level
     by_place = sorted(medians.tolist())
     usual, most = (by_place[BLOCK_PX // 2 - 1] + by_place[BLOCK_PX // 2]) / 2, by_place[-1]
     single = FROM_JUMP * usual
-    blocks = FROM_JUMP * np.sqrt(max(most**2 - usual**2, 0.0)) if most > EXCESS * usual else 0.0
-    added = float(np.sqrt(max(single**2 - (USUALLY * usual_levels) ** 2, 0.0) + blocks**2))
+    blocks = FROM_JUMP * sqrt(max(most**2 - usual**2, 0.0)) if most > EXCESS * usual else 0.0
+    added = sqrt(max(single**2 - (USUALLY * usual_levels) ** 2, 0.0) + blocks**2)
     return added if added > LEAST_LEVELS else 0.0
