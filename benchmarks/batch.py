@@ -1,7 +1,7 @@
-"""Data sets: frames a second, memory of a worker, kills, corrupt inputs, a full disk, a million entries, lossy video.
+"""Data sets: frames a second, what a frame costs, memory, kills, corrupt inputs, full disks, a million entries, lossy video.
 
     python benchmarks/batch.py                    # all of it into results/batch.json: about 45 minutes on 2 cores
-    python benchmarks/batch.py rates              # a part: rates, memory, scan, kills, kills_ray, corrupt, disk, lossy
+    python benchmarks/batch.py rates              # a part; --help names them all
     python benchmarks/batch.py --quick            # small everything, writes nothing: about 4 minutes
 
 The rows of Ray are left out, and said to be, where ray is not installed. All files lie in a temporary folder (TMPDIR).
@@ -31,6 +31,7 @@ import numpy as np
 
 import batch_disk
 import batch_faults
+import batch_stages
 import gelform
 from batch_bare import bare_rate
 from gelform.batch import BatchSettings, verify_output
@@ -129,6 +130,12 @@ def rates(folder: Path, quick: bool) -> dict[str, Any]:
     }
 
 
+def stages(folder: Path, quick: bool) -> dict[str, Any]:
+    """Of a worker's frame, beside the bare loop's."""
+    make_input(folder, 1000)
+    return batch_stages.stages(folder, SETTINGS, quick)
+
+
 def memory(folder: Path, quick: bool) -> dict[str, Any]:
     """Of a worker, for a tenth of the data set and for all of it."""
     make_input(folder, 4000 if quick else 20_000)
@@ -187,6 +194,7 @@ def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
     """Name -> what measures in a temporary folder."""
     return {
         "rates": lambda folder: rates(folder, quick),
+        "stages": lambda folder: stages(folder, quick),
         "memory": lambda folder: memory(folder, quick),
         "scan": lambda folder: scan(folder, quick),
         "kills": with_input(batch_faults.kills, 400, 20, quick),

@@ -28,18 +28,24 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
     ValueError, TypeError
         No finite (H, W) of numbers, or another shape of `known`.
     """
-    depth = check_values(depth_mm, "depth_mm", (), np.float64)
+    exact = np.float32 if getattr(depth_mm, "dtype", None) == np.float32 else np.float64
+    depth = check_values(depth_mm, "depth_mm", (), exact)
     mask = np.ones(depth.shape, dtype=bool) if known is None else np.asarray(known)
     if mask.dtype != np.bool_ or mask.shape != depth.shape:
         raise ValueError(f"Expected known as bool of shape {depth.shape}, got {mask.dtype} of {mask.shape}.")
-    levels = np.rint(depth / MM_PER_LEVEL) + ZERO_LEVEL
-    levels[~mask] = ZERO_LEVEL
+    hidden = None if mask.all() else ~mask
+    levels = np.divide(depth, MM_PER_LEVEL, dtype=np.float64)
+    np.rint(levels, out=levels)
+    levels += ZERO_LEVEL
+    if hidden is not None:
+        levels[hidden] = ZERO_LEVEL
     if levels.min() < UNKNOWN + 1 or levels.max() > np.iinfo(np.uint16).max:
         raise DataError(
             f"Expected depth from -3.2767 to 3.2767 mm, which 16 bits hold at 0.1 um, got {depth.min():.3f} to "
             f"{depth.max():.3f} mm. Write npz or tiff."
         )
-    levels[~mask] = UNKNOWN
+    if hidden is not None:
+        levels[hidden] = UNKNOWN
     return levels.astype(np.uint16)
 
 
