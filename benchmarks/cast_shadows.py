@@ -31,6 +31,7 @@ from gelform.simulate.presets import digit
 
 SEEDS = 201, 202, 203  # of the sensors that are reported
 BALLS_MM = (4.7, 6.5)
+FOLLOWED = 0.6  # of the visible circle of digit-ball: there the gel leaves the ball
 
 
 def drawn_digit(seed: int) -> SimulatedSensor:
@@ -129,9 +130,14 @@ def real(calibration: gelform.Calibration, presses: Any) -> dict[str, Any]:
     """Presses of a real DIGIT that the calibration has not seen, with the shadows taken back and without.
 
     `lit_deg`: normal error where every light of the preset, which was fitted to this sensor, is in front of the ball;
-    `contact_deg` everywhere, both in the visible circle less 3 px. `cap_um`: depth minus the ball there.
+    `contact_deg` everywhere, both in the visible circle less 3 px. `cap_um`: depth minus the ball there. The gel leaves the
+    ball at 0.6 of that circle, which the presses that calibrate tell: `followed_` is the same inside of it, its centre from
+    0.55. `beyond_um`: depth outside 1.5 circles.
     """
-    names = "lit_deg", "contact_deg", "inner_deg", "cap_um", "off_contact_um"
+    names = (
+        "lit_deg", "contact_deg", "inner_deg", "cap_um", "off_contact_um",
+        "followed_deg", "followed_lit_deg", "followed_cap_um", "beyond_um",
+    )  # fmt: skip
     rows = [[] for _ in range(2)]  # type: ignore[var-annotated]
     changes = ColorChanges(calibration.background, calibration.change)
     for one in presses.presses:
@@ -163,8 +169,26 @@ def _errors(result: gelform.Reconstruction, circle: Any, one: Any) -> list[float
     lit = near & _lit(truth, mm)
     lit_deg = float(angle_deg(result.gradients[lit], truth[lit]).mean())
     return [
-        lit_deg, errors.normal_free_deg, errors.normal_inner_deg, errors.cap_free_um, errors.off_contact_um
+        lit_deg, errors.normal_free_deg, errors.normal_inner_deg, errors.cap_free_um, errors.off_contact_um,
+        *_followed(result, circle, radius / mm),
     ]  # fmt: skip
+
+
+def _followed(result: gelform.Reconstruction, circle: Any, ball_px: float) -> list[float]:
+    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
+    zone = np.hypot(x - circle[0], y - circle[1]) < 0.55 * circle[2]
+    center = ball_center(result.gradients[zone], x[zone], y[zone], circle[:2], ball_px)
+    away = np.hypot(x - center[0], y - center[1])
+    near, truth = away < FOLLOWED * circle[2], ball_gradients(x, y, center, ball_px)
+    angle = angle_deg(result.gradients, truth)
+    cap = result.depth_mm - result.mm_per_px * np.sqrt(np.maximum(ball_px**2 - away**2, 0))
+    beyond = result.depth_mm[away > 1.5 * circle[2]]
+    return [
+        float(angle[near].mean()),
+        float(angle[near & _lit(truth, result.mm_per_px)].mean()),
+        float(1e3 * cap[near].std()),
+        float(1e3 * np.sqrt(np.mean(beyond**2))),
+    ]
 
 
 def _lit(gradients: np.ndarray, mm_per_px: float) -> np.ndarray:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gelform.confidence.cast_shadows import GIVEN_BACK, CastShadows, size_of
+from gelform.confidence.cast_shadows import DOUBTED, GIVEN_BACK, CastShadows, size_of
 from gelform.confidence.forward_cells import CELL, explained_change
 
 SHAPE = (96, 128)
-NOISE = 0.03
+NOISE, CLEAN = 0.03, 0.02
 TOWARD = np.deg2rad([-30.0, 210.0, 90.0])  # of the three lights
 PATCH = np.s_[40:64, 48:80]
 
@@ -22,7 +22,7 @@ def cells_of_three_lights():
 
 @pytest.fixture(scope="module")
 def shadows():
-    return CastShadows(cells_of_three_lights(), SHAPE, NOISE)
+    return CastShadows(cells_of_three_lights(), SHAPE, NOISE, CLEAN)
 
 
 def read_of(change):
@@ -44,25 +44,59 @@ def test_no_slope_is_dark(shadows):
     assert shadows(change, slopes) is None
 
 
-@pytest.mark.parametrize("light", range(3))
-def test_a_hidden_light_is_given_back(shadows, light):
-    true = sloping_away(light, 0.1)
+def hill():
+    """Slopes (H, W, 2) of a hill 8 px high in the middle, 0.55 at the steepest."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    u, v = x - SHAPE[1] / 2, y - SHAPE[0] / 2
+    height = 8 * np.exp(-(u**2 + v**2) / (2 * 9**2))
+    return (-height / 9**2)[..., None] * np.stack([u, v], axis=-1)
+
+
+def lee(light, of):
+    """Pixels 18 to 30 px from the middle, within 30 degrees of away from a light; or towards it."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    u, v = x - SHAPE[1] / 2, y - SHAPE[0] / 2
+    along = of * (u * np.cos(TOWARD[light]) + v * np.sin(TOWARD[light]))
+    away = np.hypot(u, v)
+    return (away > 18) & (away < 30) & (along > 0.87 * away)
+
+
+def read_in_shadow(light, patch, lost=0.4):
+    """True slopes of the hill, the color change with less of a light in a patch, and the slopes read from it."""
+    true = hill().astype(np.float32)
     change = explained_change(cells_of_three_lights(), true)
-    change[PATCH][..., light] -= 0.4
-    read = read_of(change)
-    shift = shadows(change, read)
-    inner = np.s_[46:58, 54:74]
-    before, after = (size_of(one - true)[inner].mean() for one in (read, read + shift))
-    assert after == pytest.approx((1 - GIVEN_BACK) * before, abs=0.03)
-    assert size_of(shift)[:30].max() == 0  # and nowhere else
+    change[..., light] -= np.float32(lost) * patch
+    return true, change, read_of(change)
+
+
+@pytest.mark.parametrize("light", range(3))
+def test_a_hidden_light_is_given_back_behind_the_hill(shadows, light):
+    # The channel brightens with the slope in the direction TOWARD: that of a surface that rises away from the light.
+    patch = lee(light, 1)
+    true, change, read = read_in_shadow(light, patch)
+    shift, sigma = shadows(change, read)
+    before, after = (size_of(one - true)[patch].mean() for one in (read, read + shift))
+    assert after < (1 - 0.5 * GIVEN_BACK) * before, "the patch's rim is shared with blocks around it"
+    assert np.median(sigma[patch]) >= DOUBTED * CLEAN
+    assert sigma[hill_top()].max() == 0, "a hill casts no shadow on its own top"
+
+
+def hill_top():
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return np.hypot(x - SHAPE[1] / 2, y - SHAPE[0] / 2) < 6
+
+
+@pytest.mark.parametrize("light", range(3))
+def test_what_faces_the_light_is_in_no_shadow(shadows, light):
+    _, change, read = read_in_shadow(light, lee(light, -1), lost=0.1)
+    found = shadows(change, read)
+    assert found is None or found[1][lee(light, -1)].mean() < 0.2 * DOUBTED * CLEAN
 
 
 def test_the_gel_does_not_turn_to_the_hidden_light(shadows):
     change = explained_change(cells_of_three_lights(), sloping_away(0, 0.0))
     change[PATCH] -= 0.6  # of all lights: no slope at all is read, and none is made
-    read = read_of(change)
-    shift = shadows(change, read)
-    assert shift is None or size_of(shift).max() < 0.01
+    assert shadows(change, read_of(change)) is None
 
 
 def test_faint_darkness_counts_around_sure_darkness_alone(shadows):
@@ -75,11 +109,8 @@ def test_faint_darkness_counts_around_sure_darkness_alone(shadows):
 
 
 def test_a_bias_and_unseen_pixels(shadows):
-    true, bias = sloping_away(1, 0.1), np.array([0.02, -0.01], np.float32)
-    change = explained_change(cells_of_three_lights(), true)
-    change[PATCH][..., 1] -= 0.4
-    read = read_of(change)
-    np.testing.assert_allclose(shadows(change, read - bias, bias), shadows(change, read), atol=1e-6)
-    hidden = np.zeros(SHAPE, bool)
-    hidden[32:72, 40:88] = True
-    assert shadows(change, read, unseen=hidden) is None
+    bias = np.array([0.02, -0.01], np.float32)
+    _, change, read = read_in_shadow(1, lee(1, 1))
+    for one, other in zip(shadows(change, read - bias, bias), shadows(change, read)):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+    assert shadows(change, read, unseen=np.ones(SHAPE, bool)) is None

@@ -56,9 +56,13 @@ def test_cast_shadows_move_slopes_and_raise_sigma():
     rest = np.full((*SHAPE, 3), 100, np.uint8)
     cells = cells_of()
     shadows = CastShadows(cells, SHAPE, 0.03)
-    raw = np.full((*SHAPE, 2), 0.1, np.float32)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array(SHAPE)[:, None, None] / 2
+    hill = 6 * np.exp(
+        -(x**2 + y**2) / 72
+    )  # px high, and dark all around: somewhere behind it from each light
+    raw = (-hill[..., None] / 36 * np.stack([x, y], axis=-1)).astype(np.float32)
     change = explained_change(cells, raw)
-    change[10:30, 20:50] -= 0.1
+    change[(np.hypot(x, y) > 9) & (np.hypot(x, y) < 16)] -= 0.1
     causes, without = (
         PreparedCauses(limits(noise=1.0), cells, rest, shadows),
         PreparedCauses(limits(noise=1.0), cells, rest),

@@ -67,5 +67,5 @@ def prepared_causes(
     cells = None if forward is None else coefficients_of_cells(forward)
     cast = None
     if shadows and cells is not None and forward is not None and forward.shadow_noise is not None:
-        cast = CastShadows(cells, forward.shape, forward.shadow_noise)
+        cast = CastShadows(cells, forward.shape, forward.shadow_noise, clean)
     return PreparedCauses(limits, cells, background, cast)

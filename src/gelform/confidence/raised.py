@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.background.untouched import Reference
-from gelform.confidence.cast_shadows import CastShadows, size_of
+from gelform.confidence.cast_shadows import CastShadows
 from gelform.confidence.causes import dark, saturated, seen
 from gelform.confidence.causes.compression import added_levels
 from gelform.confidence.causes.seen import Limits, Seen, with_margin
@@ -64,8 +64,8 @@ class PreparedCauses:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
         Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.002 at least where the image says
-        something of the slope. In cast shadows the slopes change in place to those that the other lights show, and are as
-        uncertain as they changed.
+        something of the slope. In cast shadows the slopes change in place to those that the other lights show, and are
+        doubted.
 
         Parameters
         ----------
@@ -89,10 +89,10 @@ class PreparedCauses:
         if count:
             self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)
         if self._shadows is not None:
-            shift = self._shadows(color_change, gradients, reference.bias, unseen)
-            if shift is not None:
-                gradients += shift
-                sigma[:] = np.hypot(sigma, size_of(shift))
+            cast = self._shadows(color_change, gradients, reference.bias, unseen)
+            if cast is not None:
+                gradients += cast[0]
+                sigma[:] = np.hypot(sigma, cast[1])
                 doubted = np.square(np.float32(limits.clean) / sigma)
                 np.minimum(confidence, np.maximum(doubted, np.float32(seen.LEAST_CONFIDENCE)), out=confidence)
         return confidence
@@ -111,12 +111,12 @@ class PreparedCauses:
         residual = None if self._cells is None else color_change - explained_change(self._cells, gradients)
         pixels, came = as_levels(image), as_levels(lost_image)
         added = self.added_levels(came)
-        shift = None
+        cast = None
         if self._shadows is not None:
             hidden = lost if markers is None else markers if lost is None else markers | lost
-            shift = self._shadows(color_change, gradients, unseen=self._unseen(hidden))
-        cast = None if shift is None else size_of(shift)
-        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits, cast)
+            cast = self._shadows(color_change, gradients, unseen=self._unseen(hidden))
+        sigma = None if cast is None else cast[1]
+        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits, sigma)
 
     def added_levels(self, pixels: NDArray[np.uint8]) -> float:
         """Noise of an image beyond the calibrated images', grey levels."""

@@ -21,20 +21,15 @@ SHARES = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7, 0.65, 0.6, 0.55, 0.5)
 # Of them, the last whose outer ring reads so much of what its inner part reads is where the gel leaves the ball: on eight
 # simulated sensors within 0.06 of the truth.
 LEAST_STEEPNESS = 0.9
-RING, INNER = (
-    0.85,
-    0.6,
-)  # of the share: pixels beyond the one are its outer ring, within the other its inner part
+# Of the share: pixels beyond the one are its outer ring, within the other its inner part.
+RING, INNER = 0.85, 0.6
 # Of the visible circle: gels that follow the ball so far are usual ones, whose zones are shares of it as they are; where the
 # ball is left before, zones are shares of what a usual visible circle of that contact would be.
 USUAL, USUAL_CIRCLE = 0.85, 0.9
 LEAST_PRESSES = 12
 MANY, OF_MANY, OF_FEW = 18, 3, 6  # groups that are left out in turn; of few presses each is missed more
-DEGREES = (
-    3,
-    2,
-    0,
-)  # of the polynomial in place: a stiffer one follows no labels closely, and reads right ones as wrong
+# Of the polynomial in place: a stiffer one follows no labels closely, and reads right ones as wrong.
+DEGREES = (3, 2, 0)
 PIXELS, PIXELS_OF_PRESS = 12_000, 2_000
 
 

@@ -105,7 +105,7 @@ class Seen:
     lost_pixels : (H, W, 3) uint8, the image as it came
     added_levels : noise of the image beyond the calibrated images', grey levels
     limits : of the calibration
-    cast : (H, W), mm/mm, how much cast shadows changed the slopes; None where there are none
+    cast : (H, W), standard deviation of slopes in cast shadows, mm/mm; None where there are none
     """
 
     pixels: NDArray[np.uint8]
