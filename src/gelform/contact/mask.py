@@ -27,7 +27,7 @@ SIGMA_OF_HALF = 1.4826  # the same over the median magnitude of its negative hal
 SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
 STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is told
-SEED = 1.5  # times the noise factor, where contacts start
+SEED = 1.4  # times the noise factor, where contacts start
 LEAST_SEEDS = 4  # pixels
 SIGMAS_OF_RIM = (
     2.0  # that a pixel beside a region has to exceed the finest smoothing's noise by, to be part of it
@@ -87,7 +87,7 @@ def contact_from_depth(
     Beside an object the surface is held by the gel alone: a membrane under tension on an elastic bed, whose depth z
     falls off as `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31, 1964). So the pressure on it in units of its tension,
     `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, on a ball as on a flat face. A contact starts where
-    p exceeds 1.5 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
+    p exceeds 1.4 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
     and ends where it is about half of what it is around: gel that is drawn down beside an object is no contact, and
     hollow contacts stay hollow.
 
