@@ -9,7 +9,8 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -36,6 +37,10 @@ class Clock:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+
+    def of_stage(self, name: str, stage: str) -> AbstractContextManager[None]:
+        """The same of a stage of a setting."""
+        return self.of(f"{name}: {stage}")
 
     @contextmanager
     def of(self, name: str) -> Iterator[None]:
@@ -71,11 +76,11 @@ def clock_of(jobs: Mapping[str, Job], part: Part, bare: Path) -> Clock:
         with emptied(job.output), clock.of(name):
             worker.do(part)
         with emptied(job.output):
-            by_stage(worker, part, lambda stage, name=name: clock.of(f"{name}: {stage}"))
+            by_stage(worker, part, partial(clock.of_stage, name))
     return clock
 
 
-def by_stage(worker: Worker, part: Part, of: Callable[[str], Any]) -> None:
+def by_stage(worker: Worker, part: Part, of: Callable[[str], AbstractContextManager[None]]) -> None:
     """What `Worker.do` does of a frame, in its order."""
     job, frames, reconstruct = worker.job, frames_of_part(part), worker._prepared(part)
     facts = {"mm_per_px": job.calibration.mm_per_px, "calibration_digest": job.calibration.digest}
@@ -84,6 +89,7 @@ def by_stage(worker: Worker, part: Part, of: Callable[[str], Any]) -> None:
         for _ in part.images:
             with of("read"):
                 named = next(frames)
+            assert named.frame is not None
             with of("reconstruct"):
                 result = reconstruct.from_image(image_of_calibration(named.frame, job.calibration))
             with of("table"):
