@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.presses.press_set import FlatPress
+from gelform.simulate import Punch, simulate_press
 from gelform.view import View
 
 
@@ -23,6 +25,19 @@ def test_labels_are_used(calibration, presses, simulated):
     evaluation = gelform.evaluate(calibration, labelled)
     assert evaluation.rows[0]["circle_px"] == label
     assert evaluation.summary["normal_deg"] < 6
+
+
+def test_flat_punches_are_read_beside_the_balls(calibration, presses, sensor):
+    def pressed(center_mm):
+        rng = np.random.default_rng(0)
+        image = simulate_press(sensor, Punch(4.0), depth_mm=0.25, center_mm=center_mm, rng=rng).image
+        return FlatPress("flat", image, 0.25, "digest")
+
+    flats = pressed((0.0, 0.0)), pressed((9.0, 0.0))
+    evaluation = gelform.evaluate(calibration, replace(presses.subset([0]), flats=flats))
+    whole, cut = evaluation.to_dict()["flats"]
+    assert whole["read_mm"] == pytest.approx(0.25, rel=0.15)
+    assert cut == {"name": "flat", "height_mm": 0.25, "read_mm": None}
 
 
 def test_untouched_images_cannot_be_evaluated(calibration, presses):

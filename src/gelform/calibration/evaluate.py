@@ -6,10 +6,14 @@ from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
 
+import numpy as np
+
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
+from gelform.calibration.heights import face_height_mm
 from gelform.calibration.presses.adjust import with_view
 from gelform.calibration.presses.folder import Press, Presses, as_presses
+from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.report.held_out import errors_of, sample_of
 from gelform.calibration.report.record import summary
 from gelform.calibration.report.where import errors_where
@@ -31,6 +35,8 @@ class Evaluation:
     seen : how many of them the calibration was made from; their errors say little
     own_background : whether the presses' background is the calibration's own, pixel for pixel
     findings : what should be known of a background that is not
+    flats : one per press of a flat punch: its name, its known height and the one that is read, mm; None where its face is
+        not whole in the image
     """
 
     rows: tuple[dict[str, Any], ...]
@@ -39,6 +45,7 @@ class Evaluation:
     seen: int
     own_background: bool = True
     findings: tuple[str, ...] = ()
+    flats: tuple[dict[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The evaluation as JSON can hold it."""
@@ -51,7 +58,7 @@ def evaluate(
     *,
     progress: Progress = no_progress,
 ) -> Evaluation:
-    """Reconstruct presses of known balls and compare; labels are used where the folder has them.
+    """Reconstruct presses of known balls and compare; labels are used where the folder has them. Also flat punches.
 
     Parameters
     ----------
@@ -94,7 +101,14 @@ def evaluate(
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     said = tuple(finding.message for finding in reconstruct.findings)
     where = errors_where(samples, calibration.image_shape)
-    return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, said)
+    flats = tuple(_height_of(flat, reconstruct) for flat in presses.flats)
+    return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, said, flats)
+
+
+def _height_of(flat: FlatPress, reconstruct: Reconstructor) -> dict[str, Any]:
+    read_mm = face_height_mm(reconstruct.from_image(flat.image).depth_mm)
+    known = {"name": flat.name, "height_mm": flat.height_mm}
+    return {**known, "read_mm": read_mm if np.isfinite(read_mm) else None}
 
 
 def _through_view_of(calibration: Calibration, presses: Presses) -> Presses:

@@ -1,5 +1,7 @@
 """gelform evaluate: the same figures as the library's, and which presses were seen."""
 
+import shutil
+
 from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
@@ -45,3 +47,23 @@ def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path
 
 def test_a_wrong_calibration(fails, press_folder, tmp_path):
     assert "No file" in fails("evaluate", press_folder, "-c", tmp_path / "missing.npz")
+
+
+def test_heights_of_flat_punches_are_shown(run, press_folder, calibration_file, tmp_path):
+    """The table, not the heights: the press that is listed as that of a punch is one of a ball."""
+    copy = shutil.copytree(press_folder, tmp_path / "copy")
+    header, first, *others = (copy / "presses.csv").read_text().splitlines()
+    columns, cells = header.split(","), first.split(",")
+    row = {"image": cells[columns.index("image")], "indenter": "flat", "height_mm": "0.5"}
+    names = [*columns, "indenter", "height_mm"]
+    lines = [
+        ",".join(names),
+        ",".join(row.get(name, "") for name in names),
+        *(line + ",," for line in others),
+    ]
+    (copy / "presses.csv").write_text("\n".join(lines) + "\n")
+    code, out, _ = run("evaluate", copy, "-c", calibration_file)
+    assert code == 0
+    shown = next(line for line in out.split("Flat punches")[1].splitlines() if row["image"] in line)
+    assert " 0.5 " in shown
+    assert max(len(line.rstrip()) for line in out.splitlines()) <= 80

@@ -91,6 +91,15 @@ def evaluate(
         quiet=quiet,
     )
     _show_where(evaluation.where, quiet)
+    if evaluation.flats:
+        heights = [_height_row(**flat) for flat in evaluation.flats]
+        show_table("Flat punches", ("press", "height mm", "read mm", "%"), heights, quiet=quiet)
+
+
+def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str, str, str, str]:
+    if read_mm is None:
+        return name, f"{height_mm:g}", "-", "-"
+    return name, f"{height_mm:g}", f"{read_mm:.3f}", figure(100 * read_mm / height_mm)
 
 
 def _show_where(where: dict[str, Any], quiet: bool) -> None:
