@@ -44,3 +44,9 @@ def test_too_few_presses_do_not_tell():
     rng = np.random.default_rng(5)
     presses, contacts = zip(*(press(rng, 1.6 * CONTACT_PX) for _ in range(LEAST_PRESSES - 1)))
     assert followed_share(presses, contacts) == 1
+
+
+def test_deep_presses_go_by_the_ball():
+    rng = np.random.default_rng(6)
+    presses, contacts = zip(*(press(rng, 1.05 * BALL_PX) for _ in range(20)))
+    assert followed_share(presses, contacts) == 1

@@ -36,13 +36,14 @@ PIXELS, PIXELS_OF_PRESS = 12_000, 2_000
 def followed_share(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
     """Share of the visible radius that presses are cut down to, `PreparedPress.followed`.
 
-    1 for usual gels, and for fewer than 12 presses, which do not tell.
+    1 for usual gels; for fewer than 12 presses, which do not tell; and where most are so deep that their visible circle is
+    as wide as the ball: then it is the ball's radius that says how far the gel follows.
 
     Parameters
     ----------
     presses, contacts : that fit, and their circles
     """
-    if len(presses) < LEAST_PRESSES:
+    if len(presses) < LEAST_PRESSES or _are_deep(presses, contacts):
         return 1.0
     for share in SHARES:
         ratios = _steepness(presses, contacts, share)
@@ -50,6 +51,11 @@ def followed_share(presses: Sequence[PreparedPress], contacts: Sequence[ContactC
         if float(np.median(ratios)) + error >= LEAST_STEEPNESS:
             return 1.0 if share >= USUAL else share / USUAL_CIRCLE
     return SHARES[-1] / USUAL_CIRCLE
+
+
+def _are_deep(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> bool:
+    deep = [press.followed_radius(one) < one.radius_px for press, one in zip(presses, contacts)]
+    return bool(np.mean(deep) >= 0.5)
 
 
 def _steepness(
