@@ -35,6 +35,7 @@ def test_what_the_lowest_rays_do_not_reach(degrees):
     assert wanted.sum() > 100
     assert np.mean(found == wanted) > 0.97
     assert not found[X * ux + Y * uy > 8].any(), "the side that faces the light"
+    assert not found[z > 0.75 * z.max()].any(), "a hill casts no shadow on itself"
 
 
 def test_gentle_hills_and_planes_stand_in_no_light():
