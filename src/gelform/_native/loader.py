@@ -11,11 +11,8 @@ from pathlib import Path
 
 from gelform.errors import GelformError
 
-ISAS = {
-    "base": 1,
-    "v3": 3,
-    "v4": 4,
-}  # name -> the level of the processor that it needs, as `cpu_level` in native/cpu.c counts
+# Name -> the level of the processor that it needs, as `cpu_level` in native/cpu.c counts.
+ISAS = {"base": 1, "v3": 3, "v4": 4}
 _FOLDER = Path(__file__).parent
 _SUFFIX = ".dll" if sys.platform == "win32" else ".so"
 

@@ -61,9 +61,8 @@ class CastShadows:
         null /= np.maximum(np.linalg.norm(null, axis=-1, keepdims=True), 1e-12)
         self._null = null * np.where(null.sum(axis=-1, keepdims=True) < 0, -1, 1).astype(np.float32)
         self._dark_of = np.einsum("rctk,rck->rct", of_terms, self._null)  # of what each term explains
-        self._in_front = InFrontOfLights(
-            -self._toward, shape
-        )  # what rises towards a light is turned away from it
+        # What rises towards a light is turned away from it.
+        self._in_front = InFrontOfLights(-self._toward, shape)
 
     def darkness(self, color_change: NDArray[Any], gradients: NDArray[Any]) -> NDArray[np.float32]:
         """How much darker (rows, columns) the coarse pixels are than any slope makes them; below 0: brighter."""
