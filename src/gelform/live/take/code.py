@@ -107,7 +107,10 @@ def _result(view: str, now: Situation) -> list[str]:
 def _last(view: str, now: Situation) -> list[str]:
     x, y = now.point
     contact = (
-        "gelform.contact_from_depth(depth_mm, mm_per_px=result.mm_per_px)" if now.zero else "result.contact"
+        "gelform.contact_from_depth(\n"
+        "    depth_mm, mm_per_px=result.mm_per_px, relaxation_mm=calibration.settings.get('relaxation_mm')\n)"
+        if now.zero
+        else "result.contact"
     )
     solver = f", solver={now.solver!r}" if now.solver != "auto" else ""
     other = "" if now.other is None else now.other.expression
