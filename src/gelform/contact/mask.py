@@ -170,7 +170,7 @@ def _pressure(
     every = _noise_mm(depth) if sigma is None else 0.0
     work = np.empty(2 * depth.size, dtype=np.float32)
     rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
-    known = 0.0 if sensor.relaxation_mm is None else min(sensor.relaxation_mm**-2, STIFFEST)
+    known = 0.0 if sensor.relaxation_mm is None else max(sensor.relaxation_mm, STIFFEST**-0.5) ** -2
     _pressure_on_bed(sigma, smooth, bent, work, known, every, *rules)
     return _Pressure(bent, smooth, finest, finest_noise)
 
