@@ -34,6 +34,14 @@ def test_simplest_within_one_standard_error(made_up):
     assert chosen(simple) == "simple"
 
 
+def test_of_few_presses_the_best_is_chosen(made_up):
+    """Their standard error covers much: it would keep what is simple and worse."""
+    noise = np.random.default_rng(0).normal(0, 0.5, 20)
+    trials = made_up("simple", lambda i: 1 + noise[i]), made_up("better", lambda i: 0.95 + noise[-1 - i])
+    losses = [trial.fold_losses() for trial in trials]
+    assert simplest_within_one_error(trials, losses, few=True).model == "better"
+
+
 def test_what_learnt_the_ball_is_out(made_up):
     """On a size that was left out the honest one is 1.1 times worse; half as much again is forgiven."""
     honest = made_up("honest", lambda i: 1.0, by_size=lambda i: 1.1)

@@ -139,7 +139,7 @@ def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
     ):
         return said + (
             "The simplest one was chosen whose depth error in the contact, as expected of it with all presses, is "
-            "within one standard error of the smallest."
+            "within one standard error of the smallest; of fewer than 18 presses, the one with the smallest."
         )
     if chosen["normal_free_deg"] <= min(figures):
         return said + "The one with the smallest held-out error was chosen."
