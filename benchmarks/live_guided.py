@@ -34,14 +34,16 @@ def guided(page: Any, folder: Path, wanted: int = WANTED) -> dict[str, Any]:
     page.fill("#ball", str(BALL_MM))
     began = time.monotonic()
     page.click("#guide-start")
-    _wait(page, f"gelform.facts.guides[0]?.count >= {wanted}")
+    wait_for(page, f"gelform.facts.guides[0]?.count >= {wanted}")
     pressed = time.monotonic()
     page.click("#guide-fit")
-    _wait(page, "gelform.facts.guides[0]?.step === 'report'")
+    wait_for(page, "gelform.facts.guides[0]?.step === 'report'")
     count = page.evaluate("gelform.facts.guides[0].count")
     fitted = time.monotonic()
     page.click("#guide-use")
-    _wait(page, "!gelform.facts.guides[0] && gelform.facts.stations[0].calibration.includes('calibration')")
+    wait_for(
+        page, "!gelform.facts.guides[0] && gelform.facts.stations[0].calibration.includes('calibration')"
+    )
     used = time.monotonic()
     path = next(folder.glob("calibration-*/calibration.npz"))
     return {
@@ -76,7 +78,7 @@ def _errors(calibration: gelform.Calibration, count: int) -> dict[str, float]:
     }
 
 
-def _wait(page: Any, condition: str) -> None:
+def wait_for(page: Any, condition: str) -> None:
     """The page's policy forbids Playwright's own waiting for a script: it would have to evaluate text."""
     stop = time.monotonic() + LONGEST_S
     while not page.evaluate(f"Boolean({condition})"):

@@ -27,6 +27,7 @@ from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
 from live import CHROMIUM, COMPUTED_S, FLAGS, Live
+from live_guided import wait_for
 
 DESKTOP, GUIDE, LARGE, PHONE = (1360, 1010), (1360, 900), (1300, 1145), (390, 844)
 QUALITY = 88
@@ -49,22 +50,13 @@ def served(folder: str, *words: str) -> Iterator[Any]:
                 viewport = {"width": size[0], "height": size[1]}
                 page = browser.new_page(viewport=viewport, color_scheme=theme)
                 page.goto(live.url)
-                until(page, "window.gelform?.frame")
+                wait_for(page, "window.gelform?.frame")
                 return page
 
             yield opened
             browser.close()
     finally:
         live.close()
-
-
-def until(page: Any, condition: str, longest_s: float = 120.0) -> None:
-    """The page's policy forbids Playwright's own waiting for a script: it would have to evaluate text."""
-    stop = time.monotonic() + longest_s
-    while not page.evaluate(f"Boolean({condition})"):
-        if time.monotonic() > stop:
-            raise TimeoutError(f"Expected {condition} within {longest_s:g} s.")
-        page.wait_for_timeout(50)
 
 
 def keep(page: Any, path: Path) -> None:
@@ -85,14 +77,14 @@ def of_the_sensor(folder: Path) -> None:
         ):
             page = opened(size, theme)
             page.wait_for_timeout(3000)  # rates and curves have begun
-            until(page, "gelform.frame.header.contacts?.length > 4 && gelform.frame.header.peak > 0.35")
+            wait_for(page, "gelform.frame.header.contacts?.length > 4 && gelform.frame.header.peak > 0.35")
             keep(page, folder / f"{name}.jpg")
             page.close()
         page = opened(GUIDE)
         page.click("#tab-calibrate")
         page.fill("#ball", "5")
         page.click("#guide-start")
-        until(page, "gelform.facts.guides[0]?.count >= 7 && gelform.facts.guides[0].target")
+        wait_for(page, "gelform.facts.guides[0]?.count >= 7 && gelform.facts.guides[0].target")
         page.wait_for_timeout(400)
         keep(page, folder / "calibrate.jpg")
 
@@ -122,9 +114,9 @@ def of_a_recording(folder: Path) -> None:
             page = opened(LARGE)
             page.click("#step-back")  # holds
             page.evaluate(SEEK)
-            until(page, f"gelform.frame.header.replay?.[0] === {HELD_AT}")
+            wait_for(page, f"gelform.frame.header.replay?.[0] === {HELD_AT}")
             page.select_option("#compare", "five-presses.npz")
-            until(page, "gelform.frame.has('other')")
+            wait_for(page, "gelform.frame.has('other')")
             page.wait_for_timeout(1000)
             keep(page, folder / "replay.jpg")
 
