@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -49,10 +50,13 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
     sources = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "native").rglob("*.c"))
     isas = list(FLAGS_OF) if machine in ("x86_64", "amd64") else ["base"]
     built = [folder / f"kernels_{isa}{suffix}" for isa in isas]
+    counted = runpy.run_path(str(ROOT / "src/gelform/_native/sources.py"))["digest_of_sources"](
+        ROOT / "native"
+    )
 
     def compile_one(isa: str, library: Path) -> None:
         own = shlex.split(os.environ.get("CC", ""))[1:]
-        flags = [*FLAGS.split(), *FLAGS_OF[isa].split(), *own]
+        flags = [*FLAGS.split(), *FLAGS_OF[isa].split(), f"-DSOURCES_DIGEST={counted}u", *own]
         # A running process may have the old library open: written beside it, then moved. What else the compiler writes for
         # Windows, symbols for a debugger and an import library, goes with the folder.
         with tempfile.TemporaryDirectory(dir=folder) as beside:

@@ -1,4 +1,4 @@
-// Which of the builds of this library may run here.
+// Which of the builds of this library may run here, and which sources it was made from.
 #include "common.h"
 
 #if defined(__x86_64__) || defined(_M_X64)
@@ -23,3 +23,10 @@ static int level(void) { return 1; }
 // 1: only the baseline of the platform. 3: x86-64-v3, AVX2 and FMA, both in the processor and enabled by the system. 4: x86-64-v4,
 // AVX-512 besides.
 EXPORT int cpu_level(void) { return level(); }
+
+#ifndef SOURCES_DIGEST
+#define SOURCES_DIGEST 0
+#endif
+
+// As hatch_build.py counted it when it compiled; see src/gelform/_native/sources.py.
+EXPORT int sources_digest(void) { return (int)SOURCES_DIGEST; }

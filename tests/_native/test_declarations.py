@@ -21,7 +21,9 @@ CTYPES = {
     "i64": "int64_t",
     "bool": "bool",
 }
-NOT_KERNELS = {"cpu_level", "finite_f32"} | {"multigrid_plane"}  # called by the door itself; by a test
+NOT_KERNELS = {"cpu_level", "sources_digest", "finite_f32"} | {
+    "multigrid_plane"
+}  # called by the door itself; by a test
 
 pytestmark = pytest.mark.skipif(not NATIVE.is_dir(), reason="gelform is installed without its C sources")
 

@@ -9,6 +9,7 @@ from ctypes import CDLL
 from functools import cache
 from pathlib import Path
 
+from gelform._native.sources import digest_of_library, digest_of_sources, native_folder
 from gelform.errors import GelformError
 
 # Name -> the level of the processor that it needs, as `cpu_level` in native/cpu.c counts.
@@ -24,7 +25,8 @@ def library(isa: str) -> CDLL:
     Raises
     ------
     GelformError
-        The file is missing or made for another platform, or the processor lacks the instructions; says what to install.
+        The file is missing, made for another platform or from other C sources than those beside it, or the processor lacks
+        the instructions; says what to do.
     """
     if isa not in ISAS:
         raise ValueError(f"Expected GELFORM_ISA to be one of {', '.join(ISAS)}, got {isa!r}.")
@@ -38,12 +40,25 @@ def library(isa: str) -> CDLL:
             "Install gelform with pip, which compiles them; in a checkout run: python hatch_build.py"
         )
     try:
-        return CDLL(str(path))
+        kernels = CDLL(str(path))
     except OSError as error:
         raise GelformError(
             f"gelform's compiled kernels do not load on {here} ({error}). "
             "Install gelform on this machine itself: pip install --force-reinstall --no-binary gelform gelform"
         ) from error
+    if _expected_digest() not in (None, digest_of_library(kernels)):
+        raise GelformError(
+            f"gelform's compiled kernels ({path}) were made from other C sources than those in {native_folder()}: "
+            "calling them could crash Python. Compile them again: python hatch_build.py"
+        )
+    return kernels
+
+
+@cache
+def _expected_digest() -> int | None:
+    """Of a checkout's C sources; None for an installed package, whose libraries came with its Python."""
+    folder = native_folder()
+    return None if folder is None else digest_of_sources(folder)
 
 
 @cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 from collections.abc import Iterable
 
 import cv2
@@ -15,6 +14,8 @@ from gelform.errors import DataError
 
 def shown_in_notebook(depth: NDArray[np.float32], rows: Iterable[tuple[str, str]]) -> str:
     """HTML of a depth map (H, W) and a table of (name, text); nothing in it is fetched from outside."""
+    import html  # its table of characters takes longer to load than a frame
+
     picture = base64.b64encode(_depth_png(depth)).decode("ascii")
     cells = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"

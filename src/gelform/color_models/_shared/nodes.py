@@ -9,7 +9,6 @@ from weakref import finalize, ref
 
 import cv2
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import (
@@ -146,7 +145,7 @@ def _places(
         2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(node_positions(shape), shape)
     ]
     size = np.sqrt(2 * np.arange(degree + 1) + 1)
-    along_y, along_x = (legvander(u, degree) * size for u in unit)
+    along_y, along_x = (np.polynomial.legendre.legvander(u, degree) * size for u in unit)
     powers = position_powers(degree)
     functions = [along_y[:, None, j] * along_x[None, :, i] for i, j in powers]
     penalties = [COLOR_GROWTH ** (order - 1) * PLACE_GROWTH ** (i + j) for i, j in powers]
