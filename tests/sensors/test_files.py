@@ -136,3 +136,10 @@ def test_bytes_that_are_no_text(tmp_path):
     (tmp_path / "sensor.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match="no text in UTF-8"):
         read_sensor_toml(tmp_path / "sensor.toml")
+
+
+@pytest.mark.parametrize("name", ["s.mcap", "s.MP4"])
+def test_a_recording_in_place_of_an_image_is_told_where_to_go(tmp_path, name):
+    (tmp_path / name).write_bytes(b"not an image")
+    with pytest.raises(DataError, match="gelform batch"):
+        read_image(tmp_path / name)

@@ -46,3 +46,11 @@ def test_a_name_is_a_cameras(monkeypatch):
     for spec in ("D20123", "", "/dev/video77"):
         with pytest.raises(SensorError, match=r"No camera.*plugged in"):
             open_source(spec)
+
+
+def test_what_cannot_be_set_refuses_settings(tmp_path):
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((4, 4, 3), np.uint8))
+    for spec in ("simulated", tmp_path):
+        with pytest.raises(SensorError, match="is no USB camera: exposure cannot be set"):
+            open_source(spec, settings={"exposure": 5})
+        open_source(spec, settings={}).close()

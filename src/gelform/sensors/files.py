@@ -19,6 +19,7 @@ from gelform.sensors.jpeg_bytes import SIGNATURE as JPEG
 from gelform.sensors.jpeg_bytes import jpeg_fault
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
+from gelform.sensors.video_files import is_video
 from gelform.view import View
 
 if sys.version_info >= (3, 11):
@@ -229,6 +230,10 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     except cv2.error as problem:
         raise DataError(f"{path} cannot be read as an image: {problem.err}.") from problem
     if pixels is None:
+        if is_video(path) or path.suffix.lower() == ".mcap":
+            raise DataError(
+                f"Expected an image, got a video or a recording: {path}. Its frames: gelform batch."
+            )
         raise DataError(
             f"{path} is no image that can be read, or a damaged one. Expected one of "
             f"{', '.join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)}."

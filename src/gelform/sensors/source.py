@@ -83,7 +83,7 @@ def open_source(
     rate_hz : frames a second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : for the connection to an address
     settings : of a USB camera, those that are to be set: width, height, fps, fourcc, exposure, gain, white_balance,
-        led_level; they are read back
+        led_level; they are read back. Other sources have nothing that could be set
 
     Returns
     -------
@@ -94,18 +94,30 @@ def open_source(
     ------
     SensorError
         There is no such camera, or several (the message lists what is there); it may not be opened (with the udev rule), is
-        in use, or does not take a setting.
+        in use, or does not take a setting; or settings are given for what is no USB camera.
     DataError
         The file or folder is missing or cannot be read.
     """
     if not isinstance(spec, (str, PathLike)):
         raise TypeError(f"Expected a source as text or a path, got {type(spec).__name__}.")
+    opened = _without_settings(spec, paced, rate_hz, timeout_s)
+    if opened is None:
+        return UsbCamera(camera_named(str(spec)), settings)
+    if settings:
+        opened.close()
+        raise SensorError(f"{spec} is no USB camera: {', '.join(settings)} cannot be set. Leave it out.")
+    return opened
+
+
+def _without_settings(
+    spec: str | PathLike[str], paced: bool, rate_hz: float | None, timeout_s: float
+) -> Source | None:
+    """The simulated sensor, an address, or what files hold; None where the spec can only be a USB camera's."""
     if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
         return _simulated(spec, rate_hz)
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
-    opened = _of_files(check_path(spec, "a source"), paced, rate_hz) if str(spec) else None
-    return opened or UsbCamera(camera_named(str(spec)), settings)
+    return _of_files(check_path(spec, "a source"), paced, rate_hz) if str(spec) else None
 
 
 def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:

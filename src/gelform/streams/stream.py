@@ -146,9 +146,10 @@ class Stream:
         seen = self._pipeline.younger_than(max_age_s)
         if seen is None:
             stats = self.stats
+            why = f": {stats.reason}" if stats.reason else "."
             raise StaleError(
                 f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
-                f"The stream is {stats.state}{f': {stats.reason}' if stats.reason else ''}."
+                f"The stream is {stats.state}{why}"
             )
         return seen.result
 

@@ -44,6 +44,23 @@ def test_a_summary_counts_without_reading_pictures(tmp_path):
     assert summary.duration_s == pytest.approx(6 / 50)
 
 
+def test_a_recorder_that_is_killed_between_two_frames_has_not_finished(tmp_path):
+    recording = FolderRecording(tmp_path / "r", FACTS)
+    for frame in frames(6):
+        recording.write(frame)
+    summary = folder_summary(tmp_path / "r")  # as a kill would leave it: every line is whole
+    assert (summary.frames, summary.finished, summary.facts) == (6, False, FACTS)
+    recording.close()
+    recording.close()
+    assert folder_summary(tmp_path / "r").finished
+
+
+def test_a_folder_of_a_recorder_that_did_not_say_is_finished_where_its_table_is(tmp_path):
+    folder = recorded(tmp_path / "r", frames(6))
+    (folder / "recording.json").write_text(FACTS.to_json())
+    assert folder_summary(folder).finished
+
+
 def test_jpegs_stay_as_the_camera_made_them(tmp_path):
     given = frames(2, encoded=True)
     taken = list(recorded_folder_playback(recorded(tmp_path / "r", given)))

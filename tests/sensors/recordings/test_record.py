@@ -2,6 +2,7 @@
 
 import pytest
 
+from gelform.errors import DataError
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.record import KEPT_FRAMES, new_recording, record_frames
 from gelform.sensors.source import open_source
@@ -27,7 +28,22 @@ def test_stops_after_so_many_frames_or_when_told(tmp_path):
         recording = new_recording(tmp_path / "r", grabber)
         assert record_frames(grabber, recording, frames=3).frames == 3
         assert record_frames(grabber, recording, going_on=lambda stats: stats.frames < 2).frames == 2
-        assert record_frames(grabber, recording, seconds=0.05).duration_s < 0.2
+        assert 0 < record_frames(grabber, recording, seconds=0.05).duration_s <= 0.05
+
+
+def test_the_time_is_that_of_the_frames_however_fast_they_are_read(tmp_path):
+    with Grabber(camera(40, rate_hz=100.0), keep=KEPT_FRAMES) as grabber:
+        first = new_recording(tmp_path / "first", grabber)
+        record_frames(grabber, first, frames=30)
+        first.close()
+    with Grabber(lambda: open_source(tmp_path / "first"), keep=KEPT_FRAMES) as grabber:  # not paced
+        stats = record_frames(grabber, new_recording(tmp_path / "again", grabber), seconds=0.1)
+    assert 0.05 < stats.duration_s <= 0.1
+
+
+def test_the_name_of_a_video_is_refused(tmp_path):
+    with Grabber(camera(5)) as grabber, pytest.raises(DataError, match="name of a video"):
+        new_recording(tmp_path / "r.MP4", grabber)
 
 
 def test_the_name_says_which_kind(tmp_path):

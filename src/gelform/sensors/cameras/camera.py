@@ -55,7 +55,7 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
         None or several answer to it; the message lists what is there.
     """
     if not cameras:
-        raise SensorError(NOTHING_THERE if not spec else f"No camera {spec!r}: {NOTHING_THERE}")
+        raise SensorError(NOTHING_THERE if not spec else f"{_none_named(spec)} {NOTHING_THERE}")
     if not spec:
         return _only(list(cameras), "Several cameras are plugged in", cameras)
     folded = spec.casefold()
@@ -67,12 +67,17 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
     ):
         if matches:
             return _only(matches, f"Several cameras answer to {spec!r}", cameras)
-    raise SensorError(f"No camera {spec!r}. Plugged in: {listed_cameras(cameras)}.")
+    raise SensorError(f"{_none_named(spec)} Plugged in: {listed_cameras(cameras)}.")
 
 
 def listed_cameras(cameras: Sequence[Camera]) -> str:
     """All of them in one sentence's end."""
     return "; ".join(camera.described() for camera in cameras)
+
+
+def _none_named(spec: str) -> str:
+    """A name that is no camera's may have been meant as a file's."""
+    return f"No camera {spec!r}, and no file or folder of that name."
 
 
 def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Camera:

@@ -53,6 +53,7 @@ class RecordingFacts:
         try:
             content: dict[str, Any] = json.loads(text)
             version = content.pop("format_version")
+            content.pop("finished", None)  # of the recording, not of its camera
             if version > FORMAT_VERSION:
                 raise DataError(
                     f"{where} has format version {version}, written by gelform {content.get('library_version')}; this "

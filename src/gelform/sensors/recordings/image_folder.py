@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -47,14 +49,15 @@ class FolderRecording:
             path.mkdir(parents=True, exist_ok=True)
             if any(path.iterdir()):
                 raise DataError(f"{path} is there already and not empty. Give another name, or empty it.")
-            (path / FACTS).write_text(facts.to_json(), encoding="utf-8")
+            self._facts = json.loads(facts.to_json())
+            self._write_facts(finished=False)
             for name, content in (attached or {}).items():
                 (path / name).write_bytes(content)
             self._times = (path / TIMES).open("x", encoding="ascii", newline="\n")
             self._times.write(COLUMNS + "\n")
             self._times.flush()
         except OSError as problem:
-            for name in (FACTS, TIMES, *(attached or ())):
+            for name in (f".{FACTS}", FACTS, TIMES, *(attached or ())):
                 (path / name).unlink(missing_ok=True)
             if not was_there and path.is_dir():
                 path.rmdir()
@@ -72,17 +75,32 @@ class FolderRecording:
             self._times.write(f"{frame.index},{time_s:.6f},{frame.wall_time_ns},{name}\n")
             self._times.flush()
         except OSError as problem:
-            raise DataError(
-                f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
-            ) from problem
+            raise self._unwritable(problem) from problem
         return len(content)
 
     def flush_if_due(self) -> None:
         """Nothing is held back."""
 
     def close(self) -> None:
-        """Close the table."""
-        self._times.close()
+        """Close the table, and note that the recording is finished."""
+        if self._times.closed:
+            return
+        try:
+            self._times.close()
+            self._write_facts(finished=True)
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+
+    def _write_facts(self, *, finished: bool) -> None:
+        """Replace recording.json as a whole: a recorder that is killed leaves one that can be read."""
+        fresh = self.path / f".{FACTS}"
+        fresh.write_text(json.dumps({**self._facts, "finished": finished}), encoding="utf-8")
+        os.replace(fresh, self.path / FACTS)
+
+    def _unwritable(self, problem: OSError) -> DataError:
+        return DataError(
+            f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
+        )
 
 
 def is_recorded_folder(path: Path) -> bool:
@@ -110,12 +128,15 @@ def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
 
 
 def folder_summary(path: Path) -> RecordingSummary:
-    """Count a recorded folder's frames, without reading them; a table is finished where its last line is."""
-    facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
+    """Count a recorded folder's frames, without reading them; finished where the recorder said so at its end."""
+    text = (path / FACTS).read_text(encoding="utf-8")
+    facts = RecordingFacts.from_json(text, str(path / FACTS))
     lines = _lines(path)
     whole = [_row(path, line) for line in lines if line.endswith("\n")]
     duration_s = whole[-1][0] - whole[0][0] if whole else 0.0
-    return RecordingSummary(facts, len(whole), duration_s, len(whole) == len(lines))
+    # Folders of older recorders do not say: theirs is finished where the last line is.
+    finished = bool(json.loads(text).get("finished", True)) and len(whole) == len(lines)
+    return RecordingSummary(facts, len(whole), duration_s, finished)
 
 
 def _lines(path: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,11 +10,13 @@ from pathlib import Path
 from typing import Protocol
 
 from gelform import __version__
+from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
+from gelform.sensors.video_files import is_video
 
 KEPT_FRAMES = 32  # of a grabber for `record_frames`: half a second in which the disk may stand still
 WAIT_S = 0.25
@@ -55,11 +58,20 @@ def new_recording(
 
     Parameters
     ----------
-    path : a new file or folder
+    path : a new file (*.mcap) or folder
     grabber : entered
     calibration_digest : of the calibration in use
     attached : files that it carries, by name: `attachments_of`
+
+    Raises
+    ------
+    DataError
+        The name is that of a video, the file is there already, or it cannot be written.
     """
+    if is_video(path):
+        raise DataError(
+            f"Expected *.mcap or a folder, got the name of a video: {path}. Videos lose what compression takes away."
+        )
     rate = grabber.source.rate_hz
     facts = RecordingFacts(
         grabber.name, grabber.serial, grabber.settings, rate, calibration_digest, __version__
@@ -81,21 +93,21 @@ def record_frames(
     ----------
     grabber : entered; one with `keep=KEPT_FRAMES` loses nothing while the disk is busy
     recording : is not closed
-    seconds, frames : how long, or how many; without end where both are None
+    seconds, frames : how long, by the frames' times, or how many; without end where both are None
     going_on : is told after each frame, and four times a second while none comes
     """
-    stats, after, first_s = RecordStats(0, 0, 0, 0.0), -1, time.monotonic()
+    stats, after, first_s, began_s = RecordStats(0, 0, 0, 0.0), -1, 0.0, time.monotonic()
     while going_on(stats) and (frames is None or stats.frames < frames):
-        if seconds is not None and time.monotonic() - first_s > seconds:
-            break
         frame = grabber.following(after, WAIT_S)
         if frame is None:
-            if grabber.state == "ended":
+            if grabber.state == "ended" or time.monotonic() - began_s > (seconds or math.inf):
                 break
             recording.flush_if_due()
             continue
         if stats.frames == 0:
-            first_s, after = frame.time_s, frame.index - 1
+            first_s, began_s, after = frame.time_s, time.monotonic(), frame.index - 1
+        if frame.time_s - first_s > (seconds or math.inf):
+            break
         written = recording.write(frame)
         stats = RecordStats(
             stats.frames + 1,

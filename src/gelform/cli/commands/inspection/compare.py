@@ -105,4 +105,4 @@ def _report(rows: list[dict[str, Any]], output: Path | None, quiet: bool) -> Non
     )
     show_table("Comparison", ("image", *columns), table, quiet=quiet)
     if output is not None:
-        say(f"Wrote {len(rows)} pictures to {output}.", quiet)
+        say(f"Wrote {len(rows)} {'picture' if len(rows) == 1 else 'pictures'} to {output}.", quiet)
