@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from gelform import __version__
 from gelform.errors import CalibrationError, DataError
-from gelform.npz_files import kind_of_npz, read_npz, write_npz, written_file
+from gelform.npz_files import kind_of_npz, npz_bytes, read_npz, write_npz, written_file
 
 KIND = "gelform test file"
 ARRAYS = {"depth_mm": np.arange(12, dtype=np.float32).reshape(3, 4), "known": np.eye(3, dtype=bool)}
@@ -220,3 +221,17 @@ def test_what_json_or_npz_cannot_hold_is_refused(tmp_path):
     with pytest.raises(ValueError, match="reserved digest"):
         write(tmp_path / "x.npz", meta={"digest": "1"})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_bytes_are_those_of_a_file_but_for_the_digest(tmp_path):
+    arrays = {"a": np.arange(6.0).reshape(2, 3)}
+    path = tmp_path / "x.npz"
+    path.write_bytes(npz_bytes(arrays, {"name": "y"}, kind="k", version=3))
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file["a"], arrays["a"])
+        meta = json.loads(str(file["meta"]))
+    assert meta == {"format": "k", "format_version": 3, "gelform_version": __version__, "name": "y"}
+    with pytest.raises(DataError, match="digest"):
+        read_npz(path, kind="k", newest_version=3)
+    with pytest.raises(ValueError, match="reserved"):
+        npz_bytes(arrays, {"format": "other"}, kind="k", version=1)

@@ -70,12 +70,12 @@ def written_file(
         if not overwrite:  # another process may have been quicker
             check_free(path, overwrite=False, error=error)
         os.replace(temporary, path)
-    except OSError as problem:
-        raise error(
-            f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
-        ) from problem
-    finally:
+    except BaseException as problem:
         temporary.unlink(missing_ok=True)
+        if not isinstance(problem, OSError):
+            raise
+        why = f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
+        raise error(why) from problem
 
 
 def check_free(
@@ -127,8 +127,17 @@ def write_npz(
         _write_members(handle, members)
 
 
+def npz_bytes(
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, kind: str, version: int
+) -> bytes:
+    """What `write_npz` writes, but no digest: of a file whose digest is kept elsewhere. `read_npz` refuses it."""
+    content = io.BytesIO()
+    _write_members(content, _members_to_write(arrays, meta, kind, version, digest=False))
+    return content.getvalue()
+
+
 def _members_to_write(
-    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int
+    arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], kind: str, version: int, digest: bool = True
 ) -> dict[str, NDArray[Any]]:
     from gelform import __version__
 
@@ -137,8 +146,9 @@ def _members_to_write(
     if clashes:
         raise ValueError(f"Expected other names than the reserved {', '.join(clashes)}.")
     full = {"format": kind, "format_version": version, "gelform_version": __version__, **meta}
-    full = json.loads(_json(full))
-    full["digest"] = digest_of(prepared, full)
+    if digest:
+        full = json.loads(_json(full))
+        full["digest"] = digest_of(prepared, full)
     return {"meta": np.array(_json(full)), **prepared}
 
 

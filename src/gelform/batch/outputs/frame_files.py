@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform import __version__
 from gelform.batch.outputs.maps import maps_of
 from gelform.batch.outputs.places import FlushedLater, OutputFile, Place, output_file
 from gelform.errors import DataError
+from gelform.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
 
 KIND, VERSION = "gelform maps", 1
@@ -64,11 +62,9 @@ def _row(file: OutputFile) -> dict[str, Any]:
 
 def _npz(result: Reconstruction, maps: Mapping[str, NDArray[Any]]) -> bytes:
     """Without a digest of its own: the part's record has that of the file."""
-    meta = {"format": KIND, "format_version": VERSION, "gelform_version": __version__}
-    meta |= {"calibration_digest": result.calibration_digest, "index": result.index}
-    content, scale = io.BytesIO(), np.asarray(result.mm_per_px, dtype=np.float64)
-    np.savez(content, **maps, mm_per_px=scale, meta=np.array(json.dumps(meta)))  # type: ignore[arg-type]
-    return content.getvalue()
+    meta = {"calibration_digest": result.calibration_digest, "index": result.index}
+    scale = np.asarray(result.mm_per_px, dtype=np.float64)
+    return npz_bytes({**maps, "mm_per_px": scale}, meta, kind=KIND, version=VERSION)
 
 
 def _png(levels: Any) -> bytes:

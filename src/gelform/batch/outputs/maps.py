@@ -58,11 +58,12 @@ def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
     """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, findings' names."""
-    deepest_y, deepest_x = np.unravel_index(int(np.argmax(result.depth_mm)), result.depth_mm.shape)
+    depth_mm = result.depth_mm
+    deepest_y, deepest_x = divmod(int(depth_mm.argmax()), depth_mm.shape[1])
     return {
-        "deepest_mm": result.peak_mm,
-        "deepest_x_px": int(deepest_x),
-        "deepest_y_px": int(deepest_y),
+        "deepest_mm": float(depth_mm[deepest_y, deepest_x]),
+        "deepest_x_px": deepest_x,
+        "deepest_y_px": deepest_y,
         "contact_mm2": float(sum(one.area_mm2 or 0.0 for one in result.contacts)),
         "volume_mm3": float(sum(one.volume_mm3 or 0.0 for one in result.contacts)),
         "contacts": len(result.contacts),
