@@ -11,7 +11,7 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.color_models import ColorModel
 from gelform.color_models._shared.forward import ForwardResponse
-from gelform.confidence.cast_shadows import CastShadows
+from gelform.confidence.cast_shadows import COARSER, CastShadows
 from gelform.confidence.forward_cells import coefficients_of_cells
 
 INNER = 0.7  # of the contact radius: a ball casts no shadow on itself there
@@ -67,9 +67,7 @@ def _around_contacts(
     shape = presses[0].size.shape
     prepared = model.prepare(background, shape)
     cast = CastShadows(coefficients_of_cells(forward), shape, LEAST_NOISE)
-    rows, columns = (
-        ((np.arange(n) + 0.5) * full / n - 0.5).astype(np.float32) for n, full in zip(cast.coarse, shape)
-    )
+    rows, columns = (COARSER * np.arange(n, dtype=np.float32) + (COARSER - 1) / 2 for n in cast.coarse)
     dark, away = [], []
     for press, contact in zip(presses, contacts):
         change = np.ascontiguousarray(press.color_change)

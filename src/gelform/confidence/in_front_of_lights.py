@@ -1,60 +1,57 @@
-"""Where something may stand in a light: pixels from which the surface rises towards it more steeply than its rays.
+"""Where something may stand in a light: blocks from which the surface rises towards it more steeply than its rays.
 
-What a press shows is integrated, coarsely, and each pixel looks towards each light. A ball casts no shadow on itself, and
+What a press shows is integrated, coarsely, and each block looks towards each light. A ball casts no shadow on itself, and
 none falls on the side that faces a light: darkness there is no shadow, however little the slopes explain it.
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform._native import Kernel
 from gelform.solvers.dct import DctSolver
 
 # Rise of the lowest rays, mm/mm: those of DIGITs rise by 0.33 to 0.45. What stands off its true height by a third, as it
 # does while shadows are taken for slopes, still counts.
 LOWEST_RAY = 0.23
-DOUBLINGS = 5  # rays are followed over 31 coarse pixels
-UPPER, AROUND = 0.65, 31  # of the highest within so many coarse pixels across: what is higher is the contact
+UPPER = 0.65  # of the highest around: what is higher is the contact
+REACH = 15  # of native/confidence/cast_shadows.c: blocks on each side that are around; rays are followed over 31
+_behind_hills = Kernel(
+    "behind_hills",
+    "f32[rows,columns] depth, bool[rows,columns] asked, f32[rows,columns,lights,2] toward, out bool[rows,columns] behind, "
+    "out f32[n] work, f32 rise, f32 upper",
+)
 
 
 class InFrontOfLights:
-    """The rays of all lights at coarse pixels; immutable, shared by threads.
+    """The rays of all lights at blocks of pixels; immutable, shared by threads.
 
     Parameters
     ----------
     toward : (rows, columns, lights, 2), unit vectors in the image towards each light, x and y
-    shape : (H, W) of the image
+    block : (x, y), px of the image in a block
     """
 
-    def __init__(self, toward: NDArray[np.float32], shape: tuple[int, int]) -> None:
-        rows, columns = toward.shape[:2]
-        pitch = shape[1] / columns, shape[0] / rows  # px of the image in a coarse one
-        self._solver = DctSolver((rows, columns), pitch)
-        self._pitch = float(np.mean(pitch))
-        y, x = np.mgrid[:rows, :columns].astype(np.float32)
-        # The ray's next 1, 2, 4 ... coarse pixels: the largest of all that lie within twice as many is that of the largest
-        # from here and of that from there.
-        self._steps = [
-            [
-                (x + np.float32(2**k) * light[..., 0], y + np.float32(2**k) * light[..., 1])
-                for k in range(DOUBLINGS)
-            ]
-            for light in np.moveaxis(toward, 2, 0)
-        ]
+    def __init__(self, toward: NDArray[np.float32], block: tuple[float, float]) -> None:
+        self._shape = toward.shape[0], toward.shape[1]
+        self._toward = np.ascontiguousarray(toward, dtype=np.float32)
+        self._solver = DctSolver(self._shape, block)
+        self._rise = LOWEST_RAY * float(np.mean(block))
 
-    def __call__(self, slopes: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Pixels (rows, columns) that some light's lowest rays do not reach, by slopes (rows, columns, 2)."""
-        depth = np.ascontiguousarray(self._solver(slopes).depth_mm, dtype=np.float32)
-        hidden = np.zeros(depth.shape, dtype=bool)
-        for steps in self._steps:
-            highest = depth
-            for k, (x, y) in enumerate(steps):
-                further = cv2.remap(highest, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-                highest = np.maximum(highest, further - np.float32(LOWEST_RAY * self._pitch * 2**k))
-            hidden |= highest > depth
-        depth = depth - np.float32(np.median(depth))
-        top = cv2.dilate(depth, np.ones((AROUND, AROUND), np.uint8))
-        hidden &= depth < UPPER * top
-        return hidden
+    def __call__(self, slopes: NDArray[np.float32], asked: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        """Those of some blocks (rows, columns) that some light's lowest rays do not reach; None where there are none.
+
+        Parameters
+        ----------
+        slopes : (rows, columns, 2), mm/mm
+        asked : (rows, columns), the blocks in question
+        """
+        if not asked.any():
+            return None
+        depth = self._solver(slopes).depth_mm
+        rows, columns = self._shape
+        behind = np.empty(self._shape, dtype=bool)
+        work = np.empty((rows + 2 * REACH) * columns + columns + 2 * REACH, dtype=np.float32)
+        found = _behind_hills(depth, asked, self._toward, behind, work, self._rise, UPPER)
+        return behind if found else None

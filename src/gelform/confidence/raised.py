@@ -89,12 +89,8 @@ class PreparedCauses:
         if count:
             self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)
         if self._shadows is not None:
-            cast = self._shadows(color_change, gradients, reference.bias, unseen)
-            if cast is not None:
-                gradients += cast[0]
-                sigma[:] = np.hypot(sigma, cast[1])
-                doubted = np.square(np.float32(limits.clean) / sigma)
-                np.minimum(confidence, np.maximum(doubted, np.float32(seen.LEAST_CONFIDENCE)), out=confidence)
+            frame = color_change, gradients, reference.bias, unseen
+            self._shadows.take_back(*frame, sigma, confidence, seen.LEAST_CONFIDENCE)
         return confidence
 
     def seen(
@@ -114,9 +110,8 @@ class PreparedCauses:
         cast = None
         if self._shadows is not None:
             hidden = lost if markers is None else markers if lost is None else markers | lost
-            cast = self._shadows(color_change, gradients, unseen=self._unseen(hidden))
-        sigma = None if cast is None else cast[1]
-        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits, sigma)
+            cast = self._shadows.sigma(color_change, gradients, self._unseen(hidden))
+        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits, cast)
 
     def added_levels(self, pixels: NDArray[np.uint8]) -> float:
         """Noise of an image beyond the calibrated images', grey levels."""
