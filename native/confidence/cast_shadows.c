@@ -6,24 +6,27 @@
 enum { SIDE = 4, TERMS = 9, LIGHTS = 3, CHANNELS = 5 };  // px of a block; monomials of two slopes; channels and slopes
 enum { STEPS = 31, REACH = 15 };                         // blocks along a ray; blocks on each side whose highest counts
 
-// Adds a row of `per` values a pixel to those of the rows above it.
+// Adds a row of pixels' values to those of the rows above it.
 static inline void add_row(const float *restrict row, float *restrict sums, ptrdiff_t n, bool first) {
   if (first) memcpy(sums, row, (size_t)n * sizeof *sums);
   else for (ptrdiff_t i = 0; i < n; i++) sums[i] += row[i];
 }
 
-// Means over the blocks of a row of blocks, one line for each of the `per` values of a pixel.
-static void means_of_blocks(const float *restrict sums, float *restrict means, ptrdiff_t per, ptrdiff_t high, ptrdiff_t w,
-                            ptrdiff_t columns) {
+// Each value and that `apart` further on; what is read beyond the last is 0.
+static inline void add_ahead(float *restrict values, ptrdiff_t n, ptrdiff_t apart) {
+  INDEPENDENT
+  for (ptrdiff_t i = 0; i < n; i++) values[i] += values[i + apart];
+}
+
+// Means over the blocks of a row of blocks, one line for each of the `per` values of a pixel; the sums are used up.
+static void means_of_blocks(float *sums, float *means, ptrdiff_t per, ptrdiff_t high, ptrdiff_t w, ptrdiff_t columns) {
+  memset(sums + per * w, 0, (size_t)(SIDE * per) * sizeof *sums);
+  add_ahead(sums, per * (w + 2), per);
+  add_ahead(sums, per * w, 2 * per);
   for (ptrdiff_t j = 0; j < columns; j++) {
     const ptrdiff_t wide = w - SIDE * j < SIDE ? w - SIDE * j : SIDE;
     const float share = 1.0f / (float)(high * wide);
-    const float *at = sums + SIDE * j * per;
-    for (ptrdiff_t k = 0; k < per; k++) {
-      float sum = at[k];
-      for (ptrdiff_t i = 1; i < wide; i++) sum += at[i * per + k];
-      means[k * columns + j] = share * sum;
-    }
+    for (ptrdiff_t k = 0; k < per; k++) means[k * columns + j] = share * sums[SIDE * j * per + k];
   }
 }
 
@@ -43,8 +46,9 @@ static inline void darkness_of_row(const float *restrict m, const float *restric
 EXPORT int shadow_darkness(const float *change, const float *gradients, const bool *unseen, const float *table, const float *bias,
                            float *slopes, float *dark, float *work, ptrdiff_t h, ptrdiff_t w, ptrdiff_t rows,
                            ptrdiff_t columns, ptrdiff_t n) {
-  float *colors = work, *slants = work + 3 * w, *means = work + CHANNELS * w;
-  if (rows != (h + SIDE - 1) / SIDE || columns != (w + SIDE - 1) / SIDE || n < CHANNELS * (w + columns)) return WRONG_SIZE;
+  float *colors = work, *slants = work + 3 * (w + SIDE), *means = work + CHANNELS * (w + SIDE);
+  if (rows != (h + SIDE - 1) / SIDE || columns != (w + SIDE - 1) / SIDE) return WRONG_SIZE;
+  if (n < CHANNELS * (w + SIDE + columns)) return WRONG_SIZE;
   for (ptrdiff_t i = 0; i < rows; i++) {
     const ptrdiff_t end = SIDE * (i + 1) < h ? SIDE * (i + 1) : h;
     for (ptrdiff_t y = SIDE * i; y < end; y++) {
@@ -182,27 +186,49 @@ struct frame {
 static inline void doubt_pixel(const struct frame *f, ptrdiff_t at, const float *left, const float *right, float u) {
   const float p = left[0] + u * (right[0] - left[0]), q = left[1] + u * (right[1] - left[1]);
   const float doubt = left[2] + u * (right[2] - left[2]);
-  const float total = f->sigma[at] * f->sigma[at] + (p * p + q * q + doubt * doubt);
+  const float added = p * p + q * q + doubt * doubt, total = f->sigma[at] * f->sigma[at] + added;
+  if (!(added > 0)) return;
   f->gradients[2 * at] += p, f->gradients[2 * at + 1] += q;
   f->sigma[at] = sqrtf(total);
-  if (total > 0) f->confidence[at] = smaller(f->confidence[at], larger(f->clean_square / total, f->least));
+  f->confidence[at] = smaller(f->confidence[at], larger(f->clean_square / total, f->least));
+}
+
+// The columns of two rows of blocks between the first and the last of which something is found; none where last < first.
+struct reach {
+  ptrdiff_t first, last;
+};
+
+static inline struct reach reach_of(const float *upper, const float *lower, ptrdiff_t columns) {
+  struct reach r = {0, columns - 1};
+  while (r.first <= r.last && !any(upper + 3 * r.first, 3) && !any(lower + 3 * r.first, 3)) r.first++;
+  while (r.first <= r.last && !any(upper + 3 * r.last, 3) && !any(lower + 3 * r.last, 3)) r.last--;
+  return r;
+}
+
+// Pixels of row y whose value lies between those of blocks j and j + 1 of `line`.
+static void doubt_between(const struct frame *f, const float *line, ptrdiff_t j, ptrdiff_t columns, ptrdiff_t y, ptrdiff_t w) {
+  const ptrdiff_t next = columns > 1 ? 3 : 0, half = SIDE / 2;
+  const ptrdiff_t first = j == 0 ? 0 : SIDE * j + half, end = j + 2 < columns ? SIDE * (j + 1) + half : w;
+  if (!any(line + 3 * j, 3) && !any(line + 3 * j + next, 3)) return;
+  for (ptrdiff_t x = first; x < end; x++) {
+    const float u = clamp(((float)(x - SIDE * j) + 0.5f) / SIDE - 0.5f, 0, 1);
+    doubt_pixel(f, y * w + x, line + 3 * j, line + 3 * j + next, u);
+  }
 }
 
 // Where blocks are in shadow, the pixels' slopes change and their deviation grows, bilinearly between the blocks' middles.
 EXPORT int doubt_shadows(const float *found, float *gradients, float *sigma, float *confidence, float *work, float clean,
                          float least, ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
   const struct frame f = {gradients, sigma, confidence, clean * clean, least};
-  const ptrdiff_t next_row = rows > 1 ? 3 * columns : 0, next = columns > 1 ? 3 : 0;
+  const ptrdiff_t next_row = rows > 1 ? 3 * columns : 0, most = columns > 1 ? columns - 2 : 0;
   if (rows != (h + SIDE - 1) / SIDE || columns != (w + SIDE - 1) / SIDE || n < 3 * columns) return WRONG_SIZE;
   for (ptrdiff_t y = 0; y < h; y++) {
-    float v, u;
+    float v;
     const float *upper = found + between(y, 1.0 / SIDE, rows, &v) * 3 * columns, *lower = upper + next_row;
-    if (!any(upper, 3 * columns) && !any(lower, 3 * columns)) continue;
+    const struct reach r = reach_of(upper, lower, columns);
+    if (r.first > r.last) continue;
     for (ptrdiff_t k = 0; k < 3 * columns; k++) work[k] = upper[k] + v * (lower[k] - upper[k]);
-    for (ptrdiff_t x = 0; x < w; x++) {
-      const float *left = work + 3 * between(x, 1.0 / SIDE, columns, &u);
-      if (any(left, 3) || any(left + next, 3)) doubt_pixel(&f, y * w + x, left, left + next, u);
-    }
+    for (ptrdiff_t j = r.first > 0 ? r.first - 1 : 0; j <= most && j <= r.last; j++) doubt_between(&f, work, j, columns, y, w);
   }
   return OK;
 }

@@ -55,7 +55,7 @@ def test_one_pass_and_one_by_one(with_forward, outside):
 def test_cast_shadows_move_slopes_and_raise_sigma():
     rest = np.full((*SHAPE, 3), 100, np.uint8)
     cells = cells_of()
-    shadows = CastShadows(cells, SHAPE, 0.03)
+    shadows = CastShadows(cells, SHAPE, 0.03, CLEAN)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array(SHAPE)[:, None, None] / 2
     hill = 6 * np.exp(
         -(x**2 + y**2) / 72
@@ -74,10 +74,12 @@ def test_cast_shadows_move_slopes_and_raise_sigma():
     moved = np.linalg.norm(slopes - plain, axis=-1)
     assert moved.max() > 0.01
     assert moved[:5].max() == 0
-    np.testing.assert_allclose(sigma, np.hypot(law, moved), rtol=1e-4)
+    cast = shadows.sigma(change, raw)
+    assert (cast >= 0.999 * moved - 1e-6).all()
+    np.testing.assert_allclose(sigma, np.hypot(law, cast), rtol=1e-4)
     np.testing.assert_allclose(confidence, np.minimum(1, (CLEAN / sigma) ** 2), rtol=1e-5)
     seen = causes.seen(rest, change, raw, markers=None, lost=None, lost_image=rest)
-    np.testing.assert_allclose(CAUSES["shadow"](seen), moved, atol=1e-6)
+    np.testing.assert_allclose(CAUSES["shadow"](seen), cast, atol=1e-6)
 
 
 def numpy_raise_sigma(

@@ -20,7 +20,8 @@ from gelform._native import Kernel
 from gelform.confidence.forward_cells import CELL
 from gelform.confidence.in_front_of_lights import InFrontOfLights
 
-COARSER = 4  # of native/confidence/cast_shadows.c: pixels that are looked at together; a shadow's rim is soft, and noise averages out
+# Of native/confidence/cast_shadows.c: pixels that are looked at together; a shadow's rim is soft, and noise averages out.
+COARSER = 4
 # Times the darkness that slopes in contacts leave unexplained: from which a shadow is sure, and as far as it goes; and from
 # which it is one where something stands in the light.
 SURE, FAINT = 1.5, 0.5
@@ -87,8 +88,9 @@ class CastShadows:
 
     def darkness(self, color_change: NDArray[Any], gradients: NDArray[Any]) -> NDArray[np.float32]:
         """How much darker (rows, columns) blocks are than any slope makes them; below 0: brighter."""
-        frame = (np.ascontiguousarray(one, dtype=np.float32) for one in (color_change, gradients))
-        return self._looked_at(*frame, np.zeros(2, np.float32), None)[1]
+        change = np.ascontiguousarray(color_change, dtype=np.float32)
+        slopes = np.ascontiguousarray(gradients, dtype=np.float32)
+        return self._looked_at(change, slopes, np.zeros(2, np.float32), None)[1]
 
     def regions(self, darkness: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Blocks (rows, columns) in shadows: connected, dark, and sure somewhere."""
@@ -167,6 +169,6 @@ class CastShadows:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Slopes (rows, columns, 2) and darkness (rows, columns) of blocks."""
         slopes, dark = np.empty((*self.coarse, 2), np.float32), np.empty(self.coarse, np.float32)
-        work = np.empty(5 * (self.shape[1] + self.coarse[1]), dtype=np.float32)
+        work = np.empty(5 * (self.shape[1] + COARSER + self.coarse[1]), dtype=np.float32)
         _shadow_darkness(color_change, gradients, unseen, self._table, bias, slopes, dark, work)
         return slopes, dark

@@ -16,7 +16,9 @@ from gelform.solvers.dct import DctSolver
 # does while shadows are taken for slopes, still counts.
 LOWEST_RAY = 0.23
 UPPER = 0.65  # of the highest around: what is higher is the contact
-REACH = 15  # of native/confidence/cast_shadows.c: blocks on each side that are around; rays are followed over 31
+REACH = (
+    15  # of native/confidence/cast_shadows.c: blocks on each side that are around; rays are followed over 31
+)
 _behind_hills = Kernel(
     "behind_hills",
     "f32[rows,columns] depth, bool[rows,columns] asked, f32[rows,columns,lights,2] toward, out bool[rows,columns] behind, "

@@ -104,14 +104,18 @@ class PreparedCauses:
         lost_image: NDArray[Any],
     ) -> Seen:
         """A frame as the single causes look at it; the gradients (H, W, 2) as the color model read them."""
-        residual = None if self._cells is None else color_change - explained_change(self._cells, gradients)
+        residual = gentle = None
+        if self._cells is not None:
+            slopes = gradients, seen.no_steeper(gradients)
+            residual, gentle = (color_change - explained_change(self._cells, one) for one in slopes)
         pixels, came = as_levels(image), as_levels(lost_image)
         added = self.added_levels(came)
         cast = None
         if self._shadows is not None:
             hidden = lost if markers is None else markers if lost is None else markers | lost
             cast = self._shadows.sigma(color_change, gradients, self._unseen(hidden))
-        return Seen(pixels, color_change, gradients, residual, markers, lost, came, added, self.limits, cast)
+        masks = markers, lost, came
+        return Seen(pixels, color_change, gradients, residual, *masks, added, self.limits, cast, gentle)
 
     def added_levels(self, pixels: NDArray[np.uint8]) -> float:
         """Noise of an image beyond the calibrated images', grey levels."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.confidence.causes.seen import with_margin
+from gelform.confidence.causes.seen import no_steeper, with_margin
 from made.seen_frames import limits, patch, seen
 
 
@@ -43,10 +43,17 @@ def test_what_is_beyond_the_response_s_noise_counts_where_it_is_asked_for():
     assert 0 < np.count_nonzero(expected) < np.count_nonzero(mask)
 
 
-def test_the_common_part_is_the_mean_over_the_channels():
+def test_the_common_part_is_the_mean_over_the_rms_of_the_channels():
     residual = np.random.default_rng(0).normal(0, 1, (40, 72, 3)).astype(np.float32)
-    np.testing.assert_allclose(seen(residual=residual).common(), residual.mean(axis=-1))
+    wanted = residual.mean(axis=-1) / np.sqrt((residual**2).mean(axis=-1))
+    np.testing.assert_allclose(seen(residual=residual).common(), wanted, atol=1e-5)
+    np.testing.assert_allclose(seen(residual=-residual, gentle=residual).common(), wanted, atol=1e-5)
     assert not seen(residual=None).common().any()
+
+
+def test_slopes_are_cut_to_those_of_which_the_response_says_something():
+    slopes = np.array([[[0.3, -0.4], [3.0, 4.0], [0.0, 0.0]]], np.float32)
+    np.testing.assert_allclose(no_steeper(slopes), [[[0.3, -0.4], [0.6, 0.8], [0, 0]]], rtol=1e-6)
 
 
 def test_a_margin_of_none_leaves_the_mask():

@@ -13,6 +13,6 @@ def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm, of what the channels do not have in common, and of lost parts not clipped."""
     torn = seen.where(seen.lost)
     torn[(saturated.sigma(seen) > 0) | (dark.sigma(seen) > 0)] = 0
-    common, size = seen.common(), seen.unexplained()
-    mixed = (common >= DARKER * size) & (common <= BRIGHTER * size)
+    common = seen.common()
+    mixed = (common >= DARKER) & (common <= BRIGHTER)
     return np.maximum(seen.beyond(mixed), torn)

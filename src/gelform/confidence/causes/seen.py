@@ -17,6 +17,9 @@ SURE_LIMIT = 6.5  # of it: nothing is left of such a slope, nor of those that it
 LEAST_LIMIT, LEAST_SURE = 0.02, 0.06  # of color change, where the response was fitted to images without noise
 # A colour that no gradient explains moves the slope by more than the same difference along the colours that do.
 AMPLIFIED = 3.0
+STEEPEST = (
+    1.0  # mm/mm: the response, a polynomial, says nothing of slopes beyond, which a shadow may be read as
+)
 # Times the RMS of the channels, that their mean has to be below for shadow, above for light. The slopes that are read take
 # part of a lost light for their own, more of it where the channels mix the lights: what is left need not be alike in them.
 DARKER, BRIGHTER = -0.25, 0.6
@@ -106,6 +109,7 @@ class Seen:
     added_levels : noise of the image beyond the calibrated images', grey levels
     limits : of the calibration
     cast : (H, W), standard deviation of slopes in cast shadows, mm/mm; None where there are none
+    gentle : (H, W, 3), the residual of slopes that are cut to `STEEPEST`; None where they are the residual's
     """
 
     pixels: NDArray[np.uint8]
@@ -118,6 +122,7 @@ class Seen:
     added_levels: float
     limits: Limits
     cast: NDArray[np.float32] | None = None
+    gentle: NDArray[np.float32] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -126,17 +131,20 @@ class Seen:
         return height, width
 
     def common(self) -> NDArray[np.float32]:
-        """What the residual's channels have in common (H, W): light without colour; 0 without a response."""
-        if self.residual is None:
+        """Mean of the residual's channels over their RMS (H, W), -1 to 1: light without colour; 0 without a response.
+
+        Of slopes up to `STEEPEST`.
+        """
+        residual = self.residual if self.gentle is None else self.gentle
+        if residual is None:
             return np.zeros(self.shape, dtype=np.float32)
-        return np.asarray(self.residual.mean(axis=-1), dtype=np.float32)
+        return np.asarray(residual.mean(axis=-1) / np.maximum(_rms(residual), 1e-12), dtype=np.float32)
 
     def unexplained(self) -> NDArray[np.float32]:
         """RMS of the residual's channels (H, W); 0 without a response."""
         if self.residual is None:
             return np.zeros(self.shape, dtype=np.float32)
-        squares = np.einsum("...c,...c->...", self.residual, self.residual)
-        return np.asarray(np.sqrt(squares / np.float32(3)), dtype=np.float32)
+        return _rms(self.residual)
 
     def where(self, mask: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """A map (H, W) of the sigma of slopes that the image says nothing of, where the mask says so; 0 elsewhere."""
@@ -158,6 +166,17 @@ class Seen:
             if unseen is not None:
                 marked = marked & ~unseen
         return with_margin(marked, self.limits.margin_px)
+
+
+def _rms(channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    squares = np.einsum("...c,...c->...", channels, channels)
+    return np.asarray(np.sqrt(squares / np.float32(3)), dtype=np.float32)
+
+
+def no_steeper(gradients: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Slopes (H, W, 2), mm/mm, those beyond `STEEPEST` cut to it."""
+    size = np.linalg.norm(gradients, axis=-1, keepdims=True)
+    return gradients * (np.float32(STEEPEST) / np.maximum(size, np.float32(STEEPEST)))
 
 
 def with_margin(clipped: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:

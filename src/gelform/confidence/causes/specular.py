@@ -10,4 +10,4 @@ from gelform.confidence.causes.seen import BRIGHTER, Seen
 
 def sigma(seen: Seen) -> NDArray[np.float32]:
     """Standard deviation (H, W), mm/mm, from what is unexplained where the channels are brighter in common."""
-    return seen.beyond(seen.common() > BRIGHTER * seen.unexplained())
+    return seen.beyond(seen.common() > BRIGHTER)
