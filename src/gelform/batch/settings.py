@@ -9,7 +9,7 @@ from typing import Any
 from gelform.solvers import SOLVERS
 from gelform.solvers.inputs import takes_weights
 
-KEPT = ("depth", "known", "depth_sigma", "gradients", "confidence", "contact")
+KEPT = ("depth", "known", "depth_sigma", "gradients", "normals", "confidence", "contact")
 FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
 DTYPES = ("float32", "uint16")
 LEVELS_ALONE = ("png", "ffv1", "lerobot")  # which hold nothing but depth in 16 bits

@@ -17,7 +17,15 @@ zarr = pytest.importorskip("zarr", minversion="3", reason="the extra zarr is not
 def test_every_map_as_zarr_reads_it(written, results, tmp_path, counted, part_frames):
     written("zarr", keep=KEPT, counted=counted, part_frames=part_frames)
     group = zarr.open_group(tmp_path / "frames", mode="r")["day/a"]
-    assert set(group) == {"depth_mm", "known", "depth_sigma_mm", "gradients", "confidence", "contact"}
+    assert set(group) == {
+        "depth_mm",
+        "known",
+        "depth_sigma_mm",
+        "gradients",
+        "normals",
+        "confidence",
+        "contact",
+    }
     for name, array in group.arrays():
         assert array.shape[0] == 5
         for k, result in enumerate(results):

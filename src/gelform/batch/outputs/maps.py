@@ -19,14 +19,16 @@ MAPS: dict[str, tuple[str, str, str]] = {
     "known": ("known", "bool", ""),
     "depth_sigma": ("depth_sigma_mm", "float32", "mm"),
     "gradients": ("gradients", "float32", "mm/mm"),
+    "normals": ("normals", "float32", ""),
     "confidence": ("confidence", "float32", ""),
     "contact": ("contact", "bool", ""),
 }
+AXES = {"gradients": (2,), "normals": (3,)}  # behind (H, W)
 LEVELS = {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
 
 
 def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArray[Any]]:
-    """The kept maps (H, W) or (H, W, 2) by their names in files; depth as uint16 levels where the settings say so.
+    """The kept maps by their names in files, (H, W) or with AXES behind; depth as uint16 levels where the settings say so.
 
     Raises
     ------
@@ -44,8 +46,8 @@ def blank_maps(settings: BatchSettings, shape: tuple[int, int]) -> dict[str, NDA
         return {"depth_mm": np.full(shape, UNKNOWN, dtype=np.uint16)}
     blank = {}
     for name, dtype, _ in map(MAPS.__getitem__, settings.keep):
-        full = (*shape, 2) if name == "gradients" else shape
-        blank[name] = np.full(full, False if dtype == "bool" else np.nan, dtype=dtype)
+        nothing = False if dtype == "bool" else np.nan
+        blank[name] = np.full((*shape, *AXES.get(name, ())), nothing, dtype=dtype)
     return blank
 
 

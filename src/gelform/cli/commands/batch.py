@@ -61,7 +61,9 @@ def batch(
     table: Annotated[str, typer.Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto",
     keep: Annotated[
         str,
-        typer.Option(help="Maps: depth,known,depth_sigma,gradients,confidence,contact; all: whole results."),
+        typer.Option(
+            help="Maps: depth, known, depth_sigma, gradients, normals, confidence, contact; all: whole results."
+        ),
     ] = "depth,known",
     solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
     sigma: Annotated[
@@ -189,12 +191,14 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
     if summary.stopped:
         say(
             f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. What is done "
-            f"is kept in {output / 'parts'} with the reasons."
+            f"is kept in {output / 'parts'} with the reasons. Put the files right, or allow more, and run the same command."
         )
     elif summary.complete:
         say(
             f"Complete: {output / summary.table} has a row for each frame; look at {output / 'sheet.png'}.",
             quiet,
         )
+        if summary.errors:
+            say("Why frames have errors is in its column error; after mending them: --retry-errors.", quiet)
     else:
         say("This shard is done; the table is written when the last one is.", quiet)
