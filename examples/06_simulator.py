@@ -16,7 +16,7 @@ rng = np.random.default_rng(0)
 sensor = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
 presses = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=10, rng=rng, oversample=1)
 folder = gelform.save_simulated_presses("presses", presses)
-calibration = gelform.calibrate(gelform.read_presses(folder), color_model="hierarchical")
+calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 
 # 2. Its twin shows what the sensor would show: the same surface in both, and how far the colours are apart.
 twin = Twin(calibration, gel=sensor.gel, relaxation_mm=sensor.relaxation_mm)

@@ -172,14 +172,14 @@ def test_the_same_image_counts_once(presses):
 
 
 def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
-    eight = presses.subset(range(8))
-    copies = tuple(replace(press, name=f"copy of {press.name}") for press in eight.presses)
-    once = gelform.calibrate(eight, color_model="polynomial")
-    twice = gelform.calibrate(replace(eight, presses=(*eight.presses, *copies)), color_model="polynomial")
+    six = presses.subset(range(6))
+    copies = tuple(replace(press, name=f"copy of {press.name}") for press in six.presses)
+    once = gelform.calibrate(six, color_model="polynomial")
+    twice = gelform.calibrate(replace(six, presses=(*six.presses, *copies)), color_model="polynomial")
     assert twice.held_out == once.held_out
     assert [row.accepted for row in twice.report.presses] == [row.accepted for row in once.report.presses] + [
         False
-    ] * 8
+    ] * 6
 
 
 def test_frames_of_one_press_are_no_presses(presses):

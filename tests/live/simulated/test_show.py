@@ -7,6 +7,7 @@ import pytest
 
 from gelform.live.simulated.show import Show
 from gelform.simulate import simulate_background
+from live_waiting import until
 
 
 @pytest.fixture
@@ -26,6 +27,16 @@ def test_at_rest_it_is_the_untouched_sensor(show, sensor):
     untouched = simulate_background(sensor, None).astype(float)
     assert image.dtype == np.uint8
     assert np.abs(image - untouched).mean() < 3 * max(sensor.noise_sd, 1)
+
+
+def test_at_rest_no_act_is_computed(show, monkeypatch):
+    simulated = []
+    monkeypatch.setattr(show, "_simulated", lambda *given: simulated.append(given) or show._rest)
+    show.rest()
+    frames(show, 40)  # 0.2 s: seven poses' time
+    assert simulated == []
+    show.rest(False)
+    until(lambda: simulated)
 
 
 def test_each_frame_has_noise_of_its_own_and_a_later_time(show):

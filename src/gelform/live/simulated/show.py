@@ -144,7 +144,14 @@ class Show(PacedSimulation):
         for act in ACTS[1:]:
             rehearsed = Rehearsed(act, act.poses(self.sensor))
             for step, pose in enumerate(rehearsed.poses):
-                if self._closed.wait(GENTLE_S):  # the frames that are shown meanwhile go first
+                if not self._may_rehearse():
                     return
                 rehearsed.levels[step] = self._simulated(act.indenter, pose)
             self._acts = [*self._acts, rehearsed]
+
+    def _may_rehearse(self) -> bool:
+        """Waits for the frames that are shown meanwhile, and for the end of a rest; False once it is closed."""
+        while not self._closed.wait(GENTLE_S):
+            if not self._resting:
+                return True
+        return False
