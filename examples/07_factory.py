@@ -31,7 +31,7 @@ def decided(result):
 sensor = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
 presses = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=10, rng=rng, oversample=1)
 folder = gelform.save_simulated_presses("presses", presses)
-calibration = gelform.calibrate(gelform.read_presses(folder), color_model="hierarchical")
+calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 reconstruct = gelform.Reconstructor(calibration)
 
 # 2. Parts come by. The true height is known here, because they are simulated.
