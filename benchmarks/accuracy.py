@@ -26,7 +26,7 @@ import numpy as np
 import gelform
 from accuracy_objects import anchor, deep, objects, walls
 from accuracy_presses import few, real_deep, sigma
-from accuracy_punches import punches, punches_drawn
+from accuracy_punches import punches, punches_drawn, walls_drawn
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.calibration.presses.folder import Presses
@@ -293,6 +293,7 @@ PARTS: dict[str, Any] = {
     "deep": deep,
     "objects": objects,
     "walls": walls,
+    "walls_drawn": walls_drawn,
     "punches": punches,
     "punches_drawn": punches_drawn,
 }

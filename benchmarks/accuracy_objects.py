@@ -96,9 +96,9 @@ def height_of(sensor: SimulatedSensor, reconstruct: Any, indenter: Any, depth_mm
     }
 
 
-def walls(quick: bool) -> dict[str, Any]:
+def walls(quick: bool, sensors: dict[str, SimulatedSensor] | None = None) -> dict[str, Any]:
     """Share of the slopes of the eight objects within one sigma: by slope, by slope and place, and of steep true slopes."""
-    sensors = {**LAYOUTS, "gelsight-mini": gelsight_mini()}
+    sensors = sensors or {**LAYOUTS, "gelsight-mini": gelsight_mini()}
     figures: dict[str, Any] = {}
     for name, sensor in list(sensors.items())[: 1 if quick else None]:
         presses = presses_of(usual_presses(sensor, 12 if quick else 30))

@@ -24,10 +24,18 @@ DRAWS = 10
 
 
 def sigma(data: Path, quick: bool) -> dict[str, Any]:
-    """Share of slopes, and of depth minus its mean over the contact, within the stated deviations."""
+    """Share of slopes, and of depth minus its mean over the contact, within the stated deviations: either half judges."""
     presses, order = _mini_ball(data)
-    step = 5 if quick else 1
-    training, test = order[0 : None if not quick else 24 : 2], order[1::2][::step]
+    even, odd = order[0 : None if not quick else 24 : 2], order[1::2]
+    figures = _within(presses, even, odd[:: 5 if quick else 1])
+    if not quick:
+        figures["odd presses calibrate, even ones judge"] = _within(presses, odd, order[0::2])
+    for name, value in figures.items():
+        print(f"{name}: {value}")
+    return figures
+
+
+def _within(presses: gelform.Presses, training: list[int], test: list[int]) -> dict[str, Any]:
     calibration = gelform.calibrate(_unlabelled(presses, training))
     reconstruct = gelform.Reconstructor(calibration)
     slopes, shapes, normals = [], [], []
@@ -41,19 +49,19 @@ def sigma(data: Path, quick: bool) -> dict[str, Any]:
     rows = np.concatenate(slopes)
     within, bins = rows[:, 2:4].mean(axis=1), np.digitize(rows[:, 4], SLOPES)
     tile = tile_of(rows[:, 0], rows[:, 1], calibration.image_shape, COARSE)
-    figures = {
+    shares = shares_within(within, bins * 100 + tile)
+    return {
         "slopes within 1 sigma, %": float(100 * within.mean()),
         "by slope, least and most, %": _range(within, bins),
         "by place, least and most, %": _range(within, tile),
-        "by slope and place, least and most, %": _range(within, bins * 100 + tile),
+        "by slope and place, least and most, %": [min(shares), max(shares)],
+        "bins of slope and place outside 45-90": f"{sum(not 45 <= one <= 90 for one in shares)} of {len(shares)}",
         "depth against its mean, within 1 and 2 of the difference's sigma, %": _mean(shapes, 0, 2),
         "the same against depth_sigma_mm, %": _mean(shapes, 2, 4),
         "normals, deg, plain and smoothed, of the contact, then within 0.8": np.mean(
             normals, axis=0
         ).tolist(),
     }
-    print("\n" + "\n".join(f"{name}: {value}" for name, value in figures.items()))
-    return figures
 
 
 def _slopes(result: Any, label: Any, radius_px: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from accuracy_objects import OBJECTS, SEED, height_of, presses_of, usual_presses
+from accuracy_objects import OBJECTS, SEED, height_of, presses_of, usual_presses, walls
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.frames import pixels_digest
 from gelform.simulate import LAYOUTS, Posed, Punch, SimulatedSensor, simulate_press
@@ -26,6 +26,7 @@ from gelform.simulate.sensor.led import led_row
 from report import table
 
 DRAWN = range(201, 211)
+WALLS_DRAWN = range(311, 315)  # rules of sigma were chosen on 301-308
 PUNCH_MM = 4.0
 # (x, y) as parts of the image's width and height from its centre, and depth, mm
 PUNCHES = (
@@ -96,6 +97,11 @@ def punches(quick: bool) -> dict[str, Any]:
 def punches_drawn(quick: bool) -> dict[str, Any]:
     """The same on ten sensors that no rule has seen."""
     return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN})
+
+
+def walls_drawn(quick: bool) -> dict[str, Any]:
+    """Shares of slopes within one sigma on four sensors that no rule of sigma has seen."""
+    return walls(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in WALLS_DRAWN})
 
 
 def _table(quick: bool, sensors: dict[str, SimulatedSensor]) -> dict[str, Any]:

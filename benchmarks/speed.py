@@ -33,7 +33,7 @@ from gelform.background.change import PreparedBackground
 from gelform.background.untouched import reference_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.color_models.seam import gradients_from_pending
-from gelform.confidence import PreparedSigma, prepared_causes, solved_sigma
+from gelform.confidence import PreparedSigma, SolvedSigma, prepared_causes
 from gelform.contact import contact_from_depth, contacts_from_mask
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.gradients import slopes_of_solution
@@ -80,6 +80,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     threshold, pitch = calibration.untouched_change, calibration.known_mm_per_px
     reference = reference_from_color_change(change, gradients, threshold)
     sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
+    solved = SolvedSigma(calibration.slope_sigma, calibration.image_shape, calibration.change.blur_px)
     causes = prepared_causes(
         calibration.background,
         calibration.change,
@@ -124,9 +125,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             gelform.integrate(gradients, mm_per_px=pitch, **how).curl_rms
         ),
         "sigma of depth": lambda: depth_sigma(both, **how, rest=untouched),
-        "slopes of the depth and their sigma": lambda: (
-            slopes_of_solution(depth, (pitch, pitch)),
-            solved_sigma(both, 1.0),
+        "slopes of the depth and their sigma": lambda: solved(
+            both, slopes_of_solution(depth, (pitch, pitch)), touched
         ),
         "contact": lambda: contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known),
         "contacts": lambda: contacts_from_mask(touched, depth, mm_per_px=pitch),

@@ -23,9 +23,9 @@ from gelform.confidence import (
     Explanation,
     PreparedCauses,
     PreparedSigma,
+    SolvedSigma,
     UnknownSigma,
     explanation_of,
-    solved_sigma,
     with_model_sigma,
 )
 from gelform.confidence.limits import prepared_causes
@@ -141,13 +141,13 @@ class Reconstructor:
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         known = calibration.slope_sigma
         self._gains = (known.gain_sigma, known.depth_gain_sigma) if known else (0.0, 0.0)
-        self._solved_factor = known.solved_factor if known else 1.0
         self._health = FrameHealth(self.background)
         shape = calibration.image_shape
         self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.get("gel_thickness_mm"))
         noise = noise_by_place(self._model, self._untouched_image, calibration.settings.get("image_noise"))
-        relaxation_mm = calibration.settings.get("relaxation_mm")
-        self._contact = PreparedContact((self._pitch, self._pitch), relaxation_mm, noise)
+        self._contact = PreparedContact((self._pitch,) * 2, calibration.settings.get("relaxation_mm"), noise)
+        walls_px = calibration.change.blur_px if calibration.gamut else None
+        self._solved_sigma = SolvedSigma(known, shape, walls_px, noise)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
@@ -208,14 +208,16 @@ class Reconstructor:
         solution, depth_sigma, difference = self._integrate(read)
         depth_mm, too_deep = self._limit.bound(solution.depth_mm)
         faults.widen(depth_sigma, self._limit.ignorance_mm)
+        gradients = slopes_of_solution(depth_mm, (self._pitch, self._pitch))
+        contact = self._contact(depth_mm, depth_sigma)
         return Reconstruction(
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
-            gradients=slopes_of_solution(depth_mm, (self._pitch, self._pitch)),
-            gradients_sigma=solved_sigma(read.observed_sigma, self._solved_factor),
+            gradients=gradients,
+            gradients_sigma=self._solved_sigma(read.observed_sigma, gradients, contact),
             observed_gradients=observed,
             confidence=read.confidence,
-            contact=self._contact(depth_mm, depth_sigma),
+            contact=contact,
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,

@@ -12,7 +12,6 @@ from gelform.confidence.frame_sigma import (
     UNLEARNT,
     PreparedSigma,
     UnknownSigma,
-    solved_sigma,
     with_model_sigma,
 )
 from gelform.confidence.slope_sigma import SlopeSigma
@@ -138,41 +137,6 @@ def test_the_kernel_agrees_with_numpy(shape, with_gamut, optional):
         rng.normal(0, 0.5, (*shape, 2)).astype(np.float32), np.empty(shape, bool), np.empty(shape, np.float32), 0.3**2,
         *prepared._numbers, *prepared._gamut_numbers, 0.3,
     )  # fmt: skip
-
-
-def numpy_solved_sigma(sigma, work, solved, factor, limit):
-    """Own variance v and the neighbours' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
-    v = np.pad(np.minimum(sigma.astype(float), limit) ** 2, 1, mode="edge")
-    rows, columns = sigma.shape
-    around = sum(v[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) - v[1:-1, 1:-1]
-    own, others = v[1:-1, 1:-1], around / 8
-    return factor * np.sqrt((5 / 3) / (1 / own + (2 / 3) / others))
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (2, 7), (20, 33)])
-def test_the_kernel_of_solved_slopes_agrees_with_numpy(shape):
-    sigma = np.random.default_rng(1).uniform(0.01, 1.5, shape).astype(np.float32)
-    arguments = sigma, np.empty(shape[1] + 2, np.float32), np.empty(shape, np.float32), 0.9, 1.1
-    assert_kernel_agrees(frame_sigma._solved_sigma, numpy_solved_sigma, *arguments)
-
-
-def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
-    sigma = np.full((9, 9), 0.05, np.float32)
-    sigma[4, 4] = 1.0
-    sigma[1, 1] = 40.0
-    both = np.broadcast_to(sigma[..., None], (9, 9, 2))
-    solved = solved_sigma(both, 0.8)
-    assert solved.shape == (9, 9, 2)
-    assert solved[7, 7, 0] == pytest.approx(0.04)
-    assert 0.04 < solved[4, 4, 0] < 0.1
-    assert 0.04 < solved[1, 1, 1] < 0.1
-    np.testing.assert_array_equal(solved_sigma(both.copy(), 0.8), solved)
-    assert solved_sigma(None, 0.8) is None
-
-
-def test_no_slope_is_less_known_than_the_steepest():
-    unseen = np.full((5, 6, 2), 40.0, np.float32)
-    np.testing.assert_allclose(solved_sigma(unseen, 0.5), 1, rtol=1e-5)
 
 
 def test_of_two_deviations_the_larger_counts():

@@ -22,6 +22,7 @@ from gelform.calibration.inputs import check_inputs, input_notes, repeated_image
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.held_out import measure_held_out
 from gelform.calibration.report.record import report_of_run
+from gelform.calibration.report.solved import solved_by_place
 from gelform.calibration.selection.candidates import (
     AUTO,
     ZONES,
@@ -32,6 +33,7 @@ from gelform.calibration.selection.candidates import (
 )
 from gelform.calibration.selection.folds import Fold, make_folds, size_folds, unlike_the_others
 from gelform.calibration.selection.select import select
+from gelform.calibration.selection.slope_errors import share_seen
 from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration.start import start_from
 from gelform.calibration.unlabelled import surround_sigma
@@ -115,7 +117,9 @@ def calibrate(
         steepest=None if draft.slope_sigma is None else draft.slope_sigma.steepest,
         surround_sigma=_surround_sigma(by_offset, refined, selection.chosen.zone),
     )
-    return replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report, forward=forward)
+    draft = replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report, forward=forward)
+    sigma = solved_by_place(draft, sigma, presses, measured.samples, share_seen(folds))
+    return replace(draft, slope_sigma=sigma)
 
 
 def _surround_sigma(

@@ -1,4 +1,4 @@
-"""Standard deviation of a frame's slopes by their size, place and colour, pixel by pixel; and of the solved ones."""
+"""Standard deviation of a frame's slopes, as they are read, by their size, place and colour, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from gelform._native import Kernel
 from gelform.background.untouched import Reference, near_common
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
+from gelform.confidence.solved import for_both
 
-STEEPEST = 1.0  # mm/mm
 TABLE = 64  # the law, tabulated for the frame's kernel
 # A slope s where the presses showed slopes up to t is off by no less than UNLEARNT s (s/t - 1): what is steeper reads like
 # it. Simulated walls would have it larger, and already from 0.6 t on; that costs balls their rim.
@@ -21,9 +21,6 @@ _frame_sigma = Kernel(
     "f32[h,w] per_steepest, f32[t] law, "
     "f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, "
     "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth, f32 unlearnt",
-)
-_solved_sigma = Kernel(
-    "solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor, f32 limit"
 )
 
 
@@ -128,42 +125,9 @@ def with_model_sigma(
     gradients_sigma : (H, W, 2), the larger of both; None where there is neither
     confidence : (H, W), the smaller of both
     """
-    both = None if sigma is None else _for_both(sigma)
+    both = None if sigma is None else for_both(sigma)
     if model_sigma is None:
         return both, confidence
     limit = np.square(np.float32(clean) / model_sigma.max(axis=-1))
     larger = model_sigma if both is None else np.maximum(model_sigma, both)
     return larger, np.minimum(confidence, limit)
-
-
-def solved_sigma(sigma: NDArray[np.float32] | None, factor: float) -> NDArray[np.float32] | None:
-    """Standard deviation (H, W, 2) of the slopes of the solved depth.
-
-    A surface cannot follow errors of slopes that have curl, and a slope that was read badly follows from its
-    neighbours: beside its own reading each is known by the two loops of four edges that it closes. The factor says
-    how much of the error that leaves, measured on held-out presses. A gel is nowhere so steep that a slope would not
-    be known within `STEEPEST`.
-
-    Parameters
-    ----------
-    sigma : (H, W, 2) of the slopes as they were read; None where nobody knows
-    factor : 0-1, `SlopeSigma.solved_factor`
-    """
-    if sigma is None:
-        return None
-    alike = sigma.strides[-1] == 0  # one map for both components, broadcast
-    maps = [_solved_map(np.ascontiguousarray(sigma[..., c]), factor) for c in range(1 if alike else 2)]
-    return _for_both(maps[0]) if alike else np.stack(maps, axis=-1)
-
-
-def _for_both(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
-    """One map (H, W) as both components (H, W, 2), read-only: what `np.broadcast_to` gives, in a tenth of its time."""
-    both: NDArray[np.float32] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
-    both.flags.writeable = False
-    return both
-
-
-def _solved_map(sigma: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
-    solved = np.empty_like(sigma)
-    _solved_sigma(sigma, np.empty(sigma.shape[1] + 2, dtype=np.float32), solved, factor, STEEPEST / factor)
-    return solved

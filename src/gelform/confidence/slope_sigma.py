@@ -17,6 +17,7 @@ MIN_IN_BIN = 50
 GOOD = 0.95
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
 ROUNDS = 3
+LEAST_APART, MOST_FACTOR = 1e-6, 1e3  # of the factors of solved slopes
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
@@ -64,6 +65,9 @@ class SlopeSigma:
     slopes, sigmas : a law in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
     solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact; see `solved_factor`
+    solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over what a slope's
+        reading and its neighbours foretell; linear between the slopes, constant beyond. None in calibrations that do not
+        hold it
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
     clean : what 95 % of the pixels in contact stay under: confidence is 1 up to it, since errors that are alike over
         many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
@@ -91,6 +95,8 @@ class SlopeSigma:
     rest_correlated_share: float | None = None
     surround_sigma: float = 0.0
     steepest: tuple[tuple[float, ...], ...] | None = None
+    solved_slopes: tuple[float, float] | None = None
+    solved_places: tuple[tuple[tuple[float, ...], ...], ...] | None = None
 
     def __post_init__(self) -> None:
         for name, low, high in _RANGES:
@@ -110,6 +116,16 @@ class SlopeSigma:
         steepest = place if self.steepest is None else check_values(self.steepest, "steepest")
         if not (steepest.ndim == 2 and steepest.min() > 0):
             raise ValueError("Expected steepest as rows of slopes > 0, got others.")
+        self._check_solved()
+
+    def _check_solved(self) -> None:
+        if self.solved_slopes is None and self.solved_places is None:
+            return
+        slopes, places = (check_values(getattr(self, n), n) for n in ("solved_slopes", "solved_places"))
+        if not (slopes.shape == (2,) and 0 <= slopes[0] < slopes[1] and slopes[1] - slopes[0] >= LEAST_APART):
+            raise ValueError("Expected solved_slopes as two slopes >= 0 that grow, got others.")
+        if not (places.ndim == 3 and len(places) == 2 and places.min() > 0 and places.max() < MOST_FACTOR):
+            raise ValueError("Expected solved_places as two grids of factors > 0, got others.")
 
     @classmethod
     def fit(
@@ -156,11 +172,14 @@ class SlopeSigma:
                 values["correlation_px"],
             )
         exact = {name: tuple(values[name]) for name in ("slopes", "sigmas")}
-        grids = {
+        grids: dict[str, Any] = {
             name: tuple(tuple(row) for row in values[name])
             for name in ("place", "steepest")
             if values.get(name) is not None
         }
+        if values.get("solved_places") is not None:
+            grids["solved_slopes"] = tuple(values["solved_slopes"])
+            grids["solved_places"] = tuple(tuple(map(tuple, grid)) for grid in values["solved_places"])
         return cls(**{**values, **exact, **grids})
 
     @property

@@ -37,7 +37,9 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
     monkeypatch.setattr(Reconstructor, "from_image", counted)
     report = gelform.calibrate(presses.subset(range(8)), color_model="polynomial").report
     assert len(set(seen)) == sum(row.accepted for row in report.presses)
-    assert all(seen.count(one) <= 2 for one in seen)  # twice where a fold chose otherwise
+    assert all(
+        seen.count(one) <= 3 for one in seen
+    )  # by its fold and by all; once more where the fold chose otherwise
 
 
 def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(presses, calibration):

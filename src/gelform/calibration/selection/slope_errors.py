@@ -61,7 +61,7 @@ def slope_sigma_from_folds(
     A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
     the root of the number of presses, the rate at which errors of estimation fall.
     """
-    share_seen = float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
+    seen = share_seen(folds)
     shape = presses[0].size.shape
     step = max(1, round(scale_of(shape)))
     residuals = {
@@ -74,13 +74,18 @@ def slope_sigma_from_folds(
     parts = [one.columns(shape, i) for i, one in residuals.items()]
     slopes, errors, x, y, press = (np.concatenate(column) for column in zip(*parts))
     untouched = np.concatenate([one.untouched for one in residuals.values()])
-    held_out = SlopeErrors(slopes, np.sqrt(share_seen) * errors, x, y, press, untouched)
-    gain_sigma = float(np.sqrt(share_seen * np.mean((np.array(gains) - 1) ** 2)))
+    held_out = SlopeErrors(slopes, np.sqrt(seen) * errors, x, y, press, untouched)
+    gain_sigma = float(np.sqrt(seen * np.mean((np.array(gains) - 1) ** 2)))
     length, share = correlation_from_products(np.mean(products, axis=0), step)
     fitted = SlopeSigma.fit(held_out, length, share, gain_sigma)
     at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
     rest_length, rest_share = rest_correlation(at_rest, length)
     return replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_share)
+
+
+def share_seen(folds: Sequence[Fold]) -> float:
+    """Mean share of the presses that a fold's model has seen."""
+    return float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
 
 
 def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:

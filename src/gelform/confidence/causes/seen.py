@@ -70,7 +70,7 @@ class Limits:
     @property
     def reach_px(self) -> int:
         """How far away the neighbours are, px."""
-        return max(1, round(REACH * self.blur_px))
+        return reach_px(self.blur_px)
 
     @property
     def unseen(self) -> float:
@@ -177,6 +177,11 @@ def no_steeper(gradients: NDArray[np.float32]) -> NDArray[np.float32]:
     """Slopes (H, W, 2), mm/mm, those beyond `STEEPEST` cut to it."""
     size = np.linalg.norm(gradients, axis=-1, keepdims=True)
     return gradients * (np.float32(STEEPEST) / np.maximum(size, np.float32(STEEPEST)))
+
+
+def reach_px(blur_px: float) -> int:
+    """How far from a pixel those lie that its slope is compared with, of a color change that is blurred so much."""
+    return max(1, round(REACH * blur_px))
 
 
 def with_margin(clipped: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:

@@ -1,0 +1,42 @@
+"""Factors of the solved slopes' deviation: learnt on presses that were held out, stated by the calibration."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.calibration.report.residuals import share_within_sigma, stated_sigma
+from gelform.calibration.report.solved import solved_by_place
+from gelform.confidence.slope_sigma import ONE_SIGMA
+from gelform.reconstruct import Reconstructor
+
+
+def share_of(calibration, presses, sigma):
+    reconstruct = Reconstructor(replace(calibration, slope_sigma=sigma), depth_sigma=False)
+    samples = [one.within(0.85) for one in calibration.report.samples]
+    sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in samples]
+    return share_within_sigma(samples, sigmas, calibration.image_shape, (1, 1))["all"]
+
+
+@pytest.mark.parametrize("factor", [0.4, 2.5])
+def test_a_deviation_that_is_off_is_put_right(calibration, presses, factor):
+    right = calibration.slope_sigma
+    off = replace(
+        right,
+        sigmas=tuple(factor * s for s in right.sigmas),
+        solved_places=None,
+        solved_slopes=None,
+        steepest=None,
+    )
+    again = solved_by_place(calibration, off, presses, calibration.report.samples, 1.0)
+    assert share_of(calibration, presses, again) == pytest.approx(ONE_SIGMA, abs=0.06)
+    assert abs(share_of(calibration, presses, off) - ONE_SIGMA) > 0.12
+
+
+def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_models(calibration, presses):
+    sigma = replace(calibration.slope_sigma, solved_places=None, solved_slopes=None)
+    half, all_ = (
+        np.mean(solved_by_place(calibration, sigma, presses, calibration.report.samples, seen).solved_places)
+        for seen in (0.5, 1.0)
+    )
+    assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)

@@ -1,0 +1,180 @@
+"""Deviation of the solved depth's slopes: what neighbours and held-out presses say, and what balls do not show."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from gelform.confidence import solved
+from gelform.confidence.slope_sigma import SlopeSigma
+from gelform.confidence.solved import (
+    BEND,
+    BEND_FROM,
+    DIM,
+    STEEPEST,
+    UNLIMITED,
+    SolvedErrors,
+    SolvedSigma,
+    with_solved_factors,
+)
+from kernel_agreement import assert_kernel_agrees
+
+LAW = SlopeSigma(
+    rest=0.01,
+    slopes=(0.0, 0.5, 1.0),
+    sigmas=(0.02, 0.05, 0.12),
+    clean=0.03,
+    correlation_px=8.0,
+    solved_factor=0.8,
+)
+SHAPE = (9, 12)
+
+
+def flat(shape=SHAPE, slope=0.0):
+    return np.full((*shape, 2), slope / np.sqrt(2), np.float32), np.ones(shape, bool)
+
+
+def both(sigma):
+    return np.broadcast_to(sigma[..., None], (*sigma.shape, 2))
+
+
+def numpy_solved_sigma(sigma, work, result, factor, limit):
+    """Own variance v and the neighbours' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
+    v = np.pad(np.minimum(sigma.astype(float), limit) ** 2, 1, mode="edge")
+    rows, columns = sigma.shape
+    around = sum(v[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) - v[1:-1, 1:-1]
+    own, others = v[1:-1, 1:-1], around / 8
+    return factor * np.sqrt((5 / 3) / (1 / own + (2 / 3) / others))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 7), (20, 33)])
+def test_the_kernel_of_solved_slopes_agrees_with_numpy(shape):
+    sigma = np.random.default_rng(1).uniform(0.01, 1.5, shape).astype(np.float32)
+    arguments = sigma, np.empty(shape[1] + 2, np.float32), np.empty(shape, np.float32), 0.9, 1.1
+    assert_kernel_agrees(solved._solved_sigma, numpy_solved_sigma, *arguments)
+
+
+def numpy_widen_sigma(
+    gradients, contact, gentle, steep, dim, work, sigma, from_slope, per_slope, limit, around, per_bend, bend_from,
+    reach,
+):  # fmt: skip
+    """What the kernel should give, in float64."""
+    g, bends = gradients.astype(float), np.zeros(sigma.shape)
+    for axis in (0, 1):
+        for y, x in np.ndindex(sigma.shape):
+            for side in (-reach, reach):
+                other = [y, x]
+                other[axis] += side
+                if 0 <= other[axis] < sigma.shape[axis]:
+                    bends[y, x] += ((g[tuple(other)] - g[y, x]) ** 2).sum()
+    slope = np.linalg.norm(g, axis=-1)
+    along = np.clip((slope - from_slope) * per_slope, 0, 1)
+    own = np.minimum(sigma * (gentle + along * (steep - gentle)), limit)
+    wall = per_bend * np.maximum(np.sqrt(bends / 2) - bend_from, 0)
+    return np.sqrt(own**2 + wall**2 + np.where(contact, 0, around * slope) ** 2 + dim.astype(float) ** 2)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (11, 2), (7, 40)])
+@pytest.mark.parametrize("per_bend", [0.0, 1.75])
+@pytest.mark.parametrize("reach", [1, 3])
+def test_the_kernel_that_widens_agrees_with_numpy(shape, per_bend, reach):
+    rng = np.random.default_rng(0)
+    gentle, steep, dim, sigma = (rng.uniform(0.01, 1, shape).astype(np.float32) for _ in range(4))
+    assert_kernel_agrees(
+        solved._widen_sigma, numpy_widen_sigma, rng.normal(0, 0.4, (*shape, 2)).astype(np.float32),
+        rng.uniform(size=shape) > 0.5, gentle, steep, dim, np.empty(shape[1], np.float32), sigma, 0.2, 3.0, 0.5, 0.1,
+        per_bend, 0.1, reach,
+    )  # fmt: skip
+
+
+def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
+    sigma = np.full(SHAPE, 0.05, np.float32)
+    sigma[4, 4], sigma[1, 1] = 1.0, 40.0
+    stated = SolvedSigma(LAW, SHAPE, 1.0)
+    found = stated(both(sigma), *flat())
+    assert found.shape == (*SHAPE, 2)
+    assert found[7, 7, 0] == pytest.approx(0.04)
+    assert 0.04 < found[4, 4, 0] < 0.1
+    assert 0.04 < found[1, 1, 1] < 0.1
+    np.testing.assert_array_equal(stated(both(sigma).copy(), *flat()), found)
+    assert stated(None, *flat()) is None
+
+
+def test_no_slope_is_less_known_than_the_steepest():
+    unseen = both(np.full(SHAPE, 40.0, np.float32))
+    np.testing.assert_allclose(SolvedSigma(LAW, SHAPE, None)(unseen, *flat()), STEEPEST, rtol=1e-5)
+    assert UNLIMITED > STEEPEST
+
+
+def test_a_model_that_states_its_own_is_left_as_it_is():
+    own = np.random.default_rng(0).uniform(0.02, 0.03) * np.ones((*SHAPE, 2), np.float32)
+    found = SolvedSigma(None, SHAPE, None)(own, *flat(slope=0.5))
+    np.testing.assert_allclose(found, own, rtol=1e-5)
+
+
+def test_a_wall_is_doubted_beside_its_edges_alone():
+    gradients, contact = flat((20, 40), 0.0)
+    gradients[:, 20:, 0] = 0.6
+    found = SolvedSigma(LAW, (20, 40), 1.25)(both(np.full((20, 40), 0.05, np.float32)), gradients, contact)
+    at_edge = np.hypot(0.04, BEND * (0.6 / np.sqrt(2) - BEND_FROM))
+    np.testing.assert_allclose(found[:, [18, 19, 20, 21], 0], at_edge, rtol=1e-4)
+    np.testing.assert_allclose(found[:, :18, 0], 0.04, rtol=1e-4)
+    np.testing.assert_allclose(found[:, 22:, 0], 0.04, rtol=1e-4)
+
+
+def test_slopes_around_contacts_share_their_relative_error():
+    gradients, contact = flat(slope=0.3)
+    contact[:, 6:] = False
+    sigma = both(np.full(SHAPE, 0.05, np.float32))
+    found = SolvedSigma(replace(LAW, surround_sigma=0.1), SHAPE, 1.25)(sigma, gradients, contact)
+    np.testing.assert_allclose(found[:, :6], 0.04, rtol=1e-4)
+    np.testing.assert_allclose(found[:, 6:], np.hypot(0.04, 0.03), rtol=1e-4)
+
+
+def test_weak_light_is_doubted():
+    noise = np.ones(SHAPE, np.float32)
+    noise[0], noise[1] = 3.0, 0.5
+    found = SolvedSigma(LAW, SHAPE, None, noise)(both(np.full(SHAPE, 0.05, np.float32)), *flat())
+    np.testing.assert_allclose(found[0], np.hypot(0.04, 2 * DIM * 0.01), rtol=1e-4)
+    np.testing.assert_allclose(found[1:], 0.04, rtol=1e-4)
+
+
+def held_out_errors(size, presses=40, count=60_000):
+    """Errors whose deviation is 0.05 times size(slope, x), where 0.05 is foretold and 0.02 of it is no reading's."""
+    rng = np.random.default_rng(0)
+    slopes, x, y = rng.uniform(0, 0.8, count), rng.uniform(0, 1, count), rng.uniform(0, 1, count)
+    foretold, beyond = np.full(count, 0.05), np.full(count, 0.02)
+    deviation = np.sqrt((foretold**2 - beyond**2) * size(slopes, x) ** 2 + beyond**2)
+    errors = deviation[:, None] * rng.standard_normal((count, 2))
+    return SolvedErrors(slopes, errors, foretold, beyond, x, y, rng.integers(0, presses, count))
+
+
+def test_factors_are_recovered_by_slope_and_place():
+    held_out = held_out_errors(lambda s, x: np.where(s > 0.4, 2.0, 0.7) * np.where(x > 0.75, 1.5, 1.0))
+    sigma = with_solved_factors(LAW, held_out)
+    np.testing.assert_allclose(sigma.solved_slopes, (0.2, 0.6), atol=0.01)
+    gentle, steep = (np.array(grid) for grid in sigma.solved_places)
+    np.testing.assert_allclose(gentle[:, :3], 0.7, rtol=0.06)
+    np.testing.assert_allclose(gentle[:, 3], 1.05, rtol=0.06)
+    np.testing.assert_allclose(steep[:, :3], 2.0, rtol=0.06)
+    np.testing.assert_allclose(steep[:, 3], 3.0, rtol=0.06)
+    assert SlopeSigma.from_dict(asdict(sigma)) == sigma
+
+
+def test_a_place_that_one_press_touched_counts_little():
+    held_out = held_out_errors(lambda s, x: np.where(x > 0.75, 4.0, 1.0))
+    lone = replace(held_out, press=np.where(held_out.x > 0.75, 0, held_out.press))
+    few, many = (with_solved_factors(LAW, one).solved_places[0][1][3] for one in (lone, held_out))
+    assert many == pytest.approx(4, rel=0.1)
+    assert few < 2
+
+
+def test_what_is_not_the_readings_own_is_not_taken_down_by_good_readings():
+    held_out = held_out_errors(lambda s, x: 0 * s)
+    gentle, _ = with_solved_factors(LAW, held_out).solved_places
+    np.testing.assert_allclose(gentle, solved.LEAST_FACTOR)
+
+
+def test_slopes_that_are_all_alike_say_nothing():
+    held_out = held_out_errors(lambda s, x: 1 + 0 * s)
+    assert with_solved_factors(LAW, replace(held_out, slopes=0 * held_out.slopes)) == LAW
