@@ -5,7 +5,7 @@ enum { ABOVE = 1, HALF = 2, FLAT = 4, CORE = 8 };  // what a pixel of the map is
 enum { ERODED = 2 };                               // pixels that a flat face is taken to be smaller by
 
 struct rules {
-  float limit, least_of_bed, flat, of_flat, half;
+  float limit, least_of_bed, flat, of_flat, half, finer_half, finer_limit;
 };
 
 // Rows that are summed along x, in a ring, for sums over a square of 2 reach + 1 pixels.
@@ -34,12 +34,23 @@ static inline void sum_along(const float *padded, ptrdiff_t rows, float *out, pt
   }
 }
 
+// Takes row y into the window: what was padded of it, summed along x; zeros where it holds nothing.
+static void take_sums(const struct window *o, ptrdiff_t y, int32_t any) {
+  float *sums = o->sums + y % o->rows * o->stride, *counts = o->counts + y % o->rows * o->stride;
+  if (any) {
+    sum_along(o->padded, o->rows, sums, o->stride);
+    sum_along(o->count_padded, o->rows, counts, o->stride);
+  } else {
+    memset(sums, 0, (size_t)o->stride * sizeof *sums);
+    memset(counts, 0, (size_t)o->stride * sizeof *counts);
+  }
+}
+
 // Marks what is above the limit in a row, and takes the row into the window. `noise`: of each place, times the limit.
 static void take_row(const struct window *o, const struct rules *rule, const float *restrict pressure,
                      const float *restrict bed, const float *restrict noise, uint8_t *restrict map, ptrdiff_t y,
                      ptrdiff_t w) {
   float *restrict values = o->padded + o->reach, *restrict ones = o->count_padded + o->reach;
-  float *sums = o->sums + y % o->rows * o->stride, *counts = o->counts + y % o->rows * o->stride;
   int32_t any = 0;
   for (ptrdiff_t x = 0; x < w; x++) {
     const int32_t above = pressure[x] > larger(rule->limit * noise[x], rule->least_of_bed * bed[x]);
@@ -48,13 +59,7 @@ static void take_row(const struct window *o, const struct rules *rule, const flo
     any += above;
   }
   for (ptrdiff_t x = 0; x < w; x++) map[x] = ones[x] > 0 ? ABOVE : 0;
-  if (any) {
-    sum_along(o->padded, o->rows, sums, o->stride);
-    sum_along(o->count_padded, o->rows, counts, o->stride);
-  } else {
-    memset(sums, 0, (size_t)o->stride * sizeof *sums);
-    memset(counts, 0, (size_t)o->stride * sizeof *counts);
-  }
+  take_sums(o, y, any);
 }
 
 enum { MAX_REACH = 32 };
@@ -103,6 +108,40 @@ static void mark_core(uint8_t *map, ptrdiff_t y, uint8_t *column, ptrdiff_t h, p
   }
 }
 
+// Takes a row of the finer pressure into the window, where the map has contact; whether it has any.
+static int32_t take_finer(const struct window *o, const struct rules *rule, const float *restrict finer,
+                          const float *restrict bed, const uint8_t *restrict map, ptrdiff_t y, ptrdiff_t w) {
+  float *restrict values = o->padded + o->reach, *restrict ones = o->count_padded + o->reach;
+  int32_t any = 0;
+  for (ptrdiff_t x = 0; x < w; x++) {
+    const float pressure = finer[x] + bed[x];
+    const int32_t taken = ((map[x] & (HALF | CORE)) != 0) & (pressure > rule->least_of_bed * bed[x]);
+    values[x] = taken ? pressure : 0;
+    ones[x] = taken ? 1.0f : 0.0f;
+    any += taken;
+  }
+  take_sums(o, y, any);
+  return any;
+}
+
+// A wide smoothing widens what is narrow. Of the map's contact goes out what by a finer smoothing has less than its share of the
+// mean pressure around, where that is above the finer one's limit: below, noise would tear holes. The middle of a flat face
+// stays. `finer`: minus the Laplacian.
+static void narrow(const struct window *o, const struct rules *rule, const float *finer, const float *bed, const float *noise,
+                   uint8_t *map, float *around, ptrdiff_t h, ptrdiff_t w) {
+  ptrdiff_t last = -1;  // the last row that counts in any window
+  for (ptrdiff_t y = 0; y < h + o->reach; y++) {
+    const ptrdiff_t at = (y - o->reach) * w;
+    if (y < h && take_finer(o, rule, finer + y * w, bed + y * w, map + y * w, y, w)) last = y;
+    if (y < o->reach || last < 0 || last < y - 2 * o->reach) continue;
+    mean_around(o, around, around + whole(w), y - o->reach, h);
+    for (ptrdiff_t x = 0; x < w; x++) {
+      const int32_t below = finer[at + x] + bed[at + x] <= rule->finer_half * around[x];
+      map[at + x] &= below & (around[x] > rule->finer_limit * noise[at + x]) ? (uint8_t)~HALF : 0xff;
+    }
+  }
+}
+
 static void count_seeds(struct run *runs, int32_t count, const float *pressure, const float *noise, float seed,
                         ptrdiff_t w) {
   for (int32_t k = 0; k < count; k++) {
@@ -115,22 +154,13 @@ static void count_seeds(struct run *runs, int32_t count, const float *pressure, 
   }
 }
 
-// Takes a run into the contact, and of the pixels next to it those that bend outwards by the finest smoothing.
-static void keep_run(const struct run *run, const float *finest, const float *noise, float limit, bool *contact,
-                     ptrdiff_t h, ptrdiff_t w) {
-  memset(contact + run->y * w + run->from, 1, (size_t)(run->to - run->from));
-  if (finest == NULL) return;
-  const ptrdiff_t left = run->from > 0 ? run->from - 1 : 0, right = run->to < w ? run->to : w - 1;
-  for (ptrdiff_t y = run->y > 0 ? run->y - 1 : 0; y <= run->y + 1 && y < h; y++)
-    for (ptrdiff_t at = y * w + left; at <= y * w + right; at++) contact[at] |= finest[at] > limit * noise[at];
-}
-
-// `noise`: of each place, in units of which the limits are. `finest`: the bending by the finest smoothing, where the pressure
-// is of a wider one, or NULL.
-EXPORT int contact_regions(const float *pressure, const float *bed, const float *noise, const float *finest, bool *contact,
-                           float *work, int64_t reach, float limit, float finest_limit, float least_of_bed, float flat, float of_flat,
-                           float half, float seed, float min_px, float min_seeds, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
-  const struct rules rule = {limit, least_of_bed, flat, of_flat, half};
+// `noise`: of each place, in units of which the limits are. `finer`: minus the Laplacian by the next finer smoothing, where the
+// pressure is of a wide one, or NULL.
+EXPORT int contact_regions(const float *pressure, const float *bed, const float *noise, const float *finer, bool *contact,
+                           float *work, int64_t reach, float limit, float least_of_bed, float flat, float of_flat, float half,
+                           float finer_half, float finer_limit, float seed, float min_px, float min_seeds, ptrdiff_t h,
+                           ptrdiff_t w, ptrdiff_t n) {
+  const struct rules rule = {limit, least_of_bed, flat, of_flat, half, finer_half, finer_limit};
   if (reach < 1 || reach > MAX_REACH || n < window_work(reach, w) + 2 * whole(w) + runs_work(h, w)) return WRONG_SIZE;
   const struct window o = window_in(work, reach, w);
   float *around = work + window_work(reach, w);
@@ -145,13 +175,14 @@ EXPORT int contact_regions(const float *pressure, const float *bed, const float 
     flat_faces += judge_row(&rule, pressure + at, bed + at, around, map + at, w);
   }
   for (ptrdiff_t y = 0; flat_faces > 0 && y < h; y++) mark_core(map, y, (uint8_t *)work, h, w);
+  if (finer != NULL) narrow(&o, &rule, finer, bed, noise, map, around, h, w);
   const int32_t count = find_runs(map, HALF | CORE, CORNERS, runs, h, w);
   count_seeds(runs, count, pressure, noise, seed, w);
   memset(contact, 0, (size_t)(h * w));
   for (int32_t k = 0; k < count; k++) {
     const struct run *first = runs + first_of(runs, k);
     if ((float)first->area >= min_px && (float)first->seeds >= min_seeds)
-      keep_run(runs + k, finest, noise, finest_limit, contact, h, w);
+      memset(contact + runs[k].y * w + runs[k].from, 1, (size_t)(runs[k].to - runs[k].from));
   }
   return OK;
 }

@@ -33,7 +33,8 @@ def test_a_cap_keeps_its_radius_under_noise_and_across_the_border(sd, center):
     depth, r, radius = cap(center=center)
     contact = contact_from_depth(depth + slopes_noise(depth.shape, sd), mm_per_px=PITCH)
     assert contact.dtype == bool
-    assert contact[r < radius - 2].mean() > 0.98
+    # Without gel beside it the cap ends in a kink, which bends the other way: under noise it takes a pixel of the rim.
+    assert contact[r < radius - 3].mean() > 0.98
     assert not contact[r > radius + 2].any()
 
 
@@ -49,7 +50,7 @@ def test_gel_that_is_drawn_down_beside_an_object_is_no_contact():
     assert depth[r > edge + 0.15].max() > 0.25  # though it is deep there
 
 
-@pytest.mark.parametrize("length", [0.35, 0.6])
+@pytest.mark.parametrize("length", [0.5, 0.7])
 def test_the_gels_relaxation_length_says_what_is_drawn_down(length):
     """With a length that is too small, the gel beside a disc seems to be held down."""
     y, x = np.mgrid[:240, :320]
@@ -60,6 +61,23 @@ def test_the_gels_relaxation_length_says_what_is_drawn_down(length):
     assert contact[r < edge - 0.2].mean() > 0.98
     assert not contact[r > edge + 0.2].any()
     assert contact_from_depth(noisy, mm_per_px=PITCH, relaxation_mm=0.5 * length, **how)[r > edge + 0.2].any()
+
+
+def test_an_outline_under_noise_is_hardly_wider_than_without():
+    """A ridge held in a line, beside which the gel falls off: the wide smoothing that noise asks for widens it."""
+    x = np.abs(np.arange(320) - 160.0) * PITCH
+    depth = np.tile(0.5 * np.exp(-np.maximum(x - 0.2, 0) / 0.5), (240, 1))
+    widths = []
+    for sd in (0.002, 0.04):
+        contact = contact_from_depth(
+            depth + slopes_noise(depth.shape, sd),
+            mm_per_px=PITCH,
+            relaxation_mm=0.5,
+            depth_sigma_mm=np.full(depth.shape, 0.5 * sd),
+        )
+        widths.append(contact[20:-20].sum(axis=1).mean())
+    assert 0.4 / PITCH < widths[0] < 0.4 / PITCH + 4
+    assert abs(widths[1] - widths[0]) < 1.5
 
 
 def test_a_ring_stays_hollow():
@@ -229,16 +247,17 @@ def regions_by_numpy(
     pressure,
     bed,
     noise,
-    finest,
+    finer,
     contact,
     work,
     reach,
     limit,
-    finest_limit,
     of_bed,
     flat,
     of_flat,
     half,
+    finer_half,
+    finer_limit,
     seed,
     *least,
 ):
@@ -250,31 +269,38 @@ def regions_by_numpy(
             ndimage.convolve1d(values.astype(float), window, 0, mode="constant"), window, 1, mode="constant"
         )
 
-    around = total(above * pressure) / np.maximum(total(above), 1)
+    def mean_around(values, where):
+        return total(where * values) / np.maximum(total(where), 1)
+
+    around = mean_around(pressure, above)
     face = above & (pressure > of_flat * bed) & (bed > flat * around)
-    found = above & (pressure > half * around)
-    found |= ndimage.binary_erosion(face, np.ones((5, 5)), border_value=1)
+    core = ndimage.binary_erosion(face, np.ones((5, 5)), border_value=1)
+    found = above & (pressure > half * around) | core
+    if finer is not None:
+        by_finer = finer + bed
+        by_finer_around = mean_around(by_finer, found & (by_finer > of_bed * bed))
+        sure = by_finer_around > finer_limit * noise
+        found &= core | ~sure | (by_finer > finer_half * by_finer_around)
     labels, count = ndimage.label(found, np.ones((3, 3)))
     kept = np.zeros_like(found)
     for k in range(1, count + 1):
         here = labels == k
         if here.sum() >= least[0] and (pressure > seed * noise)[here].sum() >= least[1]:
             kept |= here
-    grown = ndimage.binary_dilation(kept, np.ones((3, 3)))
-    return kept if finest is None else kept | (grown & (finest > finest_limit * noise))
+    return kept
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (9, 16), (61, 83)])
-@pytest.mark.parametrize("finest_limit", [None, 0.5])
-def test_regions_agree_with_numpy(shape, finest_limit):
+@pytest.mark.parametrize("with_finer", [False, True])
+def test_regions_agree_with_numpy(shape, with_finer):
     rng = np.random.default_rng(3)
     smooth = ndimage.gaussian_filter(rng.normal(0, 6, shape), 1.5)
     pressure = (smooth + 0.2 + rng.normal(0, 0.05, shape)).astype(np.float32)
     bed = np.maximum(ndimage.gaussian_filter(rng.normal(0, 20, shape), 4) + pressure, 0).astype(np.float32)
-    finest = None if finest_limit is None else rng.normal(0, 1, shape).astype(np.float32)
-    rules = 4, 0.2, finest_limit or 0.0, 0.35, 0.4, 0.75, 0.65, 0.8, 6.0, 3.0
+    finer = (pressure - bed + rng.normal(0, 0.5, shape)).astype(np.float32) if with_finer else None
+    rules = 4, 0.2, 0.35, 0.4, 0.75, 0.65, 0.6, 2.0, 0.8, 6.0, 3.0
     noise = rng.uniform(0.5, 2, shape).astype(np.float32)
-    maps = pressure, bed, noise, finest, np.empty(shape, bool), np.empty(40_000, np.float32)
+    maps = pressure, bed, noise, finer, np.empty(shape, bool), np.empty(40_000, np.float32)
     assert_kernel_agrees(mask._contact_regions, regions_by_numpy, *maps, *rules)
 
 
@@ -283,7 +309,7 @@ def test_a_face_pressed_flat_is_contact_in_its_middle():
     pressure = np.zeros((30, 40), np.float32)
     pressure[8:22, 10:30] = np.tile([[0.5, 2.0], [2.0, 0.5]], (7, 10))
     bed = np.full(pressure.shape, 0.6, np.float32)
-    rules = 4, 0.2, 0.0, 0.35, 0.4, 0.75, 0.65, 0.8, 6.0, 3.0
+    rules = 4, 0.2, 0.35, 0.4, 0.75, 0.65, 0.6, 2.0, 0.8, 6.0, 3.0
     everywhere = np.ones_like(pressure)
     maps = pressure, bed, everywhere, None, np.empty(pressure.shape, bool), np.empty(40_000, np.float32)
     assert_kernel_agrees(mask._contact_regions, regions_by_numpy, *maps, *rules)

@@ -16,9 +16,13 @@ from gelform.checks import check_map, check_mm_per_px, check_number, check_posit
 from gelform.contact.contacts import runs_work
 
 NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default
-# Standard deviations of a Gaussian, before the surface's bending is taken: the first ...
-SMOOTHINGS_PX = 0.7, 1.5, 2.5
-QUIET = 0.06  # ... that leaves no more noise than this, 1/mm
+# Standard deviations of a Gaussian, before the surface's bending is taken: the first that leaves no more noise than QUIET.
+# Beside it: a contact ends where it has so much of the mean pressure of what it is around. Blurring widens what is narrow,
+# and the more is known to be outside.
+SMOOTHINGS_PX = {0.7: 0.65, 1.5: 0.7, 2.5: 0.8}
+QUIET = 0.06  # 1/mm
+# The same share by the next finer smoothing, which draws the outline where the mean is so many times its noise.
+FINER_HALF, FINER_SIGMAS = 0.6, 8.0
 NOISE_SAMPLES = 10_000
 SHARE_AT_REST = 0.3  # of the frame that is taken to be untouched at least
 # Standard deviation of a normal distribution over the magnitude that 30 % of it are below.
@@ -29,15 +33,11 @@ STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is told
 SEED = 1.4  # times the noise factor, where contacts start
 LEAST_SEEDS = 4  # pixels
-SIGMAS_OF_RIM = (
-    2.0  # that a pixel beside a region has to exceed the finest smoothing's noise by, to be part of it
-)
-NEIGHBOURHOOD_PX = 4  # in which the rim is half as high as what is around it
+NEIGHBOURHOOD_PX = 4  # what is around
 LEAST_OF_BED = 0.35  # times z/L^2: L is not known exactly, nor the same everywhere
 # Where the bed's share is so much of the pressure around, so much of it is a contact too.
 FLAT, OF_FLAT = 0.4, 0.75
 LEAST_PRESSURE = 0.02  # 1/mm
-HALF = 0.65  # nearly: the smooth rim of a contact is blurred outwards more than inwards
 
 _bent_surface = Kernel(
     "bent_surface",
@@ -56,9 +56,9 @@ _pressure_on_bed = Kernel(
 )
 _contact_regions = Kernel(
     "contact_regions",
-    "f32[h,w] pressure, f32[h,w] bed, f32[h,w] noise, f32[h,w]? finest, out bool[h,w] contact, out f32[n] work, "
-    "i64 reach, f32 limit, f32 finest_limit, f32 least_of_bed, f32 flat, f32 of_flat, f32 half, f32 seed, f32 min_px, "
-    "f32 min_seeds",
+    "f32[h,w] pressure, f32[h,w] bed, f32[h,w] noise, f32[h,w]? finer, out bool[h,w] contact, out f32[n] work, "
+    "i64 reach, f32 limit, f32 least_of_bed, f32 flat, f32 of_flat, f32 half, f32 finer_half, f32 finer_limit, "
+    "f32 seed, f32 min_px, f32 min_seeds",
 )
 
 
@@ -67,10 +67,9 @@ class _Pressure(NamedTuple):
 
     pressure: NDArray[np.float32]
     bed: NDArray[np.float32]  # the bed's share z/L^2 of it, of what depth is known to be there
-    finest: (
-        NDArray[np.float32] | None
-    )  # minus the Laplacian by the finest smoothing, where a wider one was needed
-    finest_noise: float
+    finer: NDArray[np.float32] | None  # minus the Laplacian by the next finer smoothing, where there is one
+    finer_noise: float
+    half: float  # of the mean pressure around, where a contact ends
 
 
 def contact_from_depth(
@@ -89,7 +88,8 @@ def contact_from_depth(
     `p = z/L^2 - laplace(z)`, is 0 there and positive in the contact, on a ball as on a flat face. A contact starts where
     p exceeds 1.4 times `noise_factor` of its noise, goes on where it exceeds `noise_factor` of it and a third of z/L^2,
     and ends where it is about half of what it is around: gel that is drawn down beside an object is no contact, and
-    hollow contacts stay hollow.
+    hollow contacts stay hollow. The depth is smoothed as wide as its noise asks for (0.7, 1.5 or 2.5 px); where the pressure
+    is far above the noise of the next finer smoothing, that one draws the outline.
 
     Parameters
     ----------
@@ -160,19 +160,19 @@ def _pressure(
     depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, sensor: PreparedContact
 ) -> _Pressure:
     """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0, as L is from the falling off."""
-    finest, finest_noise = None, 0.0
+    bent, noise = None, 0.0
     for smoothing in SMOOTHINGS_PX:
+        finer, finer_noise = bent, noise
         smooth, bent = _bent(depth, sensor.pitch, smoothing)
         noise = _noise(bent, sensor.noise)
         if noise <= QUIET:
             break
-        finest, finest_noise = (bent, noise) if finest is None else (finest, finest_noise)
     every = _noise_mm(depth) if sigma is None else 0.0
     work = np.empty(2 * depth.size, dtype=np.float32)
     rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
     known = 0.0 if sensor.relaxation_mm is None else max(sensor.relaxation_mm, STIFFEST**-0.5) ** -2
     _pressure_on_bed(sigma, smooth, bent, work, known, every, *rules)
-    return _Pressure(bent, smooth, finest, finest_noise)
+    return _Pressure(bent, smooth, finer, finer_noise, SMOOTHINGS_PX[smoothing])
 
 
 def _bent(
@@ -214,18 +214,17 @@ def _noise_mm(depth: NDArray[np.float32]) -> float:
 
 
 def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px: float) -> NDArray[np.bool_]:
-    """Where the pressure is above the limit and half of what it is around, in regions that start for sure.
+    """Where the pressure is above the limit and about half of what it is around, in regions that start for sure.
 
-    A wider smoothing draws a contact's rim inwards; the pixels next to it are contact too where the finest one has the
-    surface bent outwards.
+    A wide smoothing finds what is faint and widens what is narrow: the next finer one draws the outlines within.
     """
     height, width = found.pressure.shape
     contact = np.empty((height, width), dtype=np.bool_)
     side = 2 * NEIGHBOURHOOD_PX + 1
     sums = (2 * side + 6) * (width + side + LANES)
     work = np.empty(sums + runs_work(contact.shape), dtype=np.float32)
-    shares = LEAST_OF_BED, FLAT, OF_FLAT, HALF
+    shares = LEAST_OF_BED, FLAT, OF_FLAT, found.half, FINER_HALF, FINER_SIGMAS * found.finer_noise
     least = SEED * limit, min_px, min(LEAST_SEEDS, max(min_px, 1))
-    maps = found.pressure, found.bed, noise, found.finest, contact, work
-    _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, SIGMAS_OF_RIM * found.finest_noise, *shares, *least)
+    maps = found.pressure, found.bed, noise, found.finer, contact, work
+    _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, *shares, *least)
     return contact
