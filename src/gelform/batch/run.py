@@ -10,11 +10,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from gelform.background.check import background_digest
 from gelform.batch.engines.engine import Engine
 from gelform.batch.finish import finish
+from gelform.batch.inputs.backgrounds import backgrounds_of
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
@@ -29,10 +27,8 @@ from gelform.batch.table import TABLES, table_form
 from gelform.batch.work import Job
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_path
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError
 from gelform.exporters.folders import check_room
-from gelform.frames import Frame
-from gelform.sensors.backgrounds import read_background
 
 LOOKED_AT = 5  # sequences, for frames of the calibrated size
 MAX_ERRORS = 1000
@@ -90,7 +86,7 @@ def run_batch(
     calibration : of the sensor, with a scale
     output : a new folder, or one that the same call began
     settings : BatchSettings; the defaults without
-    background : an image or a folder of the untouched gel, for all sequences
+    background : an image or a folder of the untouched gel, for all sequences; or a CSV table of `sequence,background`
     shard : (i, N): only every N-th part, from the i-th; shards may run at once
     engine : what does the parts; this process without
     max_errors : frames with errors; more end the run
@@ -124,19 +120,17 @@ def run_batch(
         )
     if background is not None and settings.background_frames:
         raise DataError("Expected --background or --background-frames, got both. Leave one out.")
-    hidden = [] if background is None else [Path(background)]
-    listing = listing_of(source, leave_out=hidden, dataset=dataset)
+    backgrounds = backgrounds_of(None if background is None else check_path(background))
+    listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
     check_apart(listing, output)
     check_names([sequence.name for sequence in listing.sequences], settings)
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
     plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
     parts = shard_of(plan, shard)
-    rest = _background(background, calibration)
+    rest, rest_digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
     _check_size(plan, calibration)
-    manifest = Manifest.of(
-        settings, calibration.digest, "" if rest is None else background_digest(rest), listing, len(plan)
-    )
+    manifest = Manifest.of(settings, calibration.digest, rest_digest, listing, len(plan))
     _made(output)
     with only_run(output, shard) as alone:
         begin(output, manifest, overwrite=overwrite)
@@ -144,7 +138,7 @@ def run_batch(
         todo = list(_not_done(output, parts, summary, retry_errors))
         if alone:
             _clean(output, todo, settings.form)
-        job = Job(calibration, rest, output, settings)
+        job = Job(calibration, rest, output, settings, backgrounds.by_sequence)
         _do(job, todo, engine, max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
             finish(output, manifest, table, listing.root, again=bool(todo))
@@ -167,15 +161,6 @@ def check_apart(listing: Listing, output: Path) -> None:
         raise DataError(f"The output {output} is inside the input {listing.root}. Give a folder beside it.")
     if any(there in folder.parents for folder in folders):
         raise DataError(f"The input {listing.root} is inside the output {output}. Give a folder beside it.")
-
-
-def _background(path: str | os.PathLike[str] | None, calibration: Calibration) -> NDArray[Any] | None:
-    if path is None:
-        return None
-    try:
-        return image_of_calibration(Frame(read_background(Path(path)), 0.0, 0, 0), calibration)
-    except GelformError as problem:
-        raise DataError(f"The background {path}: {problem}") from problem
 
 
 def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from gelform.batch.inputs.backgrounds import background_of_file
 from gelform.batch.inputs.plan import Part
 from gelform.batch.inputs.reading import (
     NamedFrame,
@@ -40,6 +41,7 @@ class Job:
     background: NDArray[Any] | None
     output: Path
     settings: BatchSettings
+    background_files: Mapping[str, Path] = field(default_factory=dict)
 
 
 class Worker:
@@ -105,7 +107,8 @@ class Worker:
 
     def _prepared(self, part: Part) -> Reconstructor:
         """The Reconstructor of a part's sequence; where its background was refused, refused again."""
-        own = part.sequence if self.job.settings.background_frames else None
+        per_sequence = self.job.settings.background_frames or self.job.background_files
+        own = part.sequence if per_sequence else None
         if self._prepared_for != (own,):
             self._prepared_for = (own,)
             try:
@@ -120,6 +123,8 @@ class Worker:
         settings, background = self.job.settings, self.job.background
         if settings.background_frames:
             background = background_of_sequence(part, settings.background_frames, self.job.calibration)
+        elif self.job.background_files:
+            background = background_of_file(self.job.background_files[part.sequence], self.job.calibration)
         return Reconstructor(
             self.job.calibration,
             background=background,

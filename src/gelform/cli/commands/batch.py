@@ -14,7 +14,7 @@ import typer
 
 from gelform.cli.console import print_json, say
 from gelform.cli.failures import MISTAKE
-from gelform.cli.options import Background, CalibrationFile, Json, Quiet, one_of
+from gelform.cli.options import CalibrationFile, Json, Quiet, one_of
 
 if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary, Engine
@@ -42,7 +42,13 @@ def batch(
         str,
         typer.Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name."),
     ] = "",
-    background: Background = None,
+    background: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="IMG|DIR|CSV",
+            help="Untouched gel: an image, a folder of several, or a table of sequence,background.",
+        ),
+    ] = None,
     background_frames: Annotated[
         int,
         typer.Option(
