@@ -47,15 +47,34 @@ static inline int mark_sure(const struct lines *restrict l, bool *restrict marke
   return count;
 }
 
-static inline void variance_of_unexplained(const struct causes *c, float *restrict variance, int n) {
-  for (int k = 0; k < n; k++) {
-    const float sigma = c->per_change * larger(sqrtf(variance[k]) - c->unexplained, 0);
-    variance[k] = sigma * sigma;
-  }
+// Whether some square is that of more than a limit, or nearly: elsewhere no root need be taken.
+static inline bool any_beyond(const float *restrict squares, float limit, int n) {
+  const float from = 0.99999f * limit * limit;
+  int count = 0;
+  for (int k = 0; k < n; k++) count += squares[k] >= from;
+  return count > 0;
 }
 
+static inline bool variance_of_unexplained(const struct causes *c, float *restrict variance, int n) {
+  const bool some = any_beyond(variance, c->unexplained, n);
+  if (!some) memset(variance, 0, (size_t)n * sizeof *variance);
+  else
+    for (int k = 0; k < n; k++) {
+      const float sigma = c->per_change * larger(sqrtf(variance[k]) - c->unexplained, 0);
+      variance[k] = sigma * sigma;
+    }
+  return some;
+}
+
+static inline float square_of(float x) { return x * x; }
+
 static inline void add_squares(float *restrict sums, const float *restrict here, const float *restrict there, int first, int end) {
-  for (int i = first; i < end; i++) sums[i] += (there[i] - here[i]) * (there[i] - here[i]);
+  for (int i = first; i < end; i++) sums[i] += square_of(there[i] - here[i]);
+}
+
+static inline void all_squares(float *restrict sums, const float *restrict at, ptrdiff_t across, ptrdiff_t down) {
+  for (ptrdiff_t i = 0; i < 2 * PIECE; i++)
+    sums[i] = ((square_of(at[i - across] - at[i]) + square_of(at[i + across] - at[i])) + square_of(at[i - down] - at[i])) + square_of(at[i + down] - at[i]);
 }
 
 // Squares of the differences of the slopes (p, q) from pixel x of row y on to those `reach` pixels away on four sides.
@@ -63,6 +82,10 @@ static inline void find_bend(const struct causes *c, struct lines *restrict l, c
                              ptrdiff_t y, ptrdiff_t w, ptrdiff_t h, int n) {
   const ptrdiff_t reach = c->reach, left = reach - x, right = w - reach - x;
   const float *at = gradients + 2 * (y * w + x);
+  if (n == PIECE && left <= 0 && right >= n && y >= reach && y < h - reach) {  // nearly everywhere
+    all_squares(l->bend, at, 2 * reach, 2 * reach * w);
+    return;
+  }
   memset(l->bend, 0, sizeof l->bend);
   if (left < n) add_squares(l->bend, at, at - 2 * reach, 2 * (left > 0 ? (int)left : 0), 2 * n);
   if (right > 0) add_squares(l->bend, at, at + 2 * reach, 0, 2 * (right < n ? (int)right : n));
@@ -71,11 +94,15 @@ static inline void find_bend(const struct causes *c, struct lines *restrict l, c
 }
 
 // Variance of slopes that differ by more than `bend_from` from those around them.
-static inline void add_variance_of_bend(const struct causes *c, struct lines *restrict l) {
+static inline bool add_variance_of_bend(const struct causes *c, struct lines *restrict l) {
+  float square[PIECE];
+  for (int k = 0; k < PIECE; k++) square[k] = 0.5f * (l->bend[2 * k] + l->bend[2 * k + 1]);
+  if (!any_beyond(square, c->bend_from, PIECE)) return false;
   for (int k = 0; k < PIECE; k++) {
-    const float sigma = c->per_bend * larger(sqrtf(0.5f * (l->bend[2 * k] + l->bend[2 * k + 1])) - c->bend_from, 0);
+    const float sigma = c->per_bend * larger(sqrtf(square[k]) - c->bend_from, 0);
     l->variance[k] += sigma * sigma;
   }
+  return true;
 }
 
 // How many pixels have a channel at an end of the range; only these are marked in `clipped`.
@@ -92,6 +119,14 @@ static inline int find_clipped(const struct causes *c, const uint8_t *restrict i
     count += clipped[k];
   }
   return count;
+}
+
+// Where nothing is added the deviation stays as it is.
+static inline void finish_unraised(const struct causes *c, const float *restrict sigma, float *restrict confidence, int n) {
+  for (int k = 0; k < n; k++) {
+    const float total = sigma[k] * sigma[k];
+    confidence[k] = smaller(larger(c->clean * c->clean / total, total < c->unseen * c->unseen ? c->least : 0), 1);
+  }
 }
 
 static inline void finish(const struct causes *c, const float *restrict variance, const float *restrict gain,
@@ -119,22 +154,24 @@ EXPORT int raise_sigma(const uint8_t *image, const float *change, const float *g
     for (ptrdiff_t x = 0; x < w; x += PIECE) {
       const ptrdiff_t at = y * w + x;
       const int n = w - x < PIECE ? (int)(w - x) : PIECE;
+      bool raised = added > 0 || unseen_at != NULL;
       if (cells != NULL) {
         const float *cell = cells + (y / ROWS * cw + x / COLUMNS) * TERMS * 3;
         unpack(&l, change + 3 * at, gradients + 2 * at, bias, n);
         for (int k = 0; k < n; k += COLUMNS, cell += TERMS * 3) find_unexplained(cell, &l, k);
         find_sure(&c, &l);
-        variance_of_unexplained(&c, l.variance, PIECE);
+        raised |= variance_of_unexplained(&c, l.variance, PIECE);
       } else memset(l.variance, 0, sizeof l.variance);
       if (per_bend > 0) {
         find_bend(&c, &l, gradients, x, y, w, h, n);
-        add_variance_of_bend(&c, &l);
+        raised |= add_variance_of_bend(&c, &l);
       }
       if (unseen_at != NULL)
         for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
       count += find_clipped(&c, image + 3 * at, marked + at, n);
       if (cells != NULL) count += mark_sure(&l, marked + at, n);
-      finish(&c, l.variance, gain + at, sigma + at, confidence + at, n);
+      if (raised) finish(&c, l.variance, gain + at, sigma + at, confidence + at, n);
+      else finish_unraised(&c, sigma + at, confidence + at, n);
     }
   return count;
 }
