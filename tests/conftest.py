@@ -118,6 +118,12 @@ def calibration(presses, made_once):
 
 
 @pytest.fixture(scope="session")
+def polynomial_calibration(presses, made_once):
+    """The same folder, fitted as polynomials of the colour."""
+    return made_once("polynomial", lambda _: gelform.calibrate(presses, color_model="polynomial"))
+
+
+@pytest.fixture(scope="session")
 def lambertian_calibration(presses, made_once):
     """The same folder, fitted as photometric stereo."""
     return made_once("lambertian", lambda _: gelform.calibrate(presses, color_model="lambertian"))

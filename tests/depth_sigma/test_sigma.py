@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -27,11 +28,18 @@ def correlated(shape, length, rng):
     return gaussian_filter(noise, (blur, blur, 0))[margin:-margin, margin:-margin] / gain
 
 
+@lru_cache(maxsize=2)
+def many_correlated(length, count):
+    """As many correlated errors as are asked for; the tests of one length share them."""
+    rng = np.random.default_rng(3)
+    return np.stack([correlated(SHAPE, length, rng) for _ in range(count)])
+
+
 def monte_carlo(sigma, length, share, count=400, **arguments):
     rng = np.random.default_rng(1)
     errors = np.sqrt(1 - share) * sigma * rng.standard_normal((count, *sigma.shape))
     if share:
-        errors += np.sqrt(share) * sigma * np.stack([correlated(SHAPE, length, rng) for _ in range(count)])
+        errors += np.sqrt(share) * sigma * many_correlated(length, count)
     depth = depth_from_gradients(errors, mm_per_px=PITCH, **arguments)
     return np.sqrt(np.mean(np.square(depth, dtype=np.float64), axis=0))
 

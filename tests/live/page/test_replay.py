@@ -69,9 +69,10 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
     until(lambda: not hub.stations[0].source.playing)
 
 
-def test_two_calibrations_are_compared_on_a_frame_and_one_file_is_shared(replay, hub, presses, calibration):
-    other = gelform.calibrate(presses, color_model="polynomial")
-    hub.calibrations.add("other", other, hub.calibrations.origin_of("mine"))
+def test_two_calibrations_are_compared_on_a_frame_and_one_file_is_shared(
+    replay, hub, calibration, polynomial_calibration
+):
+    hub.calibrations.add("other", polynomial_calibration, hub.calibrations.origin_of("mine"))
     until(lambda: replay.locator("#compare option").count() == 3)
     replay.select_option("#compare", "other")
     until(lambda: replay.evaluate("gelform.frame.has('other')"), 20)

@@ -20,31 +20,28 @@ OTHER = Origin("gelform.load_calibration('other.npz')", (), Path("other.npz"))
 FRAME = 1  # of two
 
 
-@pytest.fixture(scope="session")
-def other(presses):
-    return gelform.calibrate(presses, color_model="polynomial")
-
-
 @pytest.fixture
-def situation(calibration, other, pressed, simulated, tmp_path, monkeypatch):
+def situation(calibration, polynomial_calibration, pressed, simulated, tmp_path, monkeypatch):
     """A folder of two images as the recording, the second one shown, compared; background and zero were set."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "frames").mkdir()
     gelform.save_picture("frames/0.png", simulated.presses[0].image)
     gelform.save_picture("frames/1.png", pressed.image)
     calibration.save("mine.npz")
-    other.save("other.npz")
+    polynomial_calibration.save("other.npz")
     return Situation("frames", MINE, OTHER, True, True, "multigrid", FRAME, (120, 60))
 
 
 @pytest.fixture
-def page(situation, calibration, other, pressed, simulated):
+def page(situation, calibration, polynomial_calibration, pressed, simulated):
     """What a station shows in that situation; a snapshot of it lies in the folder."""
     from gelform.live.replay.player import ReplayedFrame
 
     frame = ReplayedFrame(pressed.image, 0.0, 0, 0, None, FRAME, 0.0)
     setup = Setup(solver="multigrid").with_calibration(calibration, "mine")
-    setup = setup.with_background(np.rint(simulated.background).astype(np.float32)).with_other(other, "other")
+    setup = setup.with_background(np.rint(simulated.background).astype(np.float32)).with_other(
+        polynomial_calibration, "other"
+    )
     first = setup.result_of(frame, pressed.image)
     from dataclasses import replace
 
