@@ -222,10 +222,13 @@ EXPORT int doubt_shadows(const float *found, float *gradients, float *sigma, flo
   const struct frame f = {gradients, sigma, confidence, clean * clean, least};
   const ptrdiff_t next_row = rows > 1 ? 3 * columns : 0, most = columns > 1 ? columns - 2 : 0;
   if (rows != (h + SIDE - 1) / SIDE || columns != (w + SIDE - 1) / SIDE || n < 3 * columns) return WRONG_SIZE;
+  const float *held = NULL;  // of which `r` is
+  struct reach r = {0, -1};
   for (ptrdiff_t y = 0; y < h; y++) {
     float v;
     const float *upper = found + between(y, 1.0 / SIDE, rows, &v) * 3 * columns, *lower = upper + next_row;
-    const struct reach r = reach_of(upper, lower, columns);
+    if (upper != held) r = reach_of(upper, lower, columns);
+    held = upper;
     if (r.first > r.last) continue;
     for (ptrdiff_t k = 0; k < 3 * columns; k++) work[k] = upper[k] + v * (lower[k] - upper[k]);
     for (ptrdiff_t j = r.first > 0 ? r.first - 1 : 0; j <= most && j <= r.last; j++) doubt_between(&f, work, j, columns, y, w);

@@ -19,7 +19,8 @@ AROUND = 1.0, 2.0  # contact radii, where its shadows fall
 LEAST_NOISE = 0.03  # of color change: a fainter shadow is not worth looking for
 MOST, SIGMAS_OF_MOST = 95.0, 2.0
 CASTS_FROM = 0.05  # of the ring around a contact in shadow, median over presses; sensors without: up to 0.02
-# Of fewer presses color model and forward response know too little beside the contacts: what they leave is no shadow.
+# Of fewer presses color model and forward response know too little beside the contacts: what they leave is no shadow. Of 12,
+# simulated and real sensors without shadows were above that share.
 LEAST_PRESSES, MOST_PRESSES = 18, 40
 
 
