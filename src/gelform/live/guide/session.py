@@ -21,13 +21,12 @@ from gelform.live.guide.forecast import forecast_of
 from gelform.live.guide.guide import Asked, Guide
 from gelform.live.shown import Shown
 from gelform.live.station import Station
+from gelform.live.take.recorder import named_by_time
 from gelform.npz_files import written_file
 from gelform.progress import Progress
 
-PRESS_MM, RIM_SHARES = (
-    0.9,
-    (0.45, 0.6, 0.52),
-)  # of the simulated presses: contact radius over ball radius in turn
+DEPTH_RATIO = 0.9  # of the simulated presses: depth over radius x share^2 (a cap: 0.5)
+RIM_SHARES = (0.45, 0.6, 0.52)  # of the simulated presses in turn: contact radius over ball radius
 GAP_S = 0.5
 HELD_S = 20.0  # a simulated press: lifted once it is accepted, on a slow machine after many a look
 REPORT_SEED = 0
@@ -106,7 +105,7 @@ class GuideSession:
         self._pressed_s = now
         radius = guide.asked.ball_diameter_mm / 2
         share = RIM_SHARES[guide.count % len(RIM_SHARES)]
-        depth = PRESS_MM * radius * share**2 + 0.05
+        depth = DEPTH_RATIO * radius * share**2 + 0.05
         self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)
 
     def _forecast(self) -> None:
@@ -129,8 +128,7 @@ class GuideSession:
 
     def _written(self, presses: Presses, calibration: Calibration, content: dict[str, Any]) -> str:
         """Write the press folder, the calibration in it and the report; the folder's name."""
-        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
-        folder = self._folder / f"calibration-{stamp}"
+        folder = self._folder / named_by_time("calibration")
         save_press_folder(
             folder,
             background=presses.background,

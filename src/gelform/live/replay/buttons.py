@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from gelform.live.replay.player import Player
 from gelform.live.replay.share import share as share_file
 from gelform.live.setup import Setup
 from gelform.live.station import NEVER_S, Opening, Station
+from gelform.live.take.recorder import named_by_time
 from gelform.progress import Progress
 from gelform.sensors.recordings.attachments import attached_background, attached_calibration
 
@@ -82,8 +82,7 @@ def share(hub: Hub, station: int) -> None:
     """Make one file of the recording and the calibration in use; it joins the list, from which it is fetched."""
     chosen = hub.station(station)
     recording, setup = player_of(chosen).recording, chosen.setup
-    stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
-    path = hub.folder / f"shared-{stamp}.mcap"
+    path = hub.folder / f"{named_by_time('shared')}.mcap"
 
     def work(progress: Progress) -> None:
         share_file(

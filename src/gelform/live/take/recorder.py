@@ -14,6 +14,11 @@ from gelform.sensors.recordings.attachments import attachments_of
 from gelform.sensors.recordings.record import RecordStats, new_recording, record_frames
 
 
+def named_by_time(kind: str) -> str:
+    """The name of what the page makes: its kind and the time in UTC, to the second."""
+    return f"{kind}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}"
+
+
 class Recorder:
     """One recording, in a thread of its own; a file where the extra `mcap` is installed, else a folder of images.
 
@@ -31,9 +36,8 @@ class Recorder:
     """
 
     def __init__(self, grabber: Grabber, folder: Path, setup: Setup | None = None) -> None:
-        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
-        self.path = folder / f"recording-{stamp}{suffix}"
+        self.path = folder / f"{named_by_time('recording')}{suffix}"
         self.stats = RecordStats(0, 0, 0, 0.0)
         self.problem = ""
         self._grabber = grabber
