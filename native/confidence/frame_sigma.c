@@ -83,6 +83,13 @@ static inline void deviation(const struct lines *restrict l, const struct settin
     sigma[k] = sqrtf((l->untouched[k] ? rest : l->variance[k]) + l->beyond[k] * l->beyond[k]);
 }
 
+// How many pixels have a slope that is NaN or beyond the highest.
+static inline int count_refused(const struct lines *restrict l, float highest, ptrdiff_t n) {
+  int count = 0;
+  for (ptrdiff_t k = 0; k < n; k++) count += !((fabsf(l->p[k]) <= highest) & (fabsf(l->q[k]) <= highest));
+  return count;
+}
+
 // A pixel that a marker hides is not untouched.
 static inline void hide_untouched(struct lines *restrict l, const bool *restrict hidden, ptrdiff_t n) {
   for (ptrdiff_t k = 0; k < n; k++) l->untouched[k] = l->untouched[k] & !hidden[k];
@@ -94,28 +101,52 @@ static inline void write_back(const struct lines *restrict l, float *restrict gr
   for (ptrdiff_t k = 0; k < n; k++) untouched[k] = l->untouched[k] != 0;
 }
 
-// `given`: untouched pixels that were decided elsewhere, or NULL. `bias` is subtracted from the gradients.
+static inline void decide_untouched(struct lines *restrict l, const struct settings *restrict s, const bool *hidden,
+                                    const bool *given, ptrdiff_t start, ptrdiff_t n) {
+  find_untouched(l, s);
+  if (given != NULL)
+    for (ptrdiff_t k = 0; k < n; k++) l->untouched[k] = given[start + k];
+  else if (hidden != NULL) hide_untouched(l, hidden + start, n);
+}
+
+// `given`: untouched pixels that were decided elsewhere, or NULL. `bias` is subtracted from the gradients. Returns how many
+// pixels have a slope that is NaN or beyond the highest.
 EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common,
                        const float *bias, const float *place, const float *per_steepest, const float *law,
                        const float *gamut, const float *low, float *gradients, bool *untouched, float *sigma,
                        float square, float steps, float grows, float rest, float bins_per_change, float worth,
-                       float unlearnt, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t g) {
+                       float unlearnt, float highest, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t g) {
   const struct settings s = {common, bias, law, gamut, low, square, steps, grows, rest, bins_per_change,
                              worth, unlearnt, (int32_t)t, (int32_t)g};
   struct lines l = {0};
+  int refused = 0;
   if (t < 2) return WRONG_SIZE;
   for (ptrdiff_t start = 0; start < h * w; start += PIXELS) {
     const ptrdiff_t n = h * w - start < PIXELS ? h * w - start : PIXELS;
     unpack(&l, change + 3 * start, gradients + 2 * start, bias, n);
-    find_untouched(&l, &s);
-    if (given != NULL)
-      for (ptrdiff_t k = 0; k < n; k++) l.untouched[k] = given[start + k];
-    else if (hidden != NULL) hide_untouched(&l, hidden + start, n);
+    refused += count_refused(&l, highest, n);
+    decide_untouched(&l, &s, hidden, given, start, n);
     distance_from_gamut(&l, &s);
     variance_by_law(&l, &s);
     variance_of_steepness(&l, &s, place + start, per_steepest + start, n);
     deviation(&l, &s, sigma + start, n);
     write_back(&l, gradients + 2 * start, untouched + start, n);
   }
-  return OK;
+  return refused;
+}
+
+// The same where no law of the deviation is known: which pixels are untouched, and their slopes without bias.
+EXPORT int subtract_bias(const float *change, const bool *hidden, const bool *given, const float *common, const float *bias,
+                         float *gradients, bool *untouched, float square, float highest, ptrdiff_t h, ptrdiff_t w) {
+  const struct settings s = {.common = common, .bias = bias, .square = square};
+  struct lines l = {0};
+  int refused = 0;
+  for (ptrdiff_t start = 0; start < h * w; start += PIXELS) {
+    const ptrdiff_t n = h * w - start < PIXELS ? h * w - start : PIXELS;
+    unpack(&l, change + 3 * start, gradients + 2 * start, bias, n);
+    refused += count_refused(&l, highest, n);
+    decide_untouched(&l, &s, hidden, given, start, n);
+    write_back(&l, gradients + 2 * start, untouched + start, n);
+  }
+  return refused;
 }

@@ -41,7 +41,7 @@ from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched
 from gelform.markers import MarkerFlow, MarkerFollower
 from gelform.pool import Pool, keep_freed_memory
 from gelform.reconstruction import Reconstruction
-from gelform.solvers.inputs import check_slopes, checked_solver, takes_weights
+from gelform.solvers.inputs import checked_solver, takes_weights
 from gelform.view import image_from_frame
 
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
@@ -255,7 +255,6 @@ class Reconstructor:
         hidden = faults.hidden(markers)
         pending = self._untouched_image.pending(image, exposure)
         observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
-        check_slopes(observed)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
         untouched, sigma = self._sigma(change, observed, reference, hidden)
         confidence = self._causes(image, change, observed, reference, hidden, sigma, came)

@@ -102,7 +102,7 @@ def seen_gamut():
 
 def numpy_frame_sigma(
     change, hidden, given, common, bias, place, per_steepest, law, gamut, low, gradients, untouched, sigma, square,
-    steps, grows, rest, bins_per_change, worth, unlearnt,
+    steps, grows, rest, bins_per_change, worth, unlearnt, highest,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     near = ((change - common) ** 2).sum(axis=-1) < square
@@ -135,8 +135,36 @@ def test_the_kernel_agrees_with_numpy(shape, with_gamut, optional):
         mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]), prepared._place,
         rng.uniform(0.5, 2, shape).astype(np.float32), prepared._law, prepared._gamut, prepared._gamut_low,
         rng.normal(0, 0.5, (*shape, 2)).astype(np.float32), np.empty(shape, bool), np.empty(shape, np.float32), 0.3**2,
-        *prepared._numbers, *prepared._gamut_numbers, 0.3,
+        *prepared._numbers, *prepared._gamut_numbers, 0.3, 1e15,
     )  # fmt: skip
+
+
+def numpy_subtract_bias(change, hidden, given, common, bias, gradients, untouched, square, highest):
+    near = ((change - common) ** 2).sum(axis=-1) < square
+    return gradients - bias, given if given is not None else near & (True if hidden is None else ~hidden)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 9), (24, 40)])
+@pytest.mark.parametrize("optional", ["nothing", "hidden", "given"])
+def test_the_kernel_without_a_law_agrees_with_numpy(shape, optional):
+    rng = np.random.default_rng(0)
+    change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
+    mask = rng.uniform(size=shape) > 0.7
+    assert_kernel_agrees(
+        frame_sigma._subtract_bias, numpy_subtract_bias, change, mask if optional == "hidden" else None,
+        mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]),
+        rng.normal(0, 0.5, (*shape, 2)).astype(np.float32), np.empty(shape, bool), 0.3**2, 1e15,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e16])
+@pytest.mark.parametrize("component", [0, 1])
+def test_slopes_that_no_sum_can_hold_are_refused(wrong, component):
+    gradients = np.zeros((5, 31, 2), np.float32)
+    gradients[4, 30, component] = wrong
+    for prepared in (PreparedSigma(LAW, (5, 31), None), UnknownSigma(0.04)):
+        with pytest.raises(ValueError, match="Expected slopes up to 1e"):
+            prepared(grey((5, 31)), gradients.copy(), NOTHING)
 
 
 def test_of_two_deviations_the_larger_counts():

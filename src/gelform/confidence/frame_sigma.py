@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.untouched import Reference, near_common
+from gelform.background.untouched import Reference
 from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from gelform.confidence.solved import for_both
+from gelform.solvers.inputs import HIGHEST_SLOPE, check_slopes
 
 TABLE = 64  # the law, tabulated for the frame's kernel
 # A slope s where the presses showed slopes up to t is off by no less than UNLEARNT s (s/t - 1): what is steeper reads like
@@ -20,7 +21,12 @@ _frame_sigma = Kernel(
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, "
     "f32[h,w] per_steepest, f32[t] law, "
     "f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, "
-    "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth, f32 unlearnt",
+    "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth, f32 unlearnt, f32 highest",
+)
+_subtract_bias = Kernel(
+    "subtract_bias",
+    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, out f32[h,w,2] gradients, "
+    "out bool[h,w] untouched, f32 square, f32 highest",
 )
 
 
@@ -71,14 +77,21 @@ class PreparedSigma:
         -------
         untouched : (H, W) bool
         sigma : (H, W) float32, alike for both components
+
+        Raises
+        ------
+        ValueError
+            As `check_slopes` of the gradients.
         """
         shape = gradients.shape[:2]
         untouched, sigma = np.empty(shape, dtype=bool), np.empty(shape, dtype=np.float32)
-        _frame_sigma(
+        refused = _frame_sigma(
             color_change, hidden, reference.given, reference.common_change, reference.bias, self._place,
             self._per_steepest, self._law, self._gamut, self._gamut_low, gradients, untouched, sigma,
-            reference.threshold**2, *self._numbers, *self._gamut_numbers, UNLEARNT,
+            reference.threshold**2, *self._numbers, *self._gamut_numbers, UNLEARNT, HIGHEST_SLOPE,
         )  # fmt: skip
+        if refused:
+            check_slopes(gradients)
         return untouched, sigma
 
 
@@ -96,13 +109,12 @@ class UnknownSigma:
         hidden: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """As `PreparedSigma`."""
-        height, width = gradients.shape[:2]
-        rows = gradients.reshape(height, 2 * width)
-        rows -= np.tile(reference.bias, width)
-        untouched = reference.given
-        if untouched is None:
-            untouched, _ = near_common(color_change, reference.common_change, reference.threshold, hidden)
-        return untouched, np.full((height, width), self._usual)
+        shape = gradients.shape[:2]
+        untouched, limits = np.empty(shape, dtype=bool), (reference.threshold**2, HIGHEST_SLOPE)
+        common = hidden, reference.given, reference.common_change, reference.bias
+        if _subtract_bias(color_change, *common, gradients, untouched, *limits):
+            check_slopes(gradients)
+        return untouched, np.full(shape, self._usual)
 
 
 def with_model_sigma(

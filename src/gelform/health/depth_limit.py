@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ class DepthLimit:
     @property
     def ignorance_mm(self) -> float:
         """Standard deviation of a depth of which nothing but the limit is known: that of a uniform distribution."""
-        return float(self.limit_mm / np.sqrt(12))
+        return self.limit_mm / sqrt(12)
 
     def bound(self, depth_mm: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[Finding, ...]]:
         """The depth (H, W) within plus and minus the limit, and a finding where it was not."""
