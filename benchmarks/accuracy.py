@@ -27,6 +27,7 @@ import gelform
 from accuracy_objects import anchor, deep, objects, walls
 from accuracy_presses import few, real_deep, sigma
 from accuracy_punches import punches, punches_drawn, walls_drawn
+from accuracy_walls import at_least
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.calibration.presses.folder import Presses
@@ -294,10 +295,11 @@ PARTS: dict[str, Any] = {
     "objects": objects,
     "walls": walls,
     "walls_drawn": walls_drawn,
+    "at_least": partial(at_least, DATA),
     "punches": punches,
     "punches_drawn": punches_drawn,
 }
-NEEDS_DATA = ("real", "sigma", "few", "real_deep")
+NEEDS_DATA = ("real", "sigma", "few", "real_deep", "at_least")
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 `docs/choosing-a-solver.md` says which to take, `docs/adding-a-solver.md` how to write one.
 """
 
+from gelform.solvers.at_least import AtLeastSolver
 from gelform.solvers.curl_gated.solver import CurlGatedSolver
 from gelform.solvers.dct import Dct4Solver, DctSolver
 from gelform.solvers.multigrid.solver import MultigridSolver
@@ -20,10 +21,12 @@ SOLVERS: dict[str, type[Solver]] = {
     "robust_huber": HuberSolver,
     "robust_l1": L1Solver,
     "curl_gated": CurlGatedSolver,
+    "at_least": AtLeastSolver,
 }
 
 __all__ = [
     "SOLVERS",
+    "AtLeastSolver",
     "CurlGatedSolver",
     "Dct4Solver",
     "DctSolver",
