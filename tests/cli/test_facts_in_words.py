@@ -35,6 +35,9 @@ def test_a_result_in_words(run, calibration_file, press_folder, tmp_path):
     out = run("info", tmp_path / "0001.npz")[1]
     assert " mm, 0 at rest" in out
     assert "100 % of the pixels" in out
+    assert re.search(
+        r"roughness +Sa [\d.]+ um, .* form removed: quadratic, S-filter 0\.38 mm", " ".join(out.split())
+    )
     assert re.search(r"contact 1 +[\d.]+ mm², [\d.]+ mm³, axes [\d.]+ x [\d.]+ mm, [\d.]+ mm deep at", out)
 
 

@@ -60,12 +60,21 @@ def _result(facts: Facts) -> Lines:
         ("depth", f"{low:.3f} to {high:.3f} {unit}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
         *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(facts["contacts"][:LISTED])],
+        *([("roughness", _roughness(facts["roughness"]))] if facts.get("roughness") else []),
         *([("markers", facts["markers"]["in_words"])] if facts["markers"] else []),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),
         ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} RMS"),
         *[("warning", message) for message in facts["findings"]],
         ("calibration", str(facts["calibration"])),
     ]
+
+
+def _roughness(found: Facts) -> str:
+    return (
+        f"Sa {found['Sa_um']:.3g} um, Sq {found['Sq_um']:.3g} um, Sz {found['Sz_um']:.3g} um, Ssk {found['Ssk']:.2f}, "
+        f"Sku {found['Sku']:.2f}, Sdr {found['Sdr_percent']:.3g} % of what is in contact (ISO 25178; form removed: "
+        f"{found['form']}, S-filter {found['s_filter_mm']:.2g} mm, L-filter {found['l_filter_mm']:.2g} mm)"
+    )
 
 
 def _contact(contact: Facts) -> str:
