@@ -22,6 +22,8 @@ CASTS_FROM = 0.05  # of the ring around a contact in shadow, median over presses
 # Of fewer presses color model and forward response know too little beside the contacts: what they leave is no shadow. Of 12,
 # simulated and real sensors without shadows were above that share.
 LEAST_PRESSES, MOST_PRESSES = 18, 40
+# Of the ring, in three of four presses: where one press casts a shadow, others do; what a model lacks at places is not.
+IN_MOST, QUARTILE = 0.02, 25
 
 
 def shadow_noise(
@@ -54,7 +56,14 @@ def shadow_noise(
         for one, ring in zip(dark, (away >= AROUND[0]) & (away < AROUND[1]))
         if ring.any()
     ]
-    return noise if shares and float(np.median(shares)) >= CASTS_FROM else None
+    return noise if _are_shadows(shares) else None
+
+
+def _are_shadows(shares: Sequence[float]) -> bool:
+    """Of the shares in shadow of the rings around contacts."""
+    if not shares:
+        return False
+    return bool(np.median(shares) >= CASTS_FROM and np.percentile(shares, QUARTILE) >= IN_MOST)
 
 
 def _around_contacts(
