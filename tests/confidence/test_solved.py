@@ -12,7 +12,6 @@ from gelform.confidence.solved import (
     BEND_FROM,
     DIM,
     STEEPEST,
-    UNLIMITED,
     SolvedErrors,
     SolvedSigma,
     with_solved_factors,
@@ -102,8 +101,9 @@ def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
 
 def test_no_slope_is_less_known_than_the_steepest():
     unseen = both(np.full(SHAPE, 40.0, np.float32))
-    np.testing.assert_allclose(SolvedSigma(LAW, SHAPE, None)(unseen, *flat()), STEEPEST, rtol=1e-5)
-    assert UNLIMITED > STEEPEST
+    least = replace(LAW, solved_slopes=(0.2, 0.6), solved_places=(((solved.LEAST_FACTOR,),),) * 2)
+    for law in (LAW, least):  # however good solved slopes are, where nothing is known nothing is
+        np.testing.assert_allclose(SolvedSigma(law, SHAPE, None)(unseen, *flat()), STEEPEST, rtol=1e-5)
 
 
 def test_a_model_that_states_its_own_is_left_as_it_is():

@@ -17,7 +17,9 @@ from gelform._native import Kernel
 from gelform.confidence.causes.seen import reach_px
 from gelform.confidence.slope_sigma import LEAST_APART, MIN_IN_BIN, ONE_SIGMA, PLACES, SlopeSigma, factor_at
 
-STEEPEST = 0.5  # mm/mm: no slope of a gel is known less well than that
+STEEPEST = (
+    1.0  # mm/mm: no slope of a gel is known less well than that; saturated or hidden, it is known no better
+)
 UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
 PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
