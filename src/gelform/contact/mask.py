@@ -160,13 +160,14 @@ def _pressure(
     depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, sensor: PreparedContact
 ) -> _Pressure:
     """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0, as L is from the falling off."""
-    bent, noise = None, 0.0
+    tried: list[tuple[NDArray[np.float32], float]] = []
     for smoothing in SMOOTHINGS_PX:
-        finer, finer_noise = bent, noise
         smooth, bent = _bent(depth, sensor.pitch, smoothing)
         noise = _noise(bent, sensor.noise)
+        tried.append((bent, noise))
         if noise <= QUIET:
             break
+    finer, finer_noise = tried[-2] if len(tried) > 1 else (None, 0.0)
     every = _noise_mm(depth) if sigma is None else 0.0
     work = np.empty(2 * depth.size, dtype=np.float32)
     rules = SIGMAS_OF_DEPTH, -4 * noise, LEAST_FALLING, STIFFEST
