@@ -4,8 +4,9 @@
     python benchmarks/confidence.py coverage masks --quick # a tenth of the frames, nothing written
     python benchmarks/confidence.py --calibrations DIR     # keeps the calibrations there, and takes them from there
 
-Thresholds were chosen on the layout three-edges (those of contacts also on sensors with other lights, gels, noise and blur)
-and on the presses of mini-ball that calibrate; figures are of the layouts ring-120 and homemade, and of the other presses.
+Thresholds were chosen on the layout three-edges and on the presses of mini-ball that calibrate; figures are of the layouts
+ring-120 and homemade, and of the other presses. Those of contacts were chosen on all three layouts and on drawn sensors,
+with other seeds than these figures.
 `digit`, `alarms` read real data (GELFORM_DATA, default ../shared/data).
 """
 
