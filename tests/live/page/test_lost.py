@@ -43,7 +43,11 @@ def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_dr
     assert page.evaluate("gelform.look.renderer") == "WebGL2"
     assert page.evaluate("gelform.connection.ahead") == 2
     until(lambda: page.evaluate("gelform.surface.grid") == [176, 132])
-    assert page.evaluate("gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)")
+    until(
+        lambda: page.evaluate(
+            "gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)"
+        )
+    )
     until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
 
 

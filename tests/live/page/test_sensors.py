@@ -44,16 +44,16 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     assert first["y"] == second["y"]
     assert second["x"] >= first["x"] + first["width"]
     assert len(np.unique(picture(page, "#surface-1").reshape(-1, 3) // 16, axis=0)) > 20
-    assert page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth"]
+    until(lambda: page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth"])
     page.click(".chooser >> nth=1")
     until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"), 20)
-    assert page.locator(".chooser >> nth=1").get_attribute("aria-pressed") == "true"
+    until(lambda: page.locator(".chooser >> nth=1").get_attribute("aria-pressed") == "true")
     page.fill("#set-exposure", "70")
     page.press("#set-exposure", "Enter")
     until(lambda: two.stations[1].source.settings["exposure"] == 70)
     until(lambda: page.inner_text("#now-exposure") == "is 70")
     page.keyboard.press("Tab")
-    assert page.locator("#devices tr").count() == 2
+    until(lambda: page.locator("#devices tr").count() == 2)
 
 
 @pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
@@ -86,12 +86,12 @@ def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, visit):
         page.click("#devices button.show")
         until(lambda: not hub.stations[0].facts()["simulated"], 20)
         until(lambda: "No calibration yet" in page.inner_text("#stages"), 20)
-        assert page.locator("#devices button.show").count() == 0
-        assert "none on the list has its serial" in page.inner_text("#toasts")
+        until(lambda: page.locator("#devices button.show").count() == 0)
+        until(lambda: "none on the list has its serial" in page.inner_text("#toasts"))
         page.click("#devices-back")
         until(lambda: hub.stations[0].facts()["simulated"], 20)
         until(lambda: page.is_hidden("#devices-back"))
-        assert page.evaluate("gelform.facts.stations[0].calibration") == "mine"
+        until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == "mine")
 
 
 def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
@@ -108,5 +108,5 @@ def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
     hub.stations[0].start()
     page = visit(serving_of(hub).url)
     until(lambda: page.is_visible("#banner"), 20)
-    assert "process 7" in page.inner_text("#banner")
+    until(lambda: "process 7" in page.inner_text("#banner"))
     assert "any number of pages may look at one camera" in page.inner_text("#banner")
