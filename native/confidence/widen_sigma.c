@@ -33,8 +33,8 @@ static inline void widen_row(const struct numbers *restrict n, const float *rest
     const float along = clamp((sqrtf(square) - n->from_slope) * n->per_slope, 0, 1);
     const float solved = smaller(sigma[x] * (gentle[x] + along * (steep[x] - gentle[x])), n->limit);
     const float wall = n->per_bend * larger(sqrtf(0.5f * bends[x]) - n->bend_from, 0);
-    const float around = contact[x] ? 0 : n->around * n->around * square;
-    sigma[x] = sqrtf(solved * solved + wall * wall + around + dim[x] * dim[x]);
+    const float other = contact[x] ? dim[x] * dim[x] : n->around * n->around * square;
+    sigma[x] = sqrtf(solved * solved + wall * wall + other);
   }
 }
 

@@ -70,7 +70,7 @@ def numpy_widen_sigma(
     along = np.clip((slope - from_slope) * per_slope, 0, 1)
     own = np.minimum(sigma * (gentle + along * (steep - gentle)), limit)
     wall = per_bend * np.maximum(np.sqrt(bends / 2) - bend_from, 0)
-    return np.sqrt(own**2 + wall**2 + np.where(contact, 0, around * slope) ** 2 + dim.astype(float) ** 2)
+    return np.sqrt(own**2 + wall**2 + np.where(contact, dim.astype(float), around * slope) ** 2)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (11, 2), (7, 40)])
@@ -131,11 +131,13 @@ def test_slopes_around_contacts_share_their_relative_error():
     np.testing.assert_allclose(found[:, 6:], np.hypot(0.04, 0.03), rtol=1e-4)
 
 
-def test_weak_light_is_doubted():
-    noise = np.ones(SHAPE, np.float32)
+def test_weak_light_is_doubted_in_contacts():
+    noise, (gradients, contact) = np.ones(SHAPE, np.float32), flat()
     noise[0], noise[1] = 3.0, 0.5
-    found = SolvedSigma(LAW, SHAPE, None, noise)(both(np.full(SHAPE, 0.05, np.float32)), *flat())
-    np.testing.assert_allclose(found[0], np.hypot(0.04, 2 * DIM * 0.01), rtol=1e-4)
+    contact[0, 6:] = False
+    found = SolvedSigma(LAW, SHAPE, None, noise)(both(np.full(SHAPE, 0.05, np.float32)), gradients, contact)
+    np.testing.assert_allclose(found[0, :6], np.hypot(0.04, 2 * DIM * 0.01), rtol=1e-4)
+    np.testing.assert_allclose(found[0, 6:], 0.04, rtol=1e-4)
     np.testing.assert_allclose(found[1:], 0.04, rtol=1e-4)
 
 

@@ -24,8 +24,8 @@ UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
 PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
 # Solved slopes that differ by more than BEND_FROM from those a blur and a half away are off by BEND times the rest; a slope
-# where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest. Chosen on eight objects on
-# eight simulated sensors, held on four others.
+# in a contact where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest. Chosen on eight
+# objects on eight simulated sensors, held on four others.
 BEND, BEND_FROM = 1.75, 0.1
 DIM = 2.0
 
