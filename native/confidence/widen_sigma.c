@@ -3,7 +3,7 @@
 #include "../common.h"
 
 struct numbers {
-  float from_slope, per_slope, limit, around, per_bend, bend_from;
+  float from_slope, per_slope, limit, around, dim_from, per_bend, bend_from;
   ptrdiff_t reach;
 };
 
@@ -33,16 +33,18 @@ static inline void widen_row(const struct numbers *restrict n, const float *rest
     const float along = clamp((sqrtf(square) - n->from_slope) * n->per_slope, 0, 1);
     const float solved = smaller(sigma[x] * (gentle[x] + along * (steep[x] - gentle[x])), n->limit);
     const float wall = n->per_bend * larger(sqrtf(0.5f * bends[x]) - n->bend_from, 0);
-    const float other = contact[x] ? dim[x] * dim[x] : n->around * n->around * square;
-    sigma[x] = sqrtf(solved * solved + wall * wall + other);
+    const float weak = contact[x] ? 1 : square / (square + n->dim_from * n->dim_from);
+    const float around = contact[x] ? 0 : n->around * n->around * square;
+    sigma[x] = sqrtf(solved * solved + wall * wall + around + weak * dim[x] * dim[x]);
   }
 }
 
 EXPORT int widen_sigma(const float *gradients, const bool *contact, const float *gentle, const float *steep,
                        const float *dim, float *work, float *sigma, float from_slope, float per_slope, float limit,
-                       float around, float per_bend, float bend_from, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
-  const struct numbers n = {from_slope, per_slope, limit, around, per_bend, bend_from, reach};
-  if (reach < 1) return WRONG_SIZE;
+                       float around, float dim_from, float per_bend, float bend_from, int32_t reach, ptrdiff_t h,
+                       ptrdiff_t w) {
+  const struct numbers n = {from_slope, per_slope, limit, around, dim_from, per_bend, bend_from, reach};
+  if (reach < 1 || !(dim_from > 0)) return WRONG_SIZE;
   memset(work, 0, (size_t)w * sizeof *work);
   for (ptrdiff_t y = 0; y < h; y++) {
     const ptrdiff_t at = y * w;

@@ -11,6 +11,7 @@ from gelform.confidence.solved import (
     BEND,
     BEND_FROM,
     DIM,
+    DIM_FROM,
     STEEPEST,
     SolvedErrors,
     SolvedSigma,
@@ -54,8 +55,8 @@ def test_the_kernel_of_solved_slopes_agrees_with_numpy(shape):
 
 
 def numpy_widen_sigma(
-    gradients, contact, gentle, steep, dim, work, sigma, from_slope, per_slope, limit, around, per_bend, bend_from,
-    reach,
+    gradients, contact, gentle, steep, dim, work, sigma, from_slope, per_slope, limit, around, dim_from,
+    per_bend, bend_from, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     g, bends = gradients.astype(float), np.zeros(sigma.shape)
@@ -70,7 +71,8 @@ def numpy_widen_sigma(
     along = np.clip((slope - from_slope) * per_slope, 0, 1)
     own = np.minimum(sigma * (gentle + along * (steep - gentle)), limit)
     wall = per_bend * np.maximum(np.sqrt(bends / 2) - bend_from, 0)
-    return np.sqrt(own**2 + wall**2 + np.where(contact, dim.astype(float), around * slope) ** 2)
+    weak = np.where(contact, 1, slope**2 / (slope**2 + dim_from**2)) * dim.astype(float) ** 2
+    return np.sqrt(own**2 + wall**2 + np.where(contact, 0, around * slope) ** 2 + weak)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (11, 2), (7, 40)])
@@ -82,7 +84,7 @@ def test_the_kernel_that_widens_agrees_with_numpy(shape, per_bend, reach):
     assert_kernel_agrees(
         solved._widen_sigma, numpy_widen_sigma, rng.normal(0, 0.4, (*shape, 2)).astype(np.float32),
         rng.uniform(size=shape) > 0.5, gentle, steep, dim, np.empty(shape[1], np.float32), sigma, 0.2, 3.0, 0.5, 0.1,
-        per_bend, 0.1, reach,
+        0.03, per_bend, 0.1, reach,
     )  # fmt: skip
 
 
@@ -131,13 +133,15 @@ def test_slopes_around_contacts_share_their_relative_error():
     np.testing.assert_allclose(found[:, 6:], np.hypot(0.04, 0.03), rtol=1e-4)
 
 
-def test_weak_light_is_doubted_in_contacts():
+def test_weak_light_is_doubted_in_contacts_and_on_slopes():
     noise, (gradients, contact) = np.ones(SHAPE, np.float32), flat()
     noise[0], noise[1] = 3.0, 0.5
-    contact[0, 6:] = False
+    contact[0, 4:] = False
+    gradients[0, 8:] = (DIM_FROM, 0)
     found = SolvedSigma(LAW, SHAPE, None, noise)(both(np.full(SHAPE, 0.05, np.float32)), gradients, contact)
-    np.testing.assert_allclose(found[0, :6], np.hypot(0.04, 2 * DIM * 0.01), rtol=1e-4)
-    np.testing.assert_allclose(found[0, 6:], 0.04, rtol=1e-4)
+    np.testing.assert_allclose(found[0, :4], np.hypot(0.04, 2 * DIM * 0.01), rtol=1e-4)
+    np.testing.assert_allclose(found[0, 4:8], 0.04, rtol=1e-4)
+    np.testing.assert_allclose(found[0, 8:], np.hypot(0.04, 2 * DIM * 0.01 / np.sqrt(2)), rtol=1e-4)
     np.testing.assert_allclose(found[1:], 0.04, rtol=1e-4)
 
 

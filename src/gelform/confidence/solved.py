@@ -24,10 +24,10 @@ UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
 PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
 # Solved slopes that differ by more than BEND_FROM from those a blur and a half away are off by BEND times the rest; a slope
-# in a contact where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest. Chosen on eight
-# objects on eight simulated sensors, held on four others.
+# where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest, outside contacts by half of
+# that variance at DIM_FROM and less below. Chosen on eight objects on eight simulated sensors, held on four others.
 BEND, BEND_FROM = 1.75, 0.1
-DIM = 2.0
+DIM, DIM_FROM = 2.0, 0.05
 
 _solved_sigma = Kernel(
     "solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor, f32 limit"
@@ -35,7 +35,8 @@ _solved_sigma = Kernel(
 _widen_sigma = Kernel(
     "widen_sigma",
     "f32[h,w,2] gradients, bool[h,w] contact, f32[h,w] gentle, f32[h,w] steep, f32[h,w] dim, out f32[w] work, "
-    "out f32[h,w] sigma, f32 from_slope, f32 per_slope, f32 limit, f32 around, f32 per_bend, f32 bend_from, i32 reach",
+    "out f32[h,w] sigma, f32 from_slope, f32 per_slope, f32 limit, f32 around, f32 dim_from, f32 per_bend, f32 bend_from, "
+    "i32 reach",
 )
 
 
@@ -70,7 +71,7 @@ class SolvedSigma:
             factor_at(np.array(grid), x[None, :], y[:, None]).astype(np.float32) for grid in grids
         ]
         walls = (0.0, 0.0, 1) if blur_px is None else (BEND, BEND_FROM, reach_px(blur_px))
-        self._numbers = (slopes[0], 1 / (slopes[1] - slopes[0]), STEEPEST, around, *walls)
+        self._numbers = (slopes[0], 1 / (slopes[1] - slopes[0]), STEEPEST, around, DIM_FROM, *walls)
 
     def __call__(
         self,
