@@ -39,9 +39,8 @@ def noise_by_place(
         off = model.gradients_from_color(untouched.change(brighter))[0] - rest
         variance += off[..., 0] ** 2 + off[..., 1] ** 2
     noise = np.sqrt(cv2.GaussianBlur(variance, (0, 0), SMOOTH_PX, borderType=cv2.BORDER_REPLICATE))
-    median = float(
-        medians_where(noise[..., None])[0][0]
-    )  # np.median loads numpy.ma, a tenth of a first frame
+    # np.median loads numpy.ma, a tenth of a first frame.
+    median = float(medians_where(noise[..., None])[0][0])
     if median == 0:
         return np.ones_like(noise)
     return np.clip(noise / np.float32(median), LEAST, MOST, dtype=np.float32)

@@ -29,6 +29,7 @@ def test_stops_after_so_many_frames_or_when_told(tmp_path):
         assert record_frames(grabber, recording, frames=3).frames == 3
         assert record_frames(grabber, recording, going_on=lambda stats: stats.frames < 2).frames == 2
         assert 0 < record_frames(grabber, recording, seconds=0.05).duration_s <= 0.05
+        assert record_frames(grabber, recording, seconds=0).duration_s == 0
 
 
 def test_the_time_is_that_of_the_frames_however_fast_they_are_read(tmp_path):

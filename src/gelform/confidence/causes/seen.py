@@ -17,9 +17,8 @@ SURE_LIMIT = 6.5  # of it: nothing is left of such a slope, nor of those that it
 LEAST_LIMIT, LEAST_SURE = 0.02, 0.06  # of color change, where the response was fitted to images without noise
 # A colour that no gradient explains moves the slope by more than the same difference along the colours that do.
 AMPLIFIED = 3.0
-STEEPEST = (
-    1.0  # mm/mm: the response, a polynomial, says nothing of slopes beyond, which a shadow may be read as
-)
+# mm/mm: the response, a polynomial, says nothing of slopes beyond, which a shadow may be read as.
+STEEPEST = 1.0
 # Times the RMS of the channels, that their mean has to be below for shadow, above for light. The slopes that are read take
 # part of a lost light for their own, more of it where the channels mix the lights: what is left need not be alike in them.
 DARKER, BRIGHTER = -0.25, 0.6

@@ -97,16 +97,17 @@ def record_frames(
     going_on : is told after each frame, and four times a second while none comes
     """
     stats, after, first_s, began_s = RecordStats(0, 0, 0, 0.0), -1, 0.0, time.monotonic()
+    limit_s = math.inf if seconds is None else seconds
     while going_on(stats) and (frames is None or stats.frames < frames):
         frame = grabber.following(after, WAIT_S)
         if frame is None:
-            if grabber.state == "ended" or time.monotonic() - began_s > (seconds or math.inf):
+            if grabber.state == "ended" or time.monotonic() - began_s > limit_s:
                 break
             recording.flush_if_due()
             continue
         if stats.frames == 0:
             first_s, began_s, after = frame.time_s, time.monotonic(), frame.index - 1
-        if frame.time_s - first_s > (seconds or math.inf):
+        if frame.time_s - first_s > limit_s:
             break
         written = recording.write(frame)
         stats = RecordStats(
