@@ -127,6 +127,15 @@ def test_the_background_of_other_frames_is_refused():
     check_background_of_frames(presses_of(tilted(scene(1), 0.3), 7), scene())  # too few to judge
 
 
+def test_a_background_that_drifted_before_the_presses_is_said():
+    """The light of `scene` tilts by 7 % over the image: depth far from contacts would be of it."""
+    assert check_background_of_frames(presses_of(scene(1), 10), scene()) == ()
+    (finding,) = check_background_of_frames(presses_of(tilted(scene(1), 0.07), 10), scene())
+    assert finding.name == "background_drift"
+    assert 0.02 < finding.figure < 0.06
+    assert f"{100 * finding.figure:.1f} %" in finding.message
+
+
 def test_digest_knows_its_own():
     rest = scene()
     assert background_digest(rest) == background_digest(rest.copy())
@@ -202,7 +211,7 @@ def test_a_real_later_moment_is_warned_of(data):
 
 def test_real_presses_know_their_background(data):
     images = [read_image(path) for path in sorted((data / "mini-ball").rglob("gelsight.png"))[::4]]
-    check_background_of_frames(images, read_image(data / "mini-ball" / "background.png"))
+    assert check_background_of_frames(images, read_image(data / "mini-ball" / "background.png")) == ()
     with pytest.raises(CalibrationError, match="not of these images"):
         check_background_of_frames(images, read_image(data / "mini-objects" / "background.png"))
 

@@ -151,9 +151,24 @@ def test_real_sets_pass_and_are_caught_when_spoilt(data):
                 check_inputs(touched)
             prepared, contacts, turn = turn_of(few)
             assert light_order_note(few, prepared, contacts) is None
+            assert not drift_notes(few)
             swapped = reversed_channels(few, range(len(few.presses)), background=True)
             assert "saved as BGR" in light_order_note(swapped, *turn_of(swapped)[:2])
             assert abs(turn) > 1
+
+
+def drift_notes(presses):
+    return [note for note in input_notes(presses, [], Refined((), (), None)) if "have drifted" in note]
+
+
+def test_light_that_drifted_since_the_background_is_noted(presses):
+    assert not drift_notes(presses)
+    shade = np.linspace(1.06, 0.94, presses.image_shape[1], dtype=np.float32)[:, None]
+    assert drift_notes(replace(presses, background=presses.background * shade))
+
+
+def test_a_drifting_real_set_is_noted(data):
+    assert drift_notes(gelform.read_presses(data / "gelsight-ball-deep"))
 
 
 def test_the_same_image_counts_once(presses):

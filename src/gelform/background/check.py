@@ -81,8 +81,12 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     return tuple(findings)
 
 
-def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArray[Any]) -> None:
-    """Refuse a background that is not of the sensor that took the frames; they are touched, each elsewhere.
+def check_background_of_frames(
+    frames: Sequence[NDArray[Any]], background: NDArray[Any]
+) -> tuple[Finding, ...]:
+    """Refuse a background that is not of the sensor that took the frames; return what should be warned of.
+
+    The frames are touched, each elsewhere.
 
     The blocks' median over eight frames or more is nearly the untouched image; fewer are not judged.
 
@@ -92,7 +96,7 @@ def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArr
         The quarter that changed least differs by more than 3.6 % and half by more than 6 %.
     """
     if len(frames) < MIN_FRAMES:
-        return
+        return ()
     middle = np.median([block_means(frame) for frame in frames], axis=0).astype(np.float32)
     exposure = exposure_from_blocks(middle, block_means(background))
     if np.isfinite(exposure.least_change) and (
@@ -104,6 +108,14 @@ def check_background_of_frames(frames: Sequence[NDArray[Any]], background: NDArr
             f"{100 * exposure.middle_change:.1f} % (expected under {100 * LEAST_REFUSE:g} and "
             f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
         )
+    if not PATTERN_WARN < exposure.middle_change < inf:
+        return ()
+    message = (
+        f"Behind a common gain ({_times(exposure.gain)}) half of the presses' median differs from the background by "
+        f"{100 * exposure.middle_change:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %): light or gel have "
+        "drifted, or most presses touch the same place. Depth off the contacts is off by it. Take a background just before."
+    )
+    return (Finding("background_drift", message, exposure.middle_change),)
 
 
 def background_digest(background: NDArray[Any]) -> str:

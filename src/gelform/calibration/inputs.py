@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.change import color_change_from_image
+from gelform.background.check import check_background_of_frames
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
 from gelform.calibration.circles.followed import USUAL_CIRCLE
 from gelform.calibration.circles.refine import Refined
@@ -125,7 +126,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
 
 
 def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Refined) -> tuple[str, ...]:
-    """What a user should know of the presses: how they were read, where some are missing, reversed channels.
+    """What a user should know of the presses: how they were read, where some are missing, drift, reversed channels.
 
     Parameters
     ----------
@@ -137,7 +138,15 @@ def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Re
     contacts = [refined.contacts[i] for i in refined.accepted]
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
     order = light_order_note(presses, prepared, contacts)
-    return (*presses.notes, *covered, *_followed_notes(prepared), *(() if order is None else (order,)))
+    found = check_background_of_frames([press.image for press in presses.presses], presses.background)
+    drift = [finding.message for finding in found]
+    return (
+        *presses.notes,
+        *covered,
+        *drift,
+        *_followed_notes(prepared),
+        *(() if order is None else (order,)),
+    )
 
 
 def _followed_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
