@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.refine import Refined
+from gelform.calibration.fit import _check_enough
 from gelform.simulate import Ball, simulate_ball_presses, simulate_press
 
 
@@ -89,6 +92,19 @@ def test_folder_without_a_ball_is_refused_with_counts(presses):
     )
     with pytest.raises(gelform.CalibrationError, match=r"at least 3 presses .* got 0 of 4 .* found"):
         gelform.calibrate(replace(presses, presses=blank))
+
+
+def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
+    """They differ by their figures; what to do about them stands at their end."""
+    names = [press.name for press in presses.presses]
+    reasons = [f"contact radius {k}.5 px is too wide: ball diameter is wrong" for k in range(len(names) - 1)]
+    contact = ContactCircle(60, 50, 20, 1, 1)
+    refined = Refined((contact,) * len(names), (*reasons, "no ball found"), None)
+    with pytest.raises(
+        gelform.CalibrationError,
+        match=rf"{len(reasons)} like {names[0]}: contact radius 0.5 px is too wide: ball diameter is wrong; 1 like",
+    ):
+        _check_enough(presses, refined, 0)
 
 
 def test_other_sensors_background_is_refused(presses):

@@ -19,6 +19,7 @@ from gelform.calibration.inputs import (
     light_turn,
     repeated_images,
 )
+from gelform.calibration.report.held_out import HeldOutSample
 from gelform.design.study import _as_read
 from gelform.simulate import Led, exposed, simulate_ball_presses
 
@@ -217,3 +218,17 @@ def test_a_gel_that_leaves_the_ball_early_is_named(prepared):
     cut = [replace(press, followed=0.6) for press in prepared[:3]]
     assert not _followed_notes(prepared)
     assert "leaves the ball at about 0.54" in _followed_notes(cut)[0]
+
+
+def test_errors_up_to_where_the_gel_leaves_the_ball_are_said(prepared):
+    """Slopes are the ball's up to 0.54 of the circle, and nothing beyond: the whole circle's error says little."""
+    x, y = (axis.ravel().astype(np.float32) for axis in np.mgrid[-70:71:2, -70:71:2])
+    true = np.stack([x, y], axis=1) / 100
+    far = np.hypot(x, y)[:, None] > 54
+    seen = np.where(far, 0, true).astype(np.float32)
+    sample = HeldOutSample(0, (0.0, 0.0, 100.0), x, y, true, seen, np.empty((0, 0), np.float32))
+    cut = [replace(press, followed=0.6) for press in prepared[:3]]
+    assert sample.normal_deg > 5
+    (note,) = _followed_notes(cut, [sample])
+    assert "held-out normals are 0.0 degrees off" in note
+    assert "A ball that is smaller than stated looks the same" in note

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -107,7 +106,11 @@ def calibrate(
         measured,
         circle_sigmas(prepared, found, folds, model),
         selection,
-        notes=(*_left_out(candidates, able), *judged, *input_notes(presses, prepared, refined)),
+        notes=(
+            *_left_out(candidates, able),
+            *judged,
+            *input_notes(presses, prepared, refined, measured.samples),
+        ),
         seconds=time.monotonic() - began,
         start=first_unit,
     )
@@ -166,10 +169,12 @@ def _check_enough(presses: Presses, refined: Refined, folds: int) -> None:
             f"Expected presses at {MIN_PRESSES} places or more, got {folds} among the {len(refined.accepted)} of "
             f"{presses.folder} that fit: the others show the same press. Press the ball at many places, one image each."
         )
-    figures = r" ?\(?\d[\d.]*( px)?\)?"  # alike but for these, reasons are counted together
-    heads = [reason.split(":")[0] for reason in refined.reasons if reason is not None]
-    reasons = Counter(re.sub(figures, "", head) for head in heads)
-    listed = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common(4))
+    rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
+    kinds: dict[str, list[str]] = {}
+    for name, why in rejected:  # alike but for figures, reasons are counted together
+        kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
+    most = sorted(kinds.values(), key=len, reverse=True)[:4]
+    listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
     raise CalibrationError(
         f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "

@@ -16,6 +16,7 @@ from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.report.held_out import HeldOutSample
 from gelform.errors import CalibrationError
 from gelform.sensors.profiles import light_order_of
 
@@ -125,7 +126,12 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
 
 
-def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Refined) -> tuple[str, ...]:
+def input_notes(
+    presses: Presses,
+    prepared: Sequence[PreparedPress],
+    refined: Refined,
+    samples: Sequence[HeldOutSample] = (),
+) -> tuple[str, ...]:
     """What a user should know of the presses: how they were read, where some are missing, drift, reversed channels.
 
     Parameters
@@ -133,6 +139,7 @@ def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Re
     presses : as read
     prepared : the same with their color changes
     refined : their circles, and which are accepted
+    samples : of each press, read by a model that has not seen it
     """
     prepared = [prepared[i] for i in refined.accepted]
     contacts = [refined.contacts[i] for i in refined.accepted]
@@ -144,19 +151,25 @@ def input_notes(presses: Presses, prepared: Sequence[PreparedPress], refined: Re
         *presses.notes,
         *covered,
         *drift,
-        *_followed_notes(prepared),
+        *_followed_notes(prepared, samples),
         *(() if order is None else (order,)),
     )
 
 
-def _followed_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
-    """A note where the gel leaves the ball far inside of what the eye calls the rim."""
+def _followed_notes(
+    prepared: Sequence[PreparedPress], samples: Sequence[HeldOutSample] = ()
+) -> tuple[str, ...]:
+    """A note where the gel leaves the ball far inside of the visible rim, and how good normals are up to there."""
     if not prepared or prepared[0].followed == 1:
         return ()
     share = prepared[0].followed * USUAL_CIRCLE
+    inside = [one.within(share) for one in samples]
+    degrees = [one.normal_deg for one in inside if one.x_px.size]
+    up_to_there = f" Up to there held-out normals are {np.mean(degrees):.1f} degrees off." if degrees else ""
     return (
         f"The gel leaves the ball at about {share:.2f} of the visible circles' radius: nothing further out trains. Errors "
-        "that are counted up to the visible rim hold the gel against a ball that it does not touch there.",
+        "that are counted up to the visible rim hold the gel against a ball that it does not touch there."
+        f"{up_to_there} A ball that is smaller than stated looks the same: measure it, or press a second size.",
     )
 
 

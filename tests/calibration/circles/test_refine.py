@@ -50,7 +50,7 @@ def test_wrong_ball_is_found_by_the_presses_that_did_not_see_it(data):
     folds = make_folds(prepared, found, range(len(prepared)))
     odd = unlike_the_others(prepared, found, folds)
     assert list(odd) == [20]
-    assert "check its ball_diameter_mm" in odd[20]
+    assert "or its ball_diameter_mm is wrong" in odd[20]
     assert refine(prepared, found, excluded=odd).reasons[20] == odd[20]
 
 

@@ -90,7 +90,7 @@ def test_a_press_under_the_name_of_another_ball_is_found(folds, prepared, found,
     given[5] = replace(given[5], ball_radius_px=2 * given[5].ball_radius_px)
     odd = unlike_the_others(given, found, [fold for fold in folds if 5 in fold.held_out])
     assert list(odd) == [5]
-    assert "check its ball_diameter_mm" in odd[5]
+    assert "or its ball_diameter_mm is wrong" in odd[5]
 
 
 def test_few_presses_judge_nobody(folds, prepared, found):

@@ -68,7 +68,10 @@ def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
 def why_no_contact(contact: ContactCircle) -> str | None:
     """The reason why a found circle is not a ball press, or None."""
     if contact.antisymmetry < MIN_ANTISYMMETRY:
-        return f"no ball found: antisymmetry {contact.antisymmetry:.2f} (expected {MIN_ANTISYMMETRY} or more)"
+        return (
+            f"no ball found: too light, cut by the border, or none (antisymmetry {contact.antisymmetry:.2f}, expected "
+            f"{MIN_ANTISYMMETRY} or more)"
+        )
     if contact.signal < MIN_SIGNAL:
         return f"no contact found: the change inside is {contact.signal:.1f} times that outside (expected {MIN_SIGNAL:g})"
     return None

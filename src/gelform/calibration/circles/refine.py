@@ -211,7 +211,7 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None
         if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
             reasons.append(
                 f"its slopes are {gain:.2f} times those of a ball of this diameter by the other presses: "
-                "check its ball_diameter_mm"
+                "not a ball, or its ball_diameter_mm is wrong"
             )
         elif residual > limit:
             reasons.append(
