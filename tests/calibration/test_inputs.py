@@ -231,4 +231,8 @@ def test_errors_up_to_where_the_gel_leaves_the_ball_are_said(prepared):
     assert sample.normal_deg > 5
     (note,) = _followed_notes(cut, [sample])
     assert "held-out normals are 0.0 degrees off" in note
-    assert "A ball that is smaller than stated looks the same" in note
+    assert (
+        "A ball that is smaller than stated looks the same" not in note
+    )  # of two sizes both would have to be
+    one_size = [replace(press, ball_radius_px=20.0) for press in cut]
+    assert "A ball that is smaller than stated looks the same" in _followed_notes(one_size, [sample])[0]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.cli.result_names import check_output, check_results, make_folder, result_paths
+from gelform.cli.result_names import check_output, check_results, make_folder, picture_paths, result_paths
 from gelform.errors import DataError
 
 part = st.sampled_from(["a", "b", "a.b", "gelsight", "ä ö", "0", "1"])
@@ -68,6 +68,17 @@ def test_results_that_are_there_and_inputs_are_protected(tmp_path):
     for overwrite in (False, True):
         with pytest.raises(DataError, match="would replace an input"):
             check_results([{"png": tmp_path / "." / "image.png"}], overwrite=overwrite, protected=[source])
+
+
+def test_pictures_replace_neither_images_nor_calibrations(tmp_path):
+    images = [tmp_path / "a.png", tmp_path / "b.png"]
+    assert picture_paths(images, None, overwrite=False, protected=[]) == [None, None]
+    out = tmp_path / "out"
+    named = picture_paths(images, out, overwrite=False, protected=[])
+    assert named == [out / "a.png", out / "b.png"]
+    for folder, protected in ((tmp_path, []), (out, [out / "a.png"])):
+        with pytest.raises(DataError, match="would replace an input"):
+            picture_paths(images, folder, overwrite=True, protected=protected)
 
 
 def test_folders_that_cannot_be_made(tmp_path):

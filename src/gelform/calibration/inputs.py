@@ -165,11 +165,13 @@ def _followed_notes(
     share = prepared[0].followed * USUAL_CIRCLE
     inside = [one.within(share) for one in samples]
     degrees = [one.normal_deg for one in inside if one.x_px.size]
+    one_size = len({press.ball_radius_px for press in prepared}) == 1
+    alike = " A ball that is smaller than stated looks the same: measure it, or press a second size."
     up_to_there = f" Up to there held-out normals are {np.mean(degrees):.1f} degrees off." if degrees else ""
     return (
         f"The gel leaves the ball at about {share:.2f} of the visible circles' radius: nothing further out trains. Errors "
         "that are counted up to the visible rim hold the gel against a ball that it does not touch there."
-        f"{up_to_there} A ball that is smaller than stated looks the same: measure it, or press a second size.",
+        f"{up_to_there}{alike if one_size else ''}",
     )
 
 

@@ -45,6 +45,11 @@ def one_of(name: str, names: tuple[str, ...], option: str) -> str:
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show neither progress nor tables.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that are already there.")]
+Images = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")]
+PictureFolder = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image."),
+]
 CalibrationFile = Annotated[
     Path, typer.Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
 ]

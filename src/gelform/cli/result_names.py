@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from gelform.cli.console import check_pictures
 from gelform.errors import DataError
 
 
@@ -51,6 +52,26 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise DataError(f"{there[0]} is already there{more}. Choose another folder, or allow --overwrite.")
+
+
+def picture_paths(
+    images: Sequence[Path], folder: Path | None, *, overwrite: bool, protected: Sequence[Path]
+) -> list[Path | None]:
+    """Where each image's picture goes; None for each where no folder is given. Checked before any work.
+
+    Raises
+    ------
+    DataError
+        As `result_paths` and `check_results`.
+    GelformError
+        matplotlib is not installed.
+    """
+    if folder is None:
+        return [None] * len(images)
+    check_pictures()
+    paths = result_paths(images, folder, ["png"])
+    check_results(paths, overwrite=overwrite, protected=[*images, *protected])
+    return [one["png"] for one in paths]
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:

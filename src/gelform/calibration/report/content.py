@@ -104,7 +104,7 @@ def report_content(
         "sigma": share_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
         "learning": learning,
     }
-    checks = checks_of(_checked_figures(content))
+    checks = checks_of(_checked_figures(content), left_early=calibration.settings.get("followed", 1.0) < 1)
     return {**content, "checks": checks, "verdict": verdict_of(checks, (learning or {}).get("sentence"))}
 
 

@@ -12,7 +12,7 @@ import typer
 
 from gelform.cli.console import check_pictures, figure, print_json, progress_shown, say, show_table
 from gelform.cli.failures import MISTAKE, one_line
-from gelform.cli.options import Background, CalibrationFile, Json, Overwrite, Quiet, one_of
+from gelform.cli.options import Background, CalibrationFile, Images, Json, Overwrite, Quiet, one_of
 from gelform.cli.result_names import check_results, make_folder, result_paths
 from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
 from gelform.errors import GelformError
@@ -39,7 +39,7 @@ def _formats(text: str) -> list[str]:
 
 
 def reconstruct(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")],
+    images: Images,
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     background: Background = None,

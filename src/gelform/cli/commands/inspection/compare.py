@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import check_pictures, figure, print_json, progress_shown, say, show_table
-from gelform.cli.options import Background, Json, Overwrite, Quiet
-from gelform.cli.result_names import check_results, make_folder, result_paths
+from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.options import Background, Images, Json, Overwrite, PictureFolder, Quiet
+from gelform.cli.result_names import make_folder, picture_paths
 from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
 
 if TYPE_CHECKING:
@@ -19,13 +19,11 @@ KEYS = ("peak_a", "peak_b", "difference_rms", "angle_deg", "curl_rms_a", "curl_r
 
 
 def compare(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")],
+    images: Images,
     calibrations: Annotated[
         list[Path], typer.Option("--calibration", "-c", metavar="CAL.npz", help="Give it twice: A and B.")
     ],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
-    ] = None,
+    output: PictureFolder = None,
     background: Background = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -44,19 +42,15 @@ def compare(
     """
     if len(calibrations) != 2:
         raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
-    paths: list[dict[str, Path]] = [{} for _ in images]
-    if output is not None:
-        check_pictures()
-        paths = result_paths(images, output, ["png"])
-        protected = [*images, *calibrations, *([background] if background else [])]
-        check_results(paths, overwrite=overwrite, protected=protected)
+    protected = [*calibrations, *([background] if background else [])]
+    pictures = picture_paths(images, output, overwrite=overwrite, protected=protected)
     with progress_shown(quiet) as progress:
         progress(0, len(images), "starting")
         pair = _pair(calibrations, background)
         names = (calibrations[0].stem, calibrations[1].stem)
         rows = []
-        for done, (image, results) in enumerate(zip(images, paths)):
-            rows.append(_compare_one(pair, image, results.get("png"), names, overwrite))
+        for done, (image, picture) in enumerate(zip(images, pictures)):
+            rows.append(_compare_one(pair, image, picture, names, overwrite))
             progress(done + 1, len(images), "comparing")
     _report(rows, output, quiet or as_json)
     if as_json:

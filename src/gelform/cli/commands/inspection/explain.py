@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import figure, print_json, say, show_table
-from gelform.cli.options import Background, CalibrationFile, Json, Overwrite, Quiet
-from gelform.cli.result_names import check_results, make_folder, result_paths
+from gelform.cli.options import Background, CalibrationFile, Images, Json, Overwrite, PictureFolder, Quiet
+from gelform.cli.result_names import make_folder, picture_paths
 from gelform.cli.sensor_images import background_in, image_in
 from gelform.errors import CalibrationError
 
@@ -22,11 +20,9 @@ if TYPE_CHECKING:
 
 
 def explain(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")],
+    images: Images,
     calibration: CalibrationFile,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
-    ] = None,
+    output: PictureFolder = None,
     background: Background = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -44,16 +40,10 @@ def explain(
       gelform explain session/*.png -c cal.npz --json
       gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
     """
-    paths: list[dict[str, Path]] = [{} for _ in images]
-    if output is not None:
-        from gelform.plots.canvas import check_matplotlib
-
-        check_matplotlib()
-        paths = result_paths(images, output, ["png"])
-        protected = [*images, calibration, *([background] if background else [])]
-        check_results(paths, overwrite=overwrite, protected=protected)
+    protected = [calibration, *([background] if background else [])]
+    pictures = picture_paths(images, output, overwrite=overwrite, protected=protected)
     run = _prepared(calibration, background)
-    rows = [_explain_one(run, path, results.get("png"), overwrite) for path, results in zip(images, paths)]
+    rows = [_explain_one(run, path, picture, overwrite) for path, picture in zip(images, pictures)]
     _report(rows, output, quiet or as_json)
     if as_json:
         print_json({"calibration": str(calibration), "images": rows})
