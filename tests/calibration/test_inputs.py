@@ -1,5 +1,6 @@
 """Sets of presses that are wrong as a whole: reversed channels, a touched background, presses in one corner."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from gelform.calibration.inputs import (
     contact_in_background,
     input_notes,
     is_reversed,
+    light_notes,
     light_order_note,
     light_turn,
     repeated_images,
@@ -48,6 +50,15 @@ def test_all_presses_reversed(presses):
 def test_background_reversed(presses):
     with pytest.raises(gelform.CalibrationError, match="they or the background were saved as BGR"):
         gelform.calibrate(reversed_channels(presses, (), background=True))
+
+
+def test_grey_presses_are_refused(presses):
+    grey = [
+        replace(press, image=np.repeat(press.image[..., 1:2], 3, axis=-1).copy()) for press in presses.presses
+    ]
+    with pytest.raises(gelform.CalibrationError, match="red, green and blue are equal everywhere"):
+        check_inputs(replace(presses, presses=tuple(grey)))
+    check_inputs(presses)
 
 
 def test_some_presses_reversed_are_named(presses):
@@ -166,6 +177,22 @@ def test_light_that_drifted_since_the_background_is_noted(presses):
     assert not drift_notes(presses)
     shade = np.linspace(1.06, 0.94, presses.image_shape[1], dtype=np.float32)[:, None]
     assert drift_notes(replace(presses, background=presses.background * shade))
+
+
+@pytest.mark.parametrize(
+    ("channel", "gain", "said"),
+    [
+        (2, 0.05, "Blue is in 100 % of the untouched image under 10"),
+        (0, 50, "Red is in 100 % of the .* saturated"),
+    ],
+)
+def test_a_channel_that_says_little_is_noted(presses, channel, gain, said):
+    assert light_notes(presses.background) == ()
+    gains = np.ones(3, np.float32)
+    gains[channel] = gain
+    (note,) = light_notes(np.minimum(presses.background * gains, 255))
+    assert re.match(said, note)
+    assert "exposure" in note
 
 
 def test_a_drifting_real_set_is_noted(data):

@@ -27,18 +27,21 @@ MIN_FOR_MEDIAN = 5
 MOST_FOR_MEDIAN = 25
 MIN_CHANGE = 0.08
 MIN_ROUGHER = 1.3
+DARK, SATURATED = 10.0, 254.5
+MOST_UNUSABLE = 0.1
 LIGHT_ZONE = 0.8
 MIN_SINE = 0.3
 
 
 def check_inputs(presses: Presses) -> None:
-    """Refuse presses whose channels are reversed against the background, and a background with a contact in it.
+    """Refuse grey presses, channels that are reversed against the background, and a background with a contact in it.
 
     Raises
     ------
     CalibrationError
         The message says which images, or where the contact is, and what to do.
     """
+    _check_colored(presses)
     _check_channels(presses)
     _check_untouched(presses)
 
@@ -63,6 +66,14 @@ def repeated_images(presses: Presses) -> dict[int, str]:
         if earlier is not press:
             repeated[i] = f"the same image as {earlier.name}"
     return repeated
+
+
+def _check_colored(presses: Presses) -> None:
+    if all(np.ptp(press.image, axis=-1).max() == 0 for press in presses.presses):
+        raise CalibrationError(
+            f"The {len(presses.presses)} presses of {presses.folder} are grey: red, green and blue are equal "
+            "everywhere. Slopes are read from light of three colours from three sides. Use a colour camera's images."
+        )
 
 
 def _check_channels(presses: Presses) -> None:
@@ -132,7 +143,7 @@ def input_notes(
     refined: Refined,
     samples: Sequence[HeldOutSample] = (),
 ) -> tuple[str, ...]:
-    """What a user should know of the presses: how they were read, where some are missing, drift, reversed channels.
+    """What a user should know of the presses: how they were read, where some are missing, drift, light, their order.
 
     Parameters
     ----------
@@ -151,9 +162,27 @@ def input_notes(
         *presses.notes,
         *covered,
         *drift,
+        *light_notes(presses.background),
         *_followed_notes(prepared, samples),
         *(() if order is None else (order,)),
     )
+
+
+def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
+    """Which channels of the untouched image are too dark, or saturated, in more than a tenth of it; () where none is."""
+    notes = []
+    for name, channel in zip(("Red", "Green", "Blue"), np.moveaxis(background, -1, 0)):
+        for where, said in (
+            (
+                channel < DARK,
+                f"under {DARK:g} grey levels: noise hides slopes there. Raise its light or exposure.",
+            ),
+            (channel >= SATURATED, "saturated: brighter slopes look like it. Lower its light or exposure."),
+        ):
+            share = float(where.mean())
+            if share > MOST_UNUSABLE:
+                notes.append(f"{name} is in {100 * share:.0f} % of the untouched image {said}")
+    return tuple(notes)
 
 
 def _followed_notes(
