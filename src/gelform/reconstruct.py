@@ -91,6 +91,7 @@ class Reconstructor:
     ----------
     own_background : whether the background in use is the calibration's own, pixel for pixel
     findings : what should be known of a background that is not
+    solved_sigma : standard deviation of the solved depth's slopes, from that of the slopes that were read
     markers : follows the gel's marker dots; of length 0 where it has none. A `MarkerTracker` of it has memory
 
     Raises
@@ -147,7 +148,7 @@ class Reconstructor:
         noise = noise_by_place(self._model, self._untouched_image, calibration.settings.get("image_noise"))
         self._contact = PreparedContact((self._pitch,) * 2, calibration.settings.get("relaxation_mm"), noise)
         walls_px = calibration.change.blur_px if calibration.gamut else None
-        self._solved_sigma = SolvedSigma(known, shape, walls_px, noise)
+        self.solved_sigma = SolvedSigma(known, shape, walls_px, noise)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
@@ -214,7 +215,7 @@ class Reconstructor:
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
-            gradients_sigma=self._solved_sigma(read.observed_sigma, gradients, contact),
+            gradients_sigma=self.solved_sigma(read.observed_sigma, gradients, contact),
             observed_gradients=observed,
             confidence=read.confidence,
             contact=contact,

@@ -10,11 +10,16 @@ from gelform.confidence.slope_sigma import SlopeSigma
 from gelform.confidence.solved import (
     BEND,
     BEND_FROM,
+    BLURRED,
+    DEPTH,
     DIM,
     DIM_FROM,
+    OPTICS_PX,
     STEEPEST,
+    TAIL,
     SolvedErrors,
     SolvedSigma,
+    curvature_worth,
     with_solved_factors,
 )
 from kernel_agreement import assert_kernel_agrees
@@ -38,53 +43,50 @@ def both(sigma):
     return np.broadcast_to(sigma[..., None], (*sigma.shape, 2))
 
 
-def numpy_solved_sigma(sigma, work, result, factor, limit):
+def numpy_own(sigma, limit):
     """Own variance v and the neighbours' mean m: one over 1/v + (2/3)/m, scaled so that alike ones stay."""
     v = np.pad(np.minimum(sigma.astype(float), limit) ** 2, 1, mode="edge")
     rows, columns = sigma.shape
     around = sum(v[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) - v[1:-1, 1:-1]
     own, others = v[1:-1, 1:-1], around / 8
-    return factor * np.sqrt((5 / 3) / (1 / own + (2 / 3) / others))
+    return np.sqrt((5 / 3) / (1 / own + (2 / 3) / others))
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 7), (20, 33)])
-def test_the_kernel_of_solved_slopes_agrees_with_numpy(shape):
-    sigma = np.random.default_rng(1).uniform(0.01, 1.5, shape).astype(np.float32)
-    arguments = sigma, np.empty(shape[1] + 2, np.float32), np.empty(shape, np.float32), 0.9, 1.1
-    assert_kernel_agrees(solved._solved_sigma, numpy_solved_sigma, *arguments)
-
-
-def numpy_widen_sigma(
-    gradients, contact, gentle, steep, dim, work, sigma, from_slope, per_slope, limit, around, dim_from,
-    per_bend, bend_from, reach,
+def numpy_solved_sigma(
+    sigma, gradients, contact, gentle, steep, dim, curvature, bend, depth, work, result, bend_from, unlimited,
+    from_slope, per_slope, limit, dim_from, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
-    g, bends = gradients.astype(float), np.zeros(sigma.shape)
+    g, second, squares = gradients.astype(float), np.zeros(gradients.shape), np.zeros(sigma.shape)
     for axis in (0, 1):
         for y, x in np.ndindex(sigma.shape):
             for side in (-reach, reach):
                 other = [y, x]
                 other[axis] += side
                 if 0 <= other[axis] < sigma.shape[axis]:
-                    bends[y, x] += ((g[tuple(other)] - g[y, x]) ** 2).sum()
+                    second[y, x] += g[tuple(other)] - g[y, x]
+                    squares[y, x] += ((g[tuple(other)] - g[y, x]) ** 2).sum()
     slope = np.linalg.norm(g, axis=-1)
     along = np.clip((slope - from_slope) * per_slope, 0, 1)
-    own = np.minimum(sigma * (gentle + along * (steep - gentle)), limit)
-    wall = per_bend * np.maximum(np.sqrt(bends / 2) - bend_from, 0)
+    own = np.minimum(numpy_own(sigma, unlimited) * (gentle + along * (steep - gentle)), limit)
+    wall = curvature[contact * 1] ** 2 * (second**2).sum(-1)
+    wall += (curvature[1] > 0) * bend[contact * 1] ** 2 * np.maximum(squares / 2 - bend_from**2, 0)
     weak = np.where(contact, 1, slope**2 / (slope**2 + dim_from**2)) * dim.astype(float) ** 2
-    return np.sqrt(own**2 + wall**2 + np.where(contact, 0, around * slope) ** 2 + weak)
+    return np.sqrt(own**2 + wall + (depth[contact * 1] * slope) ** 2 + weak)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (11, 2), (7, 40)])
-@pytest.mark.parametrize("per_bend", [0.0, 1.75])
+@pytest.mark.parametrize("curvature", [0.0, 0.6])
 @pytest.mark.parametrize("reach", [1, 3])
-def test_the_kernel_that_widens_agrees_with_numpy(shape, per_bend, reach):
+def test_the_kernel_agrees_with_numpy(shape, curvature, reach):
     rng = np.random.default_rng(0)
-    gentle, steep, dim, sigma = (rng.uniform(0.01, 1, shape).astype(np.float32) for _ in range(4))
+    gentle, steep, dim = (rng.uniform(0.01, 1, shape).astype(np.float32) for _ in range(3))
+    sigma = rng.uniform(0.01, 1.5, shape).astype(np.float32)
+    pairs = (np.array(pair, np.float32) for pair in ((0.3 * curvature, curvature), (0.3, 0.9), (0.2, 0.1)))
     assert_kernel_agrees(
-        solved._widen_sigma, numpy_widen_sigma, rng.normal(0, 0.4, (*shape, 2)).astype(np.float32),
-        rng.uniform(size=shape) > 0.5, gentle, steep, dim, np.empty(shape[1], np.float32), sigma, 0.2, 3.0, 0.5, 0.1,
-        0.03, per_bend, 0.1, reach,
+        solved._solved_sigma, numpy_solved_sigma, sigma, rng.normal(0, 0.4, (*shape, 2)).astype(np.float32),
+        rng.uniform(size=shape) > 0.5, gentle, steep, dim, *pairs, np.empty(5 * shape[1] + 2, np.float32),
+        np.empty(shape, np.float32), 0.3, 1.1, 0.2, 3.0, 0.5, 0.03, reach,
     )  # fmt: skip
 
 
@@ -117,20 +119,35 @@ def test_a_model_that_states_its_own_is_left_as_it_is():
 def test_a_wall_is_doubted_beside_its_edges_alone():
     gradients, contact = flat((20, 40), 0.0)
     gradients[:, 20:, 0] = 0.6
+    contact[10:] = False
     found = SolvedSigma(LAW, (20, 40), 1.25)(both(np.full((20, 40), 0.05, np.float32)), gradients, contact)
-    at_edge = np.hypot(0.04, BEND * (0.6 / np.sqrt(2) - BEND_FROM))
-    np.testing.assert_allclose(found[:, [18, 19, 20, 21], 0], at_edge, rtol=1e-4)
+    wall = np.hypot(0.6 * curvature_worth(1.25), BEND * np.sqrt(0.6**2 / 2 - BEND_FROM**2))
+    for rows, part in ((slice(2, 10), 1.0), (slice(10, 18), TAIL)):
+        np.testing.assert_allclose(found[rows, 18:22, 0], np.hypot(0.04, part * wall), rtol=1e-4)
     np.testing.assert_allclose(found[:, :18, 0], 0.04, rtol=1e-4)
     np.testing.assert_allclose(found[:, 22:, 0], 0.04, rtol=1e-4)
 
 
-def test_slopes_around_contacts_share_their_relative_error():
+@pytest.mark.parametrize("blur_px", [0.7, 1.25, 2.5])
+def test_what_blur_takes_from_a_slope_is_stated(blur_px):
+    wave = 2 * np.pi / 24  # per px
+    x = np.arange(240)
+    gradients = np.zeros((60, 240, 2), np.float32)
+    gradients[..., 0] = 0.1 * np.sin(wave * x)
+    blurred = 0.1 * np.exp(-(wave**2) * (blur_px**2 + OPTICS_PX**2) / 2)
+    exact = SolvedSigma(LAW, (60, 240), blur_px).beyond(gradients, np.ones((60, 240), bool))
+    crest = (x % 24 == 6) & (x > 24) & (x < 216)
+    np.testing.assert_allclose(exact[:, crest] / BLURRED, 0.1 - blurred, rtol=0.2)
+    assert exact[:, x % 24 == 12].max() < 0.1 * exact[:, crest].min()
+
+
+def test_slopes_share_the_relative_error_of_how_deep_a_contact_lies():
     gradients, contact = flat(slope=0.3)
     contact[:, 6:] = False
     sigma = both(np.full(SHAPE, 0.05, np.float32))
-    found = SolvedSigma(replace(LAW, surround_sigma=0.1), SHAPE, 1.25)(sigma, gradients, contact)
-    np.testing.assert_allclose(found[:, :6], 0.04, rtol=1e-4)
-    np.testing.assert_allclose(found[:, 6:], np.hypot(0.04, 0.03), rtol=1e-4)
+    found = SolvedSigma(replace(LAW, surround_sigma=0.5), SHAPE, 1.25)(sigma, gradients, contact)
+    np.testing.assert_allclose(found[:, :6], np.hypot(0.04, DEPTH[1] * 0.15), rtol=1e-4)
+    np.testing.assert_allclose(found[:, 6:], np.hypot(0.04, DEPTH[0] * 0.15), rtol=1e-4)
 
 
 def test_weak_light_is_doubted_in_contacts_and_on_slopes():

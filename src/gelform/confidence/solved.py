@@ -1,8 +1,8 @@
 """Standard deviation of the slopes of the solved depth, which is what a result states: where balls showed them, and beyond.
 
 A surface cannot follow errors of slopes that have curl, so solved slopes are better than those that were read; by how much,
-held-out presses say by slope and place. Three things are added that presses of balls do not show: walls, the gel around
-contacts, and weak light. None of it changes how slopes are weighted, nor the depth.
+held-out presses say by slope and place. Three things are added that presses of balls hardly show: blur at edges and walls,
+how deep the gel lies, and weak light. None of it changes how slopes are weighted, nor the depth.
 """
 
 from __future__ import annotations
@@ -22,21 +22,25 @@ STEEPEST = (
 )
 UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
+EXACT = 1e-6  # mm/mm
 PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
-# Solved slopes that differ by more than BEND_FROM from those a blur and a half away are off by BEND times the rest; a slope
-# where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest, outside contacts by half of
-# that variance at DIM_FROM and less below. Chosen on eight objects on eight simulated sensors, held on four others.
-BEND, BEND_FROM = 1.75, 0.1
+# Blur of standard deviation d px takes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that holds two thirds
+# of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. All constants were chosen
+# on eight objects on twelve simulated sensors and on a real one, and held on eight others.
+OPTICS_PX, BLURRED = 2.5, 0.6
+BEND, BEND_FROM = 0.9, 0.12  # of the difference to slopes that far away, where it is more than a small ball's
+TAIL = 0.22  # of both outside contacts, where the gel bends gently
+# Of `SlopeSigma.surround_sigma`, the relative error of how deep a contact lies: of slopes outside contacts, and in them.
+DEPTH = 0.7, 0.22
+# A slope where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest, outside contacts by
+# half of that variance at DIM_FROM and less below.
 DIM, DIM_FROM = 2.0, 0.05
 
 _solved_sigma = Kernel(
-    "solved_sigma", "f32[h,w] sigma, out f32[n] work, out f32[h,w] solved, f32 factor, f32 limit"
-)
-_widen_sigma = Kernel(
-    "widen_sigma",
-    "f32[h,w,2] gradients, bool[h,w] contact, f32[h,w] gentle, f32[h,w] steep, f32[h,w] dim, out f32[w] work, "
-    "out f32[h,w] sigma, f32 from_slope, f32 per_slope, f32 limit, f32 around, f32 dim_from, f32 per_bend, f32 bend_from, "
-    "i32 reach",
+    "solved_sigma",
+    "f32[h,w] sigma, f32[h,w,2] gradients, bool[h,w] contact, f32[h,w] gentle, f32[h,w] steep, f32[h,w] dim, "
+    "f32[2] curvature, f32[2] bend, f32[2] depth, out f32[n] work, out f32[h,w] solved, f32 bend_from, f32 unlimited, "
+    "f32 from_slope, f32 per_slope, f32 limit, f32 dim_from, i32 reach",
 )
 
 
@@ -70,8 +74,13 @@ class SolvedSigma:
         self._factors = [
             factor_at(np.array(grid), x[None, :], y[:, None]).astype(np.float32) for grid in grids
         ]
-        walls = (0.0, 0.0, 1) if blur_px is None else (BEND, BEND_FROM, reach_px(blur_px))
-        self._numbers = (slopes[0], 1 / (slopes[1] - slopes[0]), STEEPEST, around, DIM_FROM, *walls)
+        reach, curvature, bend = 1, 0.0, 0.0
+        if blur_px is not None:
+            reach, curvature, bend = reach_px(blur_px), curvature_worth(blur_px), BEND
+        pairs = (TAIL * curvature, curvature), (TAIL * bend, bend), (DEPTH[0] * around, DEPTH[1] * around)
+        self._pairs = [np.array(pair, dtype=np.float32) for pair in pairs]
+        law = slopes[0], 1 / (slopes[1] - slopes[0])
+        self._numbers = (BEND_FROM, UNLIMITED, *law, STEEPEST, DIM_FROM, reach)
 
     def __call__(
         self,
@@ -82,8 +91,9 @@ class SolvedSigma:
         """Standard deviation (H, W, 2) of the slopes of the solved depth.
 
         A slope that was read badly follows from its neighbours: beside its own reading each is known by the two loops of
-        four edges that it closes. Slopes outside contacts share the error of how deep the contact lies
-        (`SlopeSigma.surround_sigma`), relative to them. No slope is less known than within `STEEPEST` but for a wall's.
+        four edges that it closes. All share a part of the error of how deep a contact lies (`SlopeSigma.surround_sigma`),
+        relative to them. Where slopes bend sharply they are off by what the blur takes. No slope is less known than within
+        `STEEPEST` but for a wall's.
 
         Parameters
         ----------
@@ -101,22 +111,21 @@ class SolvedSigma:
         return for_both(maps[0]) if alike else np.stack(maps, axis=-1)
 
     def beyond(self, gradients: NDArray[np.float32], contact: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """What (H, W) slopes whose reading is exact are off by."""
-        return self._widened(np.zeros(gradients.shape[:2], dtype=np.float32), gradients, contact)
+        """What (H, W) slopes that were read nearly exactly, to `EXACT`, are off by."""
+        return self._map(np.full(contact.shape, EXACT, dtype=np.float32), gradients, contact)
 
     def _map(
         self, sigma: NDArray[np.float32], gradients: NDArray[np.float32], contact: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        solved = np.empty_like(sigma)
-        _solved_sigma(sigma, np.empty(sigma.shape[1] + 2, dtype=np.float32), solved, 1.0, UNLIMITED)
-        return self._widened(solved, gradients, contact)
-
-    def _widened(
-        self, solved: NDArray[np.float32], gradients: NDArray[np.float32], contact: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        work = np.empty(solved.shape[1], dtype=np.float32)
-        _widen_sigma(gradients, contact, *self._factors, self._dim, work, solved, *self._numbers)
+        solved, work = np.empty_like(sigma), np.empty(5 * sigma.shape[1] + 2, dtype=np.float32)
+        frame = sigma, gradients, contact, *self._factors, self._dim
+        _solved_sigma(*frame, *self._pairs, work, solved, *self._numbers)
         return solved
+
+
+def curvature_worth(blur_px: float) -> float:
+    """Error of a slope over the sum of its differences to those `reach_px` away on four sides."""
+    return float(BLURRED * (blur_px**2 + OPTICS_PX**2) / (2 * reach_px(blur_px) ** 2))
 
 
 def for_both(sigma: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -11,6 +11,12 @@ from gelform.confidence.slope_sigma import ONE_SIGMA
 from gelform.reconstruct import Reconstructor
 
 
+@pytest.fixture
+def readings_alone(calibration):
+    """Without what blur and depth add, which is stated whatever presses of balls say."""
+    return replace(calibration, gamut=None, slope_sigma=replace(calibration.slope_sigma, surround_sigma=0.0))
+
+
 def share_of(calibration, presses, sigma):
     reconstruct = Reconstructor(replace(calibration, slope_sigma=sigma), depth_sigma=False)
     samples = [one.within(0.85) for one in calibration.report.samples]
@@ -19,7 +25,8 @@ def share_of(calibration, presses, sigma):
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])
-def test_a_deviation_that_is_off_is_put_right(calibration, presses, factor):
+def test_a_deviation_that_is_off_is_put_right(readings_alone, presses, factor):
+    calibration = readings_alone
     right = calibration.slope_sigma
     off = replace(
         right,
@@ -33,10 +40,18 @@ def test_a_deviation_that_is_off_is_put_right(calibration, presses, factor):
     assert abs(share_of(calibration, presses, off) - ONE_SIGMA) > 0.12
 
 
-def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_models(calibration, presses):
-    sigma = replace(calibration.slope_sigma, solved_places=None, solved_slopes=None)
+def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_models(readings_alone, presses):
+    sigma = replace(readings_alone.slope_sigma, solved_places=None, solved_slopes=None)
+    samples = readings_alone.report.samples
     half, all_ = (
-        np.mean(solved_by_place(calibration, sigma, presses, calibration.report.samples, seen).solved_places)
+        np.mean(solved_by_place(readings_alone, sigma, presses, samples, seen).solved_places)
         for seen in (0.5, 1.0)
     )
     assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)
+
+
+def test_what_blur_and_depth_add_is_not_learnt_from_balls(calibration, readings_alone, presses):
+    sigma, samples = replace(calibration.slope_sigma, surround_sigma=0.1), calibration.report.samples
+    more = solved_by_place(calibration, sigma, presses, samples, 1.0)
+    less = solved_by_place(readings_alone, readings_alone.slope_sigma, presses, samples, 1.0)
+    assert np.mean(more.solved_places) < np.mean(less.solved_places)
