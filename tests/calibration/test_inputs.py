@@ -21,6 +21,7 @@ from gelform.calibration.inputs import (
     light_turn,
     repeated_images,
 )
+from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.report.held_out import HeldOutSample
 from gelform.design.study import _as_read
 from gelform.simulate import Led, exposed, simulate_ball_presses
@@ -50,6 +51,18 @@ def test_all_presses_reversed(presses):
 def test_background_reversed(presses):
     with pytest.raises(gelform.CalibrationError, match="they or the background were saved as BGR"):
         gelform.calibrate(reversed_channels(presses, (), background=True))
+
+
+@pytest.mark.parametrize("as_ball", [True, False])
+def test_one_image_is_one_press_of_one_thing(presses, as_ball):
+    """An image that is listed as a ball and a flat punch, or as punches of two heights, is one too many."""
+    one, other = (
+        FlatPress(f"flat {k}", press.image, 0.2 + 0.1 * k, press.digest if as_ball else "same")
+        for k, press in enumerate(presses.presses[:2])
+    )
+    with pytest.raises(gelform.CalibrationError, match=r"flat . .* mm high, is the same image as"):
+        check_inputs(replace(presses, flats=(one, other)))
+    check_inputs(replace(presses, flats=(replace(one, digest="a"), replace(other, digest="b"))))
 
 
 def test_grey_presses_are_refused(presses):

@@ -41,6 +41,7 @@ def check_inputs(presses: Presses) -> None:
     CalibrationError
         The message says which images, or where the contact is, and what to do.
     """
+    _check_flats(presses)
     _check_colored(presses)
     _check_channels(presses)
     _check_untouched(presses)
@@ -66,6 +67,17 @@ def repeated_images(presses: Presses) -> dict[int, str]:
         if earlier is not press:
             repeated[i] = f"the same image as {earlier.name}"
     return repeated
+
+
+def _check_flats(presses: Presses) -> None:
+    first = {press.digest: press.name for press in presses.presses}
+    for flat in presses.flats:
+        earlier = first.setdefault(flat.digest, flat.name)
+        if earlier is not flat.name:
+            raise CalibrationError(
+                f"{flat.name} of {presses.folder}, listed as a flat punch {flat.height_mm:g} mm high, is the same image as "
+                f"{earlier}. Correct the table: one row for each press."
+            )
 
 
 def _check_colored(presses: Presses) -> None:

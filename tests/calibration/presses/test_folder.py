@@ -109,6 +109,23 @@ def test_labels_and_other_indenters(copy, presses):
     assert read.presses[0].label == (80.5, 60.0, 21.0)
 
 
+def test_rows_of_another_indenter_are_named(copy):
+    """Nothing is left out silently: Flat is not flat."""
+
+    def renamed(header, rows):
+        return [*header, "indenter", "height_mm"], [
+            [*row, kind, "0.2" if kind else ""]
+            for row, kind in zip(rows, ["Flat", "cube", *[""] * len(rows)])
+        ]
+
+    rewrite(copy, renamed)
+    notes = gelform.read_presses(copy).notes
+    assert [("Flat were left out: 1" in note, "cube were left out: 1" in note) for note in notes] == [
+        (True, False),
+        (False, True),
+    ]
+
+
 def flat_rows(header, rows, *heights):
     """The first presses listed as those of a flat punch of some heights."""
     flat = [[row[0], "", "flat", height] for row, height in zip(rows, heights)]
@@ -126,7 +143,8 @@ def test_flat_punches_of_known_height_are_read_beside_the_balls(copy):
     ]
     assert read.flats[1].digest == whole.presses[2].digest
     assert [press.name for press in read.presses] == [press.name for press in whole.presses[3:]]
-    assert read.notes == ("1 rows of a flat punch without height_mm were left out.",)
+    (note,) = read.notes
+    assert "with the indenter flat without height_mm were left out: 1" in note
     assert calls[-1][:2] == (13, 13)
     assert whole.flats == ()
     assert whole.notes == ()

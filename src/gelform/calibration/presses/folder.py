@@ -186,17 +186,20 @@ def press_folder_source(folder: Path, options: ReadOptions) -> Source:
     rest = read_background(options.background or background_in(folder))
     balls: list[Listed] = []
     flats: list[ListedFlat] = []
-    unknown = 0  # flat punches that nobody measured
+    left_out: Counter[str] = Counter()
     for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
         indenter = row.get("indenter", "")
         if indenter in ("", BALL):
             balls.append(_listed_ball(row, where))
         elif indenter == FLAT and row.get("height_mm"):
             flats.append(ListedFlat(row["image"], height(row["height_mm"], where)))
-        else:
-            unknown += indenter == FLAT  # other indenters are for evaluation by other means
+        else:  # not measured, or for evaluation by other means
+            left_out["flat without height_mm" if indenter == FLAT else indenter] += 1
     names = [ball.name for ball in balls] + [flat.name for flat in flats]
-    notes = () if not unknown else (f"{unknown} rows of a flat punch without height_mm were left out.",)
+    notes = tuple(
+        f"Rows of presses.csv with the indenter {name} were left out: {count} (known are {BALL}, and {FLAT} with height_mm)."
+        for name, count in left_out.items()
+    )
     return Source(rest, balls, lambda k: read_image(folder / names[k]), flats=flats, notes=notes)
 
 
