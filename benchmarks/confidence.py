@@ -30,6 +30,7 @@ import numpy as np
 import cast_shadows
 import faults
 import gelform
+import shadow_recognition
 from gelform.ball import fit_sphere
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
@@ -178,6 +179,11 @@ def shadows(run: Run) -> dict[str, Any]:
     """RMS depth error in contacts, um, on simulated DIGITs whose presses cast shadows: taken back, without, the ratio."""
     seeds = cast_shadows.SEEDS[:1] if run.quick else cast_shadows.SEEDS
     return cast_shadows.simulated(run.frames(30), run.calibrations, seeds)
+
+
+def recognised(run: Run) -> dict[str, Any]:
+    """Whether 18, 15 and 12 presses are said to cast shadows: subsets that are, of how many."""
+    return shadow_recognition.recognised(DATA, run.quick)
 
 
 def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tuple[float, float]:
@@ -419,6 +425,7 @@ PARTS = {
     "weights": weights,
     "digit": digit,
     "shadows": shadows,
+    "recognised": recognised,
     "limit": limit,
     "masks": masks,
     "causes": causes,
