@@ -26,7 +26,7 @@ from gelform.simulate.sensor.led import led_row
 from report import table
 
 DRAWN = range(201, 211)
-WALLS_DRAWN = range(311, 315)  # rules of sigma were chosen on 301-308
+WALLS_DRAWN = (*range(311, 315), *range(421, 425))  # rules of sigma were chosen on 301-308
 PUNCH_MM = 4.0
 # (x, y) as parts of the image's width and height from its centre, and depth, mm
 PUNCHES = (
@@ -100,7 +100,7 @@ def punches_drawn(quick: bool) -> dict[str, Any]:
 
 
 def walls_drawn(quick: bool) -> dict[str, Any]:
-    """Shares of slopes within one sigma on four sensors that no rule of sigma has seen."""
+    """Shares of slopes within one sigma on eight sensors that no rule of sigma has seen."""
     return walls(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in WALLS_DRAWN})
 
 
