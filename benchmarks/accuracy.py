@@ -26,7 +26,7 @@ import numpy as np
 import gelform
 from accuracy_objects import anchor, deep, objects, walls
 from accuracy_presses import few, real_deep, sigma
-from accuracy_punches import punches, punches_drawn, walls_drawn
+from accuracy_punches import lights, lights_drawn, punches, punches_drawn, walls_drawn
 from accuracy_walls import at_least
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
@@ -296,6 +296,8 @@ PARTS: dict[str, Any] = {
     "walls": walls,
     "walls_drawn": walls_drawn,
     "at_least": partial(at_least, DATA),
+    "lights": lights,
+    "lights_drawn": lights_drawn,
     "punches": punches,
     "punches_drawn": punches_drawn,
 }

@@ -1,11 +1,12 @@
-"""Parts of accuracy.py: heights of objects, calibrated on balls alone and with flat punches of known height.
+"""Parts of accuracy.py: heights of objects, calibrated on balls alone (with depth by lights) and with flat punches.
 
-The four layouts that rules were made on, and ten sensors that no rule has seen: lamps, gel, coating and camera drawn
+The four layouts that rules were made on, and sensors that no rule has seen: lamps, gel, coating and camera drawn
 at random. `quick` takes one sensor and few objects: whether it runs, not a figure.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -26,6 +27,7 @@ from gelform.simulate.sensor.led import led_row
 from report import table
 
 DRAWN = range(201, 211)
+LIGHTS_DRAWN = range(411, 415)  # the rule of depth by lights was chosen on 401-404
 WALLS_DRAWN = (*range(311, 315), *range(421, 425))  # rules of sigma were chosen on 301-308
 PUNCH_MM = 4.0
 # (x, y) as parts of the image's width and height from its centre, and depth, mm
@@ -91,12 +93,22 @@ def flat_presses(sensor: SimulatedSensor, seed: int) -> tuple[FlatPress, ...]:
 
 def punches(quick: bool) -> dict[str, Any]:
     """Heights of the eight objects with and without punches of known height: the four layouts that rules were made on."""
-    return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()})
+    return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()}, _without_and_with_punches)
 
 
 def punches_drawn(quick: bool) -> dict[str, Any]:
     """The same on ten sensors that no rule has seen."""
-    return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN})
+    return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN}, _without_and_with_punches)
+
+
+def lights(quick: bool) -> dict[str, Any]:
+    """Heights of the eight objects with `hierarchical` and with `auto`, balls alone: the four layouts."""
+    return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()}, _plain_and_auto)
+
+
+def lights_drawn(quick: bool) -> dict[str, Any]:
+    """The same on four sensors that no rule has seen."""
+    return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in LIGHTS_DRAWN}, _plain_and_auto)
 
 
 def walls_drawn(quick: bool) -> dict[str, Any]:
@@ -104,16 +116,34 @@ def walls_drawn(quick: bool) -> dict[str, Any]:
     return walls(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in WALLS_DRAWN})
 
 
-def _table(quick: bool, sensors: dict[str, SimulatedSensor]) -> dict[str, Any]:
+Ways = Callable[[str, SimulatedSensor, gelform.Presses], dict[str, tuple[gelform.Presses, str]]]
+
+
+def _without_and_with_punches(
+    name: str, sensor: SimulatedSensor, presses: gelform.Presses
+) -> dict[str, tuple[gelform.Presses, str]]:
+    seed = SEED + (int(name.split()[1]) if name.startswith("drawn") else 0)
+    known = replace(presses, flats=flat_presses(sensor, seed))
+    return {"balls": (presses, "auto"), "balls and punches": (known, "auto")}
+
+
+def _plain_and_auto(
+    name: str, sensor: SimulatedSensor, presses: gelform.Presses
+) -> dict[str, tuple[gelform.Presses, str]]:
+    return {"hierarchical": (presses, "hierarchical"), "auto": (presses, "auto")}
+
+
+def _table(quick: bool, sensors: dict[str, SimulatedSensor], ways: Ways) -> dict[str, Any]:
     chosen = list(sensors.items())[: 1 if quick else None]
     with ProcessPoolExecutor(2) as pool:
-        figures = dict(zip((name for name, _ in chosen), pool.map(partial(_compared, quick), *zip(*chosen))))
+        compared = pool.map(partial(_compared, quick, ways), *zip(*chosen))
+        figures = dict(zip((name for name, _ in chosen), compared))
     keys = ("mean %", "rms off 100", "gentle mean %", "gentle range %", "within 2 sigma")
     rows = []
     for name, one in figures.items():
-        alone, known = one["balls"], one["balls and punches"]
-        rows.append([name, known["model"], *(f"{_said(alone[k])} -> {_said(known[k])}" for k in keys)])
-    print("\n" + table(["heights", "model with punches", *keys], rows))
+        before, after = one.values()
+        rows.append([name, after["model"], *(f"{_said(before[k])} -> {_said(after[k])}" for k in keys)])
+    print("\n" + table([f"heights, {' -> '.join(one)}", "model", *keys], rows))
     return figures
 
 
@@ -121,13 +151,11 @@ def _said(value: Any) -> str:
     return "-".join(f"{v:.0f}" for v in value) if isinstance(value, list) else f"{value:.3g}"
 
 
-def _compared(quick: bool, name: str, sensor: SimulatedSensor) -> dict[str, Any]:
-    presses = presses_of(usual_presses(sensor, 12 if quick else 30))
-    seed = SEED + (int(name.split()[1]) if name.startswith("drawn") else 0)
-    known = replace(presses, flats=flat_presses(sensor, seed))
+def _compared(quick: bool, ways: Ways, name: str, sensor: SimulatedSensor) -> dict[str, Any]:
+    made = presses_of(usual_presses(sensor, 12 if quick else 30))
     found = {}
-    for what, those in (("balls", presses), ("balls and punches", known)):
-        calibration = gelform.calibrate(those)
+    for what, (presses, color_model) in ways(name, sensor, made).items():
+        calibration = gelform.calibrate(presses, color_model=color_model)
         reconstruct = gelform.Reconstructor(calibration)
         objects = {
             f"{kind}, {depth_mm} mm": height_of(sensor, reconstruct, indenter, depth_mm)
@@ -144,7 +172,9 @@ def _compared(quick: bool, name: str, sensor: SimulatedSensor) -> dict[str, Any]
             "gentle range %": [float(gentle.min()), float(gentle.max())],
             "within 2 sigma": float(np.mean([one["within_2_sigma"] for one in objects.values()])),
             "held out": {key: calibration.held_out[key] for key in HELD_OUT},
-            "said": [note for note in calibration.report.notes if "known height" in note],
+            "said": [
+                note for note in calibration.report.notes if "known height" in note or "Near lights" in note
+            ],
             "objects": {kind: one["height_percent"] for kind, one in objects.items()},
         }
         print(name, what, {key: value for key, value in found[what].items() if key != "objects"}, flush=True)

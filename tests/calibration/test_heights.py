@@ -12,7 +12,6 @@ from gelform.calibration.heights import (
     MOST,
     HeightJudgement,
     _share,
-    _worse_on_balls,
     face_height_mm,
     judged_by_heights,
     judgement,
@@ -20,7 +19,7 @@ from gelform.calibration.heights import (
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.press_score import PressScore
-from gelform.calibration.selection.select import Selection
+from gelform.calibration.selection.select import Selection, worse_on_balls
 from gelform.calibration.selection.trials import HeldOutPresses, Trial
 from gelform.simulate import Punch, simulate_press
 
@@ -109,7 +108,7 @@ def test_the_plain_model_stays_without_punches_and_where_it_reads_them(presses, 
 
 
 def test_the_punches_ask_for_a_share_and_are_then_read_right(presses, made, prepared, monkeypatch):
-    monkeypatch.setattr("gelform.calibration.heights._worse_on_balls", lambda *_: False)
+    monkeypatch.setattr("gelform.calibration.heights.worse_on_balls", lambda *_: False)
     monkeypatch.setattr("gelform.calibration.heights.CLEAR", 0.0)
     (taken, (note,)), known = judged(presses, made, 0.7)
     assert taken.chosen.model == "depth_aware"
@@ -133,7 +132,7 @@ def test_a_punch_with_a_steep_wall_does_not_count(sensor, presses, prepared, mad
 
 
 def test_balls_that_are_read_worse_keep_the_plain_model(presses, made, monkeypatch):
-    monkeypatch.setattr("gelform.calibration.heights._worse_on_balls", lambda *_: True)
+    monkeypatch.setattr("gelform.calibration.heights.worse_on_balls", lambda *_: True)
     monkeypatch.setattr("gelform.calibration.heights.CLEAR", 0.0)
     (kept, (note,)), _ = judged(presses, made, 0.7)
     assert kept is made[3]
@@ -164,4 +163,4 @@ def test_balls_count_press_by_press(more, worse):
     after = Trial(
         aware, {i: PressScore(2.0, cap + more + s) for i, (cap, s) in enumerate(zip(caps, scatter))}, {}
     )
-    assert _worse_on_balls(after, Selection(plain, (), (before,))) == worse
+    assert worse_on_balls(after, Selection(plain, (), (before,))) == worse

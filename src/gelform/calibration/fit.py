@@ -22,6 +22,7 @@ from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.held_out import measure_held_out
 from gelform.calibration.report.record import report_of_run
 from gelform.calibration.report.solved import solved_by_place
+from gelform.calibration.selection.by_lights import judged_by_lights
 from gelform.calibration.selection.candidates import (
     AUTO,
     ZONES,
@@ -97,6 +98,9 @@ def calibrate(
     selection, judged = judged_by_heights(
         presses, by_offset, refined, selection, held_out, named=color_model != AUTO
     )
+    if color_model == AUTO:
+        selection, lit = judged_by_lights(by_offset, refined, selection, held_out)
+        judged = (*judged, *lit)
 
     draft = fit_all(presses, by_offset[selection.chosen.change_offset], refined, selection.chosen)
     measured = measure_held_out(draft, presses, held_out, selection, progress=progress)

@@ -20,8 +20,8 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.draft import fit_all
 from gelform.calibration.presses.press_set import FlatPress, Presses
 from gelform.calibration.selection.candidates import Candidate
-from gelform.calibration.selection.select import Selection, standard_error
-from gelform.calibration.selection.trials import HeldOutPresses, Trial
+from gelform.calibration.selection.select import Selection, worse_on_balls
+from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration_file import Calibration
 from gelform.color_models import DepthAwareModel, HierarchicalModel
 from gelform.reconstruct import Reconstructor
@@ -117,7 +117,7 @@ def judged_by_heights(
         return selection, (_said(judged, presses, judged.why_not),)
     aware = _with_share(aware, judged.used_share)
     (trial,) = held_out.try_candidates([aware])
-    if not named and _worse_on_balls(trial, selection):
+    if not named and worse_on_balls(trial, selection):
         return selection, (_said(judged, presses, "but balls worse, so it was not chosen."),)
     by_fold = tuple(
         _with_share(replace(one, model=aware.model), judged.used_share) if one.model == wanted else one
@@ -192,13 +192,6 @@ def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
     rows, columns = np.ogrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     square = (columns - centers[largest][0]) ** 2 + (rows - centers[largest][1]) ** 2
     return float(depth_mm[square <= max(MIDDLE**2 * area / np.pi, 1.0)].mean())
-
-
-def _worse_on_balls(trial: Trial, selection: Selection) -> bool:
-    """Whether a trial's depth of balls is more than a standard error worse than that of what was chosen."""
-    before = next(one for one in selection.trials if one.candidate == selection.chosen)
-    more = trial.fold_losses() - before.fold_losses()
-    return bool(more.mean() > standard_error(more))
 
 
 def _with_share(candidate: Candidate, share: float) -> Candidate:

@@ -167,3 +167,10 @@ def simplest_within_one_error(
 def standard_error(values: Sequence[float] | NDArray[np.float64]) -> float:
     """Standard error of the mean of values; 0 of a single one."""
     return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+
+
+def worse_on_balls(trial: Trial, selection: Selection) -> bool:
+    """Whether a trial's depth of balls is more than a standard error worse than that of what was chosen."""
+    before = next(one for one in selection.trials if one.candidate == selection.chosen)
+    more = trial.fold_losses() - before.fold_losses()
+    return bool(more.mean() > standard_error(more))

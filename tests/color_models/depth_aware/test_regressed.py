@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.color_models import DepthAwareModel, HierarchicalModel, Samples
-from gelform.color_models.depth_aware import PreparedDepthAware
+from gelform.color_models.depth_aware.regressed import PreparedDepthAware
 from made.color_samples import lambertian_change
 
 SHAPE = (72, 96)

@@ -16,26 +16,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import unit_position
 from gelform.color_models._shared.nodes import fitted_nodes
+from gelform.color_models.depth_aware.frame_depth import FrameDepth, untouched_change
 from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.seam import Samples, Variant, check_image_shape
-from gelform.medians import medians_where
-from gelform.solvers.dct import DctSolver
 
-COARSER = 4  # depth is smooth: a sixteenth of the pixels says it
 PLACE_PENALTIES = (
     3.0,
     12.0,
     12.0,
 )  # of z, z x and z y, beside a coefficient of colour that is the same everywhere
 COLOR_PENALTIES = (3.0, 3.0, 3.0)
-UNTOUCHED = 0.99  # of the untouched samples have a color change under that which is called untouched
-LEAST_UNTOUCHED = 0.02  # part of the frame
 
 Read = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
@@ -81,7 +76,7 @@ class DepthAwareModel:
         share : of `with_share`; presses of balls tell the terms of the depth but not well how large they are all together
         """
         plain = HierarchicalModel.fit(samples, position_degrees=position_degrees, ridge=ridge)
-        untouched = _untouched_change(samples)
+        untouched = untouched_change(samples)
         if samples.depth_px is None:
             return cls(plain, plain, np.zeros((3, 2)), np.zeros((3, 2)), untouched)
         depth = np.asarray(samples.depth_px, dtype=np.float64)
@@ -147,13 +142,6 @@ class DepthAwareModel:
         return cls(plain, beside, arrays["place"], arrays["color"], settings["untouched"])
 
 
-def _untouched_change(samples: Samples) -> float:
-    """Color change that most of the samples of untouched gel stay under: those whose slope is 0."""
-    size = np.linalg.norm(samples.color_change, axis=1)
-    rest = size[~samples.gradients.any(axis=1)]
-    return float(np.quantile(rest if rest.size else size, UNTOUCHED))
-
-
 class PreparedDepthAware:
     """Both models for whole frames, and a solver for the depth; immutable, shared by threads."""
 
@@ -163,10 +151,7 @@ class PreparedDepthAware:
         x, y = unit_position(*np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), shape)
         place = np.stack([np.ones_like(x), x, y], axis=-1) @ model.place
         self._place, self._color = place.astype(np.float32), model.color.astype(np.float32)
-        self._square = np.float32(model.untouched**2)
-        self._coarse = max(2, shape[0] // COARSER), max(2, shape[1] // COARSER)
-        rows, columns = self._coarse
-        self._solver = DctSolver(self._coarse, (shape[1] / columns, shape[0] / rows))
+        self._depth = FrameDepth(shape, model.untouched)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
@@ -185,19 +170,3 @@ class PreparedDepthAware:
     def depth(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
         """Depth (H, W) that this model reads, in pixels, at least 0."""
         return self._depth(color_change, self.gradients_from_color(color_change)[0])
-
-    def _depth(
-        self, color_change: NDArray[np.float32], gradients: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Least-squares depth (H, W) of slopes, in pixels: 0 in the median of the untouched ones, and nowhere less."""
-        size = self._coarse[::-1]
-        change = cv2.resize(color_change, size, interpolation=cv2.INTER_AREA)
-        slopes = np.asarray(cv2.resize(gradients, size, interpolation=cv2.INTER_AREA))
-        change -= medians_where(change)[0]
-        square = np.einsum("...c,...c->...", change, change)
-        rest = square <= max(self._square, np.quantile(square, LEAST_UNTOUCHED))
-        depth = self._solver(slopes - medians_where(slopes, rest)[0]).depth_mm
-        depth -= medians_where(depth[..., None], rest)[0]
-        np.maximum(depth, 0, out=depth)
-        width, height = self._place.shape[1::-1]
-        return np.asarray(cv2.resize(depth, (width, height), interpolation=cv2.INTER_LINEAR))
