@@ -116,7 +116,7 @@ def walls_drawn(quick: bool) -> dict[str, Any]:
     return walls(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in WALLS_DRAWN})
 
 
-Ways = Callable[[str, SimulatedSensor, gelform.Presses], dict[str, tuple[gelform.Presses, str]]]
+Ways = Callable[..., dict[str, Any]]  # by name: the presses, and the color model to calibrate with
 
 
 def _without_and_with_punches(

@@ -38,7 +38,7 @@ from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.calibration.start import start_from
 from gelform.calibration.unlabelled import surround_sigma
 from gelform.calibration_file import Calibration
-from gelform.color_models import DepthAwareModel, HierarchicalModel
+from gelform.color_models import ColorModel, DepthAwareModel, DepthByLightsModel, HierarchicalModel
 from gelform.errors import CalibrationError
 from gelform.progress import Progress, no_progress
 
@@ -122,7 +122,7 @@ def calibrate(
     sigma = replace(
         measured.slope_sigma,
         steepest=None if draft.slope_sigma is None else draft.slope_sigma.steepest,
-        surround_sigma=_surround_sigma(by_offset, refined, selection.chosen.zone),
+        surround_sigma=_surround_sigma(by_offset, refined, selection.chosen.zone, draft.color_model),
     )
     draft = replace(draft, slope_sigma=sigma, held_out=report.held_out, report=report, forward=forward)
     sigma = solved_by_place(draft, sigma, presses, measured.samples, share_seen(folds))
@@ -130,14 +130,14 @@ def calibrate(
 
 
 def _surround_sigma(
-    by_offset: Mapping[float, Sequence[PreparedPress]], refined: Refined, zone: float
+    by_offset: Mapping[float, Sequence[PreparedPress]], refined: Refined, zone: float, model: ColorModel
 ) -> float:
     """Of the accepted presses; 0 where the background has pixels of 0, by which nothing can be divided."""
     prepared = by_offset.get(DepthAwareModel.change_offset)
     if prepared is None:
         return 0.0
     used, contacts = zip(*((prepared[i], refined.contacts[i]) for i in refined.accepted))
-    return surround_sigma(used, contacts, zone)
+    return surround_sigma(used, contacts, zone, model if isinstance(model, DepthByLightsModel) else None)
 
 
 def _refined_and_folded(

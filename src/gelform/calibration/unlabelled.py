@@ -9,7 +9,7 @@ import numpy as np
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.selection.candidates import Candidate
-from gelform.color_models import DepthAwareModel, Samples
+from gelform.color_models import DepthAwareModel, DepthByLightsModel, Samples
 
 PLACES = 6, 8  # rows, columns
 LEAST_SAMPLES = 30
@@ -39,7 +39,12 @@ def steepest_at_places(samples: Samples) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in np.reshape(filled, PLACES).tolist())
 
 
-def surround_sigma(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], zone: float) -> float:
+def surround_sigma(
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    zone: float,
+    lit: DepthByLightsModel | None = None,
+) -> float:
     """Relative error of how deep contacts lie, from what their surroundings may be off: nobody labels the gel there.
 
     The slopes that a plain model reads around contacts lack what the depth changes of the light. A model with terms of
@@ -49,14 +54,17 @@ def surround_sigma(presses: Sequence[PreparedPress], contacts: Sequence[ContactC
     ----------
     presses, contacts : prepared with the offset of `hierarchical`, and their circles
     zone : share of the contact radius that trains
+    lit : the model that reads the slopes, where it corrects them for the depth: then what it may still lack counts
     """
     model = Candidate(DepthAwareModel.name, zone).fit(presses, contacts)
     assert isinstance(model, DepthAwareModel)
-    prepared, ratios = model.prepare(presses[0].color_change, presses[0].size.shape), []
+    shape, background = presses[0].size.shape, presses[0].background
+    prepared, ratios = model.prepare(presses[0].color_change, shape), []
+    known = prepared.plain_depth
+    if lit is not None and background is not None:
+        known = lit.prepare(background, shape).depth
     for press, contact in zip(presses, contacts):
         inside = press.pixels(contact, INNER)
-        plain, aware = (
-            read(press.color_change)[inside].mean() for read in (prepared.plain_depth, prepared.depth)
-        )
+        plain, aware = (read(press.color_change)[inside].mean() for read in (known, prepared.depth))
         ratios.append(aware / max(plain, 1e-6))
     return float(min(TIMES * np.sqrt(np.mean(np.square(np.array(ratios) - 1))), MOST))

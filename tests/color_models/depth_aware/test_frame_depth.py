@@ -9,7 +9,7 @@ from gelform.color_models.depth_aware.frame_depth import FrameDepth, untouched_c
 SHAPE = (90, 120)
 
 
-def cap(height_px=4.0, width_px=9.0):
+def cap(height_px=4.0, width_px=10.0):
     """Depth (H, W), px, and slopes (H, W, 2) of a Gaussian bump, and a color change that is there where it is."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     dx, dy = x - 70, y - 40
@@ -25,7 +25,7 @@ def test_depth_is_that_of_the_slopes_and_0_where_the_gel_is_untouched(offset):
     found = FrameDepth(SHAPE, 0.01)(change + np.float32(offset), slopes + np.float32(offset))
     assert found.shape == SHAPE
     assert found.min() == 0
-    np.testing.assert_allclose(found, depth, atol=0.15)
+    np.testing.assert_allclose(found, depth, atol=0.3)
 
 
 def test_untouched_is_what_nearly_all_samples_without_a_slope_stay_under():

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import unit_position
 from gelform.color_models._shared.near_light_law import Toward, light_ratio
-from gelform.color_models._shared.nodes import at_pixels, interpolation, node_positions
 from gelform.color_models.depth_aware.frame_depth import FrameDepth, untouched_change
 from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.seam import Samples, Variant, check_image_shape
 
+LIGHT_SAMPLES = 1500
 SMALL_DEPTH = 0.002  # of half the image's larger side: for a difference quotient
 
 Read = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -70,7 +70,7 @@ class DepthByLightsModel:
         plain = HierarchicalModel.fit(samples, position_degrees=position_degrees, ridge=ridge)
         seen = _seen_at(samples)
         ratios = replace(samples, color_change=np.asarray(samples.color_change, dtype=np.float64) / seen)
-        lights = NearLightModel.fit(ratios)
+        lights = NearLightModel.fit(_some_pressed(ratios))
         found = cls(plain, plain, lights, _unexplained(lights, ratios), untouched_change(samples))
         if samples.depth_px is None:
             return found
@@ -149,16 +149,6 @@ def light_per_depth(
     return (level**response - 1) / per_px, (gain * level ** (response - 1) - 1) / per_px
 
 
-def _light_of_frames(lights: NearLightModel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """`light_per_depth` of every pixel, (H, W, 3) each: bilinear between nodes, since it is smooth."""
-    rows, columns = node_positions(lights.shape)
-    y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
-    at_nodes = np.concatenate(light_per_depth(lights, x, y), axis=1).reshape(len(rows), len(columns), 6)
-    y, x = (axis.ravel() for axis in np.mgrid[: lights.shape[0], : lights.shape[1]])
-    whole = at_pixels(at_nodes, *interpolation(x, y, lights.shape)).reshape(*lights.shape, 6)
-    return whole[..., :3].astype(np.float32), np.ascontiguousarray(whole[..., 3:], dtype=np.float32)
-
-
 def _light_at(
     lights: NearLightModel,
     x: NDArray[np.float64],
@@ -188,6 +178,15 @@ def _seen(background: NDArray[Any]) -> NDArray[np.float64]:
     return light / (light + HierarchicalModel.change_offset)
 
 
+def _some_pressed(samples: Samples) -> Samples:
+    """About 1500 of the samples with a slope: sixteen numbers need no more."""
+    known = np.flatnonzero(np.any(samples.gradients != 0, axis=1))
+    known = known[:: max(1, len(known) // LIGHT_SAMPLES)]
+    columns = ("color_change", "x_px", "y_px", "gradients", "weight")
+    part = {name: getattr(samples, name)[known] for name in columns}
+    return Samples(**part, shape=samples.shape)
+
+
 def _unexplained(lights: NearLightModel, samples: Samples) -> float:
     known = np.any(samples.gradients != 0, axis=1)
     normals = np.concatenate([-samples.gradients[known], np.ones((np.count_nonzero(known), 1))], axis=1)
@@ -206,9 +205,12 @@ class PreparedDepthByLights:
         shape = model.plain.shape
         self._plain, self._beside = (one.prepare(background, shape) for one in (model.plain, model.beside))
         self._depth = FrameDepth(shape, model.untouched)
-        lighter, stronger = _light_of_frames(model.lights)
-        seen = _seen(background).astype(np.float32) if background.size else 1.0
-        self._lighter, self._stronger = map(self._depth.made_coarse, (lighter * seen, stronger))
+        x, y = self._depth.coarse_positions()
+        lighter, stronger = (
+            one.reshape(*x.shape, 3) for one in light_per_depth(model.lights, x.ravel(), y.ravel())
+        )
+        seen = self._depth.made_coarse(_seen(background)) if background.size else 1.0
+        self._lighter, self._stronger = (lighter * seen).astype(np.float32), stronger.astype(np.float32)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
@@ -217,3 +219,7 @@ class PreparedDepthByLights:
         level = color_change - self._depth.in_full(depth * self._lighter)
         level *= self._depth.in_full(1 / (1 + depth * self._stronger))
         return self._beside.gradients_from_color(level)[0], None
+
+    def depth(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Depth (H, W) that this model reads, in pixels, at least 0."""
+        return self._depth(color_change, self.gradients_from_color(color_change)[0])

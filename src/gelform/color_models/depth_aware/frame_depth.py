@@ -60,6 +60,11 @@ class FrameDepth:
         """Values (H, W, ...) on the coarser grid: means."""
         return np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA))
 
+    def coarse_positions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """x, y of the middle of each sample of the coarser grid, px."""
+        y, x = ((np.arange(few) + 0.5) * many / few - 0.5 for few, many in zip(self._coarse, self._shape))
+        return tuple(np.meshgrid(x, y))  # type: ignore[return-value]
+
     def in_full(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Values of the coarser grid for every pixel, bilinear."""
         return np.asarray(cv2.resize(values, self._shape[::-1], interpolation=cv2.INTER_LINEAR))
