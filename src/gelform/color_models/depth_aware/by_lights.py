@@ -27,7 +27,7 @@ from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.seam import Samples, Variant, check_image_shape
 
-LIGHT_SAMPLES = 1500
+LIGHT_SAMPLES = 800
 SMALL_DEPTH = 0.002  # of half the image's larger side: for a difference quotient
 
 Read = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -179,7 +179,7 @@ def _seen(background: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _some_pressed(samples: Samples) -> Samples:
-    """About 1500 of the samples with a slope: sixteen numbers need no more."""
+    """About 800 of the samples with a slope: sixteen numbers need no more."""
     known = np.flatnonzero(np.any(samples.gradients != 0, axis=1))
     known = known[:: max(1, len(known) // LIGHT_SAMPLES)]
     columns = ("color_change", "x_px", "y_px", "gradients", "weight")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +58,7 @@ class FrameDepth:
         np.maximum(depth, 0, out=depth)
         return depth
 
-    def made_coarse(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def made_coarse(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values (H, W, ...) on the coarser grid: means."""
         return np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA))
 
@@ -65,6 +67,6 @@ class FrameDepth:
         y, x = ((np.arange(few) + 0.5) * many / few - 0.5 for few, many in zip(self._coarse, self._shape))
         return tuple(np.meshgrid(x, y))  # type: ignore[return-value]
 
-    def in_full(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def in_full(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values of the coarser grid for every pixel, bilinear."""
         return np.asarray(cv2.resize(values, self._shape[::-1], interpolation=cv2.INTER_LINEAR))
