@@ -65,6 +65,10 @@ def test_shadows_fall_to_the_same_side_of_all_presses():
     np.testing.assert_allclose(alike_all_around, 0, atol=0.005)
     anywhere = directed_darkness(*rings(CENTERS, lambda away, turn: 0.1 * (np.cos(turn - SIDES) > 0.7)))
     assert np.percentile(anywhere, 25) < 0
+    opposite = np.array([0, np.pi])[:, None, None]  # a press is held against the others, without itself
+    assert (
+        directed_darkness(*rings(CENTERS[:2], lambda away, turn: 0.1 * np.cos(turn - opposite))).max() < -0.05
+    )
 
 
 def test_darkness_of_a_pattern_is_its_deviation_over_the_sectors():
