@@ -30,6 +30,7 @@ import numpy as np
 import cast_shadows
 import faults
 import gelform
+import shadow_limits
 import shadow_recognition
 from gelform.ball import fit_sphere
 from gelform.calibration.circles.find import find_contact, why_no_contact
@@ -184,6 +185,12 @@ def shadows(run: Run) -> dict[str, Any]:
 def recognised(run: Run) -> dict[str, Any]:
     """Whether 18, 15 and 12 presses are said to cast shadows: subsets that are, of how many."""
     return shadow_recognition.recognised(DATA, run.quick)
+
+
+def limits_of_shadows(run: Run) -> dict[str, Any]:
+    """RMS depth error in contacts, um, of simulated DIGITs: what of it is the shadows', by what the simulator knows."""
+    seeds = shadow_limits.SEEDS[:1] if run.quick else shadow_limits.SEEDS
+    return shadow_limits.limits(run.frames(10), run.calibrations, seeds)
 
 
 def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tuple[float, float]:
@@ -426,6 +433,7 @@ PARTS = {
     "digit": digit,
     "shadows": shadows,
     "recognised": recognised,
+    "limits_of_shadows": limits_of_shadows,
     "limit": limit,
     "masks": masks,
     "causes": causes,
