@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -113,11 +114,23 @@ def test_other_sensors_background_is_refused(presses):
         gelform.calibrate(other)
 
 
+def half_size(presses):
+    """Images of half as many rows and columns: a quarter of the time."""
+
+    def halved(image):
+        return cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+
+    smaller = tuple(replace(press, image=halved(press.image)) for press in presses.presses)
+    return replace(
+        presses, presses=smaller, background=halved(presses.background), mm_per_px=2 * presses.mm_per_px
+    )
+
+
 def test_ten_real_presses_are_enough_to_start(data):
-    """Every seventh press of a real sensor: the held-out errors stay within what ten presses can give."""
-    presses = gelform.read_presses(data / "mini-ball")
-    calibration = gelform.calibrate(presses.subset(range(0, 67, 6)), color_model="hierarchical")
-    assert calibration.held_out["normal_free_deg"] < 6.2  # recorded: 5.6
+    """Every sixth press of a real sensor, at half its size: the held-out errors stay within what ten presses can give."""
+    presses = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 6))
+    calibration = gelform.calibrate(half_size(presses), color_model="hierarchical")
+    assert calibration.held_out["normal_free_deg"] < 3.8  # recorded: 3.14
     assert all(row.accepted for row in calibration.report.presses)
 
 

@@ -53,7 +53,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
     """The arguments of each command that writes, with its output below `out`."""
     images = [work / f"image{k}.png" for k in range(3)]
     imported = ["--from", "gs_sdk", "--background", work / "rest.png", "--mm-per-px", "0.1"]
-    fitted = ["--model", "lambertian", "--report", out / "report"]
+    fitted = ["--model", "polynomial", "--report", out / "report"]
     two = ["-c", work / "cal.npz", "-c", work / "cal.npz"]
     leds = [work / f"{name}.png" for name in ("red", "green", "blue")]
     return {

@@ -15,7 +15,7 @@ pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
 def test_the_whole_path_and_its_errors(run_json, fails, monkeypatch, tmp_path):
     monkeypatch.setitem(LAYOUTS, "small", SMALL)
     monkeypatch.setattr(demo, "LAYOUT", "small")
-    monkeypatch.setattr(demo, "PRESSES", 12)
+    monkeypatch.setattr(demo, "PRESSES", 8)
     said = run_json("demo", "-o", tmp_path / "d")
     names = {path.relative_to(tmp_path / "d").as_posix() for path in (tmp_path / "d").rglob("*.*")}
     assert {"ball.png", "coin.png", "screw.png", "border.png", "report/report.html"} <= names
