@@ -13,6 +13,7 @@ from gelform.calibration.circles.followed import followed_share
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import Refined, refine
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.circles.settle import settled
 from gelform.calibration.circles.sigma import circle_sigmas
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.draft import fit_all
@@ -89,10 +90,12 @@ def calibrate(
     prepared, refined, folds = _refined_and_folded(prepared, found, repeated_images(presses), model, progress)
     _check_enough(presses, refined, len(folds))
 
+    sizes = size_folds(prepared, found, refined.accepted, start=model, progress=progress)
+    if first_unit is None:
+        refined, folds, sizes = _settled(prepared, found, refined, folds, sizes)
     candidates, zones = _candidates(color_model, len(folds[0].training), first_unit)
     by_offset = prepared_by_offset(presses, prepared, (c.change_offset for c in candidates))
     able = _able(candidates, by_offset.keys())
-    sizes = size_folds(prepared, found, refined.accepted, start=model, progress=progress)
     held_out = HeldOutPresses(by_offset, found, folds, sizes)
     selection = select(able, held_out, zones=zones, progress=progress)
     selection, judged = judged_by_heights(
@@ -163,6 +166,25 @@ def _refined_and_folded(
         refined = refine(prepared, found, excluded={**excluded, **odd}, start=start, progress=progress)
         folds = make_folds(prepared, found, refined.accepted, start=start, progress=progress)
     return prepared, refined, folds
+
+
+def _settled(
+    prepared: Sequence[PreparedPress],
+    found: Sequence[ContactCircle],
+    refined: Refined,
+    folds: Sequence[Fold],
+    sizes: Sequence[Fold],
+) -> tuple[Refined, list[Fold], list[Fold]]:
+    """The same with the last moves of all circles that train, each fold's by its own presses."""
+
+    def of(indices: Sequence[int], contacts: Sequence[ContactCircle]) -> tuple[ContactCircle, ...]:
+        return settled([prepared[i] for i in indices], contacts, [found[i] for i in indices])
+
+    contacts, used = list(refined.contacts), refined.accepted
+    for i, contact in zip(used, of(used, [contacts[i] for i in used])):
+        contacts[i] = contact
+    both = [[replace(f, contacts=of(f.training, f.contacts)) for f in part] for part in (folds, sizes)]
+    return replace(refined, contacts=tuple(contacts)), *both
 
 
 def _check_enough(presses: Presses, refined: Refined, folds: int) -> None:
