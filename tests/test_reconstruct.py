@@ -232,28 +232,25 @@ def test_wrong_slopes_that_are_known_to_be_wrong_do_no_harm(calibration, press):
 
 
 def test_depth_says_how_well_it_is_known(calibration, sensor):
-    """Against exact truth, on presses of other balls than calibration had: two thirds within one sigma, or too wide."""
+    """Against exact truth, on presses of other balls than calibration had: about two thirds within one sigma."""
     rng = np.random.default_rng(8)
-    shares, contact, wide = [], [], []
+    shares, contact = [], []
     for radius_mm, center in ((3.0, (1.0, -0.5)), (3.4, (-2.0, 1.0)), (2.8, (2.5, 1.5))):
         made = simulate_press(sensor, Ball(radius_mm), depth_mm=0.6, center_mm=center, rng=rng)
         result = gelform.Reconstructor(calibration)(made.image)
         within = np.abs(result.depth_mm - made.depth_mm) < result.depth_sigma_mm
         shares.append(within.mean())
         contact.append(within[made.contact].mean())
-        error = (result.depth_mm - made.depth_mm)[made.contact]
-        wide.append(result.depth_sigma_mm[made.contact].mean() / np.sqrt(np.mean(error**2)))
     assert result.depth_sigma_mm.shape == result.depth_mm.shape
     assert result.depth_sigma_mm.min() > 0
     assert 0.5 < np.mean(shares) < 0.99
-    assert np.mean(contact) > 0.3
-    assert np.mean(wide) < 5
+    assert 0.3 < np.mean(contact) < 0.97
 
 
 def test_the_shape_of_a_contact_is_within_the_sigma_of_differences(calibration, sensor):
-    """Depth minus its mean over the contact: 68 and 95 % within one and two, or more, and better known than against zero."""
+    """Depth minus its mean over the contact: near 68 and 95 % within one and two, and better known than against zero."""
     reconstruct = gelform.Reconstructor(calibration)
-    shares, wide = [], []
+    shares = []
     for k, (place, depth_mm) in enumerate([((1.0, -0.5), 0.6), ((-2.0, 1.0), 0.4), ((2.5, 1.5), 0.7)]):
         rng = np.random.default_rng(40 + k)
         made = simulate_press(sensor, Ball(3.0), depth_mm=depth_mm, center_mm=place, rng=rng)
@@ -263,10 +260,8 @@ def test_the_shape_of_a_contact_is_within_the_sigma_of_differences(calibration, 
         error -= error[region].mean()
         shares.append([np.mean(np.abs(error[region]) < n * sigma[region]) for n in (1, 2)])
         assert sigma[region].mean() < 0.8 * result.depth_sigma_mm[region].mean()
-        wide.append(sigma[region].mean() / error[region].std())
     one, two = np.mean(shares, axis=0)
-    assert one > 0.45
-    assert np.mean(wide) < 4
+    assert 0.45 < one < 0.97
     assert two > 0.85
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.start import start_from, translated
 from gelform.color_models import HierarchicalModel
 from gelform.errors import CalibrationError
@@ -35,6 +36,13 @@ def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, press
     assert start.digest == lambertian_calibration.digest
     assert start.zone == lambertian_calibration.settings["zone"]
     assert start.model.degree == 3, "as the model that is drawn to it"
+
+
+@pytest.mark.parametrize("kind", ["depth_aware", "depth_by_lights"])
+def test_a_model_that_knows_the_depth_gives_its_plain_one(kind, prepared, found, presses, calibration):
+    model = Candidate(kind, 0.8).fit(prepared, found, total=3000)
+    start = start_from(replace(calibration, color_model=model), presses, "auto")
+    assert start.model is model.plain
 
 
 def test_a_start_without_a_forward_response_is_refused(lambertian_calibration, presses):

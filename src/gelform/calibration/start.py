@@ -14,7 +14,7 @@ import numpy as np
 from gelform.background.change import ChangeSettings, gain_from_background
 from gelform.calibration.selection.candidates import DEFAULT_ZONE, Start
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.color_models import HierarchicalModel, Samples
+from gelform.color_models import DepthAwareModel, DepthByLightsModel, HierarchicalModel, Samples
 from gelform.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             "Leave it out, or give --model hierarchical."
         )
     model = first.color_model
+    if isinstance(model, (DepthAwareModel, DepthByLightsModel)):
+        model = model.plain
     if isinstance(model, HierarchicalModel):
         model.check_like(model.degree, presses.image_shape)
     elif tuple(first.image_shape) != tuple(presses.image_shape):

@@ -24,7 +24,12 @@ def made(prepared, found, folds):
     return {10.0: prepared}, refine(prepared, found), selection, held_out
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(autouse=True)
+def few_are_enough(monkeypatch):
+    monkeypatch.setattr("gelform.calibration.selection.by_lights.LEAST_PRESSES", 10)
+
+
+@pytest.fixture
 def taken(made):
     return judged(made)
 
@@ -63,6 +68,11 @@ def test_where_they_do_not_explain_the_colours_nothing_is_said(made):
         noise = rng.normal(0, 0.3, press.color_change.shape)
         other.append(replace(press, color_change=press.color_change + noise.astype(np.float32)))
     assert judged_by_lights({10.0: other}, refined, selection, held_out) == (selection, ())
+
+
+def test_of_few_presses_nothing_is_asked(made, monkeypatch):
+    monkeypatch.setattr("gelform.calibration.selection.by_lights.LEAST_PRESSES", 25)
+    assert judged(made) == (made[2], ())
 
 
 def test_another_model_and_a_second_unit_stay(made):

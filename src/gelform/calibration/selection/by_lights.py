@@ -15,6 +15,7 @@ from gelform.calibration.selection.select import Selection, worse_on_balls
 from gelform.calibration.selection.trials import HeldOutPresses
 from gelform.color_models import DepthByLightsModel, HierarchicalModel
 
+LEAST_PRESSES = 25  # the rule was made and judged on 30; a calibration takes half as long again
 # Part of the colours, root mean square, that near lights may leave unexplained. On simulated sensors in the open they leave
 # 0.05-0.21; on a simulated GelSight Mini 0.39 and on a real one 0.49, where the law says nothing true of the depth.
 MOST_UNEXPLAINED = 0.28
@@ -26,7 +27,9 @@ def judged_by_lights(
     selection: Selection,
     held_out: HeldOutPresses,
 ) -> tuple[Selection, tuple[str, ...]]:
-    """The selection, with `depth_by_lights` in the place of a chosen `hierarchical` where near lights explain the colours.
+    """The selection, with `depth_by_lights` in the place of a chosen `hierarchical`.
+
+    That is where there are 25 presses, near lights explain their colours, and balls that were left out are not read worse.
 
     Parameters
     ----------
@@ -34,7 +37,8 @@ def judged_by_lights(
     selection : by `auto`, and by punches where there are any
     """
     chosen = selection.chosen
-    if chosen.model != HierarchicalModel.name or chosen.start is not None:
+    fits = chosen.model == HierarchicalModel.name and chosen.start is None
+    if not fits or len(refined.accepted) < LEAST_PRESSES:
         return selection, ()
     used, contacts = zip(
         *((by_offset[chosen.change_offset][i], refined.contacts[i]) for i in refined.accepted)
