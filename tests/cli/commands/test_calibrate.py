@@ -24,9 +24,13 @@ def folder(press_folder, tmp_path):
     return copy
 
 
-def test_a_calibration_and_its_report(run_json, folder, tmp_path):
+def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, tmp_path):
     output, report = tmp_path / "cal.npz", tmp_path / "deep" / "report"
-    said = run_json("calibrate", folder, "-o", output, "--report", report, "--model", "polynomial")
+    code, out, err = run(
+        "calibrate", folder, "-o", output, "--report", report, "--model", "polynomial", "--json"
+    )
+    assert code == 0
+    said = json.loads(out)
     calibration = load_calibration(output)
     assert calibration.image_shape == (120, 160)
     assert said["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"] < 6
@@ -35,22 +39,15 @@ def test_a_calibration_and_its_report(run_json, folder, tmp_path):
     assert content["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"]
     assert content["calibration"]["digest"] == calibration.digest
     assert content["verdict"]["headline"] in (report / "report.html").read_text(encoding="utf-8")
-    assert said["verdict"] == content["verdict"]
+    verdict = content["verdict"]
+    assert said["verdict"] == verdict
+    assert err.splitlines()[-2:] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
     truth = [press.label for press in read_presses(folder).presses]
     with (report / "circles.csv").open() as file:
         rows = list(csv.DictReader(file))
     found = [(float(row["center_x_px"]), float(row["center_y_px"])) for row in rows]
     assert np.median(np.hypot(*(np.array(found) - np.array(truth)[:, :2]).T)) < 1.5
-
-
-def test_circles_can_be_used_as_labels(run, folder, tmp_path):
-    code, _, err = run(
-        "calibrate", folder, "-o", tmp_path / "cal.npz", "--report", tmp_path / "r", "--model", "polynomial"
-    )
-    assert code == 0
-    verdict = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))["verdict"]
-    assert err.splitlines()[-2:] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
-    shutil.copy(tmp_path / "r" / "circles.csv", folder / "presses.csv")
+    shutil.copy(report / "circles.csv", folder / "presses.csv")
     assert all(press.label is not None for press in read_presses(folder).presses)
 
 
