@@ -183,8 +183,10 @@ def _settled(
     contacts, used = list(refined.contacts), refined.accepted
     for i, contact in zip(used, of(used, [contacts[i] for i in used])):
         contacts[i] = contact
-    both = [[replace(f, contacts=of(f.training, f.contacts)) for f in part] for part in (folds, sizes)]
-    return replace(refined, contacts=tuple(contacts)), *both
+    dealt, by_size = (
+        [replace(fold, contacts=of(fold.training, fold.contacts)) for fold in part] for part in (folds, sizes)
+    )
+    return replace(refined, contacts=tuple(contacts)), dealt, by_size
 
 
 def _check_enough(presses: Presses, refined: Refined, folds: int) -> None:
