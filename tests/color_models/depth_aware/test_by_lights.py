@@ -70,20 +70,24 @@ def fitted():
     return HierarchicalModel.fit(samples), DepthByLightsModel.fit(samples_of(presses, read))
 
 
-def gain_around(model, center, height, width):
-    """Slopes that are read over the true ones, in the ring around the labelled part of a bump."""
+def gain_between(model, center, height, width, inner, outer):
+    """Slopes that are read over the true ones, in a ring of a bump; distances in widths."""
     _, slopes, change, distance = bump(center, height, width)
     read, sigma = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
     assert sigma is None
-    ring = (distance > 1.8 * width) & (distance < 2.8 * width)
+    ring = (distance >= inner * width) & (distance < outer * width)
     return float(np.sum(read[ring] * slopes[ring]) / np.sum(slopes[ring] ** 2))
 
 
 @pytest.mark.parametrize(("center", "height"), [((40.0, 30.0), 4.0), ((58.0, 44.0), 1.2)])
 def test_gel_around_a_contact_is_no_longer_read_too_flat(fitted, center, height):
-    plain, lit = (gain_around(model, center, height, 6.0) for model in fitted)
+    plain, lit = (gain_between(model, center, height, 6.0, 1.8, 2.8) for model in fitted)
     assert plain < 0.96
     assert abs(lit - 1) < 0.4 * abs(plain - 1)
+
+
+def test_the_middle_of_a_deep_contact_is_read_right_too(fitted):
+    assert gain_between(fitted[1], (44.0, 33.0), 4.0, 6.0, 0.0, 1.0) == pytest.approx(1, abs=0.03)
 
 
 @pytest.mark.parametrize("response", [1.0, 0.7])
