@@ -59,7 +59,8 @@ def test_sigma_holds_on_presses_never_seen(calibration, sensor):
         within = np.abs(result.gradients - 0) < result.gradients_sigma
         inside.append((np.abs(result.gradients[zone] - truth) < result.gradients_sigma[zone]).mean())
         rest.append(within[rho > 3.5 * press.contact_radius_px].mean())
-    assert 0.45 < np.mean(inside) < 0.9
+    # On a noisy sensor of few rows what blur takes from slopes is stated too widely: docs/decisions/0009-stated-slopes.md
+    assert 0.45 < np.mean(inside) < 0.95
     assert 0.45 < np.nanmean(rest) < 0.9
 
 

@@ -204,6 +204,7 @@ class PreparedDepthByLights:
     def __init__(self, model: DepthByLightsModel, background: NDArray[Any]) -> None:
         shape = model.plain.shape
         self._plain, self._beside = (one.prepare(background, shape) for one in (model.plain, model.beside))
+        self._carries = not np.array_equal(model.plain.nodes, model.beside.nodes)
         self._depth = FrameDepth(shape, model.untouched)
         x, y = self._depth.coarse_positions()
         lighter, stronger = (
@@ -215,6 +216,8 @@ class PreparedDepthByLights:
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
         plain, _ = self._plain.gradients_from_color(color_change)
+        if not self._carries:  # fitted without depths: what reads the slopes knows colours as they are
+            return plain, None
         depth = self._depth.coarse(color_change, plain)[..., None]
         level = color_change - self._depth.in_full(depth * self._lighter)
         level *= self._depth.in_full(1 / (1 + depth * self._stronger))
