@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from torch.nn import functional
 
 from gelform.background.change import ChangeSettings, blur_taps, gain_from_background, light_from_image
 from gelform.background.exposure import BRIGHT, DARK, FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
+from gelform.torch.maps import block_shares, planes
 
 BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as the kernel `crowd_of_ratios` has them
 
@@ -30,12 +30,12 @@ class ColorChange(nn.Module):
         taps = blur_taps(settings.blur_px)
         self.settings = settings
         self.shape = background.shape[:2]
-        self.register_buffer("untouched", _planes(light_from_image(background, settings)))
-        self.register_buffer("gain", _planes(gain_from_background(background, settings)))
+        self.register_buffer("untouched", planes(light_from_image(background, settings)))
+        self.register_buffer("gain", planes(gain_from_background(background, settings)))
         self.taps = taps.tolist()  # from the middle outwards
-        self.register_buffer("blocks", _planes(block_means(background)))
+        self.register_buffer("blocks", planes(block_means(background)))
         for name, size, blocks in zip(("rows", "columns"), self.shape, self.blocks.shape[-2:]):
-            self.register_buffer(name, _averages(size, blocks))
+            self.register_buffer(name, block_shares(size, blocks))
         size = self.blocks.shape[-2:]
         self.halves_up = self.shape == (2 * size[0], 2 * size[1])  # as OpenCV rounds means of 2x2 pixels
         crosstalk = np.eye(3) if settings.crosstalk is None else np.asarray(settings.crosstalk)
@@ -91,18 +91,6 @@ def _weighted_sum(values: Tensor, taps: list[float], dim: int) -> Tensor:
         sides = values.narrow(dim, reach - k, kept) + values.narrow(dim, reach + k, kept)
         total = total.add(sides, alpha=tap)
     return total
-
-
-def _planes(pixels: NDArray[np.float32]) -> Tensor:
-    """(3, H, W) of (H, W, 3)."""
-    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(pixels, -1, 0), dtype=np.float32))
-
-
-def _averages(size: int, blocks: int) -> Tensor:
-    """Which share of each pixel goes into each block's mean, (blocks, size)."""
-    return torch.from_numpy(
-        cv2.resize(np.eye(size, dtype=np.float32), (size, blocks), interpolation=cv2.INTER_AREA)
-    )
 
 
 def _fullest(logs: Tensor, lit: Tensor) -> Tensor:

@@ -15,22 +15,29 @@ class PoissonDepth(nn.Module):
     An edge's slope is the mean of its two pixels'. The cosine modes diagonalise the normal equations (B. L. Buzbee,
     G. H. Golub and C. W. Nielson, SIAM J. Numer. Anal. 7, 1970); each transform is one FFT of the reordered rows
     (J. Makhoul, IEEE Trans. ASSP 28, 1980).
+
+    Parameters
+    ----------
+    shape : (H, W)
+    mm_per_px : (x, y), mm, or any unit that depth is wanted in
     """
 
-    def __init__(self, shape: tuple[int, int], mm_per_px: float) -> None:
+    def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
         super().__init__()
-        self.pitch = mm_per_px
+        self.pitch = mm_per_px[1]
+        self.along_x = mm_per_px[1] / mm_per_px[0]  # the weight of edges along x, where those along y count 1
         eigen = [
             (2 * torch.sin(torch.pi * torch.arange(n, dtype=torch.float64) / (2 * n))) ** 2 for n in shape
         ]
-        inverse = 1 / (eigen[0][:, None] + eigen[1])
+        inverse = 1 / (eigen[0][:, None] + self.along_x**2 * eigen[1])
         inverse[0, 0] = 0
         self.register_buffer("inverse", inverse.float())
 
     def forward(self, gradients: Tensor) -> Tensor:
         """Depth in the unit of the pitch."""
         p, q = gradients.unbind(1)
-        along_x, along_y = (p[:, :, 1:] + p[:, :, :-1]) / 2, (q[:, 1:] + q[:, :-1]) / 2
+        along_x = (p[:, :, 1:] + p[:, :, :-1]) * (self.along_x / 2)
+        along_y = (q[:, 1:] + q[:, :-1]) / 2
         right = _minus_differences(along_x, 2) + _minus_differences(along_y, 1)
         spectrum = _cosines(_cosines(right).mT) * self.inverse.mT
         return self.pitch * _from_cosines(_from_cosines(spectrum).mT)

@@ -24,6 +24,7 @@ except ModuleNotFoundError as missing:
     ) from missing
 
 from gelform.torch.color_change import ColorChange
+from gelform.torch.maps import medians_where
 from gelform.torch.poisson import PoissonDepth
 from gelform.torch.slopes import gradients_module
 
@@ -51,7 +52,8 @@ class Reconstruct(nn.Module):
 
     Parameters
     ----------
-    calibration : of this sensor, or the path of its file; color model hierarchical, polynomial, lambertian, near_light
+    calibration : of this sensor, or the path of its file; color model hierarchical, polynomial, lambertian, near_light,
+        depth_aware or depth_by_lights
     background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
     compensate_exposure : whether each image's exposure is estimated and undone, as the numpy path does
         As a constant: no derivative passes through it. Off for images that are rendered, and for exact derivatives.
@@ -84,8 +86,8 @@ class Reconstruct(nn.Module):
             )
         self.threshold = calibration.untouched_change
         self.color_change = ColorChange(today, calibration.change, compensate_exposure)
-        self.model = gradients_module(calibration.color_model, self.shape)
-        self.solver = PoissonDepth(self.shape, calibration.mm_per_px or 1.0)
+        self.model = gradients_module(calibration.color_model, today)
+        self.solver = PoissonDepth(self.shape, (calibration.mm_per_px or 1.0,) * 2)
 
     def forward(self, images: Tensor) -> BatchReconstruction:
         """Depth of a batch of images, RGB, 0-255, (N, 3, H, W): uint8, or floating for derivatives.
@@ -110,19 +112,18 @@ class Reconstruct(nn.Module):
         gradients = self.model(change)
         untouched = self._untouched(change)
         step = _step(self.shape, SAMPLES)
-        bias = _median(gradients[..., ::step, ::step], untouched[..., ::step, ::step])
-        gradients = gradients - bias[..., None, None]
+        bias = medians_where(gradients[..., ::step, ::step], untouched[..., ::step, ::step])
+        gradients = gradients - bias
         depth = self.solver(gradients)[:, None]
         step = _step(self.shape, MEDIAN_SAMPLES)
-        zero = _median(depth[..., ::step, ::step], untouched[..., ::step, ::step])
-        return BatchReconstruction(depth - zero[..., None, None], gradients)
+        zero = medians_where(depth[..., ::step, ::step], untouched[..., ::step, ::step])
+        return BatchReconstruction(depth - zero, gradients)
 
     @torch.no_grad()
     def _untouched(self, change: Tensor) -> Tensor:
         """Pixels (N, 1, H, W) whose colour did not change; where they are too few, those that changed least."""
         coarse = change[..., ::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
-        common = _median(coarse, torch.ones_like(coarse[:, :1], dtype=torch.bool))
-        near = ((change - common[..., None, None]) ** 2).sum(1, keepdim=True) < self.threshold**2
+        near = ((change - medians_where(coarse)) ** 2).sum(1, keepdim=True) < self.threshold**2
         step = _step(self.shape, SAMPLES)
         few = near[..., ::step, ::step].float().mean((1, 2, 3)) < MIN_UNTOUCHED
         if bool(few.any()):
@@ -136,12 +137,3 @@ class Reconstruct(nn.Module):
 def _step(shape: tuple[int, int], samples: int) -> int:
     """Of a lattice with about so many pixels."""
     return max(1, round((shape[0] * shape[1] / samples) ** 0.5))
-
-
-def _median(maps: Tensor, chosen: Tensor) -> Tensor:
-    """Median (N, C) of maps (N, C, h, w) over chosen pixels (N, 1, h, w); 0 where none is."""
-    values = torch.where(chosen, maps, torch.inf).flatten(2).sort(dim=2).values
-    count = chosen.flatten(1).sum(1).clamp(min=1)
-    middle = torch.stack([(count - 1) // 2, count // 2], 1)[:, None].expand(-1, maps.shape[1], -1)
-    median = values.gather(2, middle).mean(2)
-    return torch.where(median.isfinite(), median, 0)

@@ -199,7 +199,12 @@ def _unexplained(lights: NearLightModel, samples: Samples) -> float:
 
 
 class PreparedDepthByLights:
-    """Both maps for whole frames, the light's change with depth, and a solver; immutable, shared by threads."""
+    """Both maps for whole frames, the light's change with depth, and a solver; immutable, shared by threads.
+
+    Attributes
+    ----------
+    lighter, stronger : (rows, columns, 3), `light_per_depth` on the coarser grid, `lighter` as a color change
+    """
 
     def __init__(self, model: DepthByLightsModel, background: NDArray[Any]) -> None:
         shape = model.plain.shape
@@ -211,7 +216,7 @@ class PreparedDepthByLights:
             one.reshape(*x.shape, 3) for one in light_per_depth(model.lights, x.ravel(), y.ravel())
         )
         seen = self._depth.made_coarse(_seen(background)) if background.size else 1.0
-        self._lighter, self._stronger = (lighter * seen).astype(np.float32), stronger.astype(np.float32)
+        self.lighter, self.stronger = (lighter * seen).astype(np.float32), stronger.astype(np.float32)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
@@ -219,8 +224,8 @@ class PreparedDepthByLights:
         if not self._carries:  # fitted without depths: what reads the slopes knows colours as they are
             return plain, None
         depth = self._depth.coarse(color_change, plain)[..., None]
-        level = color_change - self._depth.in_full(depth * self._lighter)
-        level *= self._depth.in_full(1 / (1 + depth * self._stronger))
+        level = color_change - self._depth.in_full(depth * self.lighter)
+        level *= self._depth.in_full(1 / (1 + depth * self.stronger))
         return self._beside.gradients_from_color(level)[0], None
 
     def depth(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:

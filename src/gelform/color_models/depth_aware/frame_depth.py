@@ -24,6 +24,12 @@ def untouched_change(samples: Samples) -> float:
     return float(np.quantile(rest if rest.size else size, UNTOUCHED))
 
 
+def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, float]]:
+    """Rows and columns of the grid that is four times coarser than frames (H, W), and its pitch (x, y), px."""
+    rows, columns = (max(2, size // COARSER) for size in shape)
+    return (rows, columns), (shape[1] / columns, shape[0] / rows)
+
+
 class FrameDepth:
     """Least-squares depth of frames of one shape; immutable, shared by threads.
 
@@ -35,9 +41,8 @@ class FrameDepth:
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
         self._shape, self._square = shape, np.float32(untouched**2)
-        self._coarse = max(2, shape[0] // COARSER), max(2, shape[1] // COARSER)
-        rows, columns = self._coarse
-        self._solver = DctSolver(self._coarse, (shape[1] / columns, shape[0] / rows))
+        self._coarse, pitch_px = coarse_grid(shape)
+        self._solver = DctSolver(self._coarse, pitch_px)
 
     def __call__(
         self, color_change: NDArray[np.float32], gradients: NDArray[np.float32]

@@ -143,21 +143,27 @@ class DepthAwareModel:
 
 
 class PreparedDepthAware:
-    """Both models for whole frames, and a solver for the depth; immutable, shared by threads."""
+    """Both models for whole frames, and a solver for the depth; immutable, shared by threads.
+
+    Attributes
+    ----------
+    place : (H, W, 2), slopes per px of depth without a color change
+    color : (3, 2), slopes per px of depth and color change
+    """
 
     def __init__(self, model: DepthAwareModel) -> None:
         shape = model.plain.shape
         self._plain, self._beside = (one.prepare(np.empty(0), shape) for one in (model.plain, model.beside))
         x, y = unit_position(*np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), shape)
         place = np.stack([np.ones_like(x), x, y], axis=-1) @ model.place
-        self._place, self._color = place.astype(np.float32), model.color.astype(np.float32)
+        self.place, self.color = place.astype(np.float32), model.color.astype(np.float32)
         self._depth = FrameDepth(shape, model.untouched)
 
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
         beside, _ = self._beside.gradients_from_color(color_change)
-        per_depth = color_change @ self._color
-        per_depth += self._place
+        per_depth = color_change @ self.color
+        per_depth += self.place
         depth = self.plain_depth(color_change)
         again = self._depth(color_change, beside + depth[..., None] * per_depth)
         beside += again[..., None] * per_depth

@@ -1,0 +1,28 @@
+"""Medians over chosen pixels are those of the kernel."""
+
+import numpy as np
+import pytest
+
+from gelform.medians import medians_where as by_kernel
+
+torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
+from gelform.torch.maps import block_shares, medians_where  # noqa: E402
+
+
+@pytest.mark.parametrize("share", [None, 0.5, 0.03, 0.0])
+def test_medians_are_the_kernels(share):
+    rng = np.random.default_rng(2)
+    maps = rng.normal(size=(3, 14, 15, 2)).astype(np.float32)
+    chosen = None if share is None else rng.random((3, 14, 15)) < share
+    given = None if chosen is None else torch.from_numpy(chosen)[:, None]
+    found = medians_where(torch.from_numpy(maps).permute(0, 3, 1, 2), given)
+    assert found.shape == (3, 2, 1, 1)
+    for k, one in enumerate(maps):
+        expected, _ = by_kernel(one, None if chosen is None else chosen[k])
+        np.testing.assert_allclose(found[k, :, 0, 0], expected, rtol=1e-6)
+
+
+def test_shares_of_blocks_are_means():
+    found = block_shares(7, 2)
+    np.testing.assert_allclose(found[0], np.array([1, 1, 1, 0.5, 0, 0, 0]) / 3.5, atol=1e-6)
+    np.testing.assert_allclose(found.sum(1), 1, atol=1e-6)
