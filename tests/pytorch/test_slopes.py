@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gelform.color_models import LambertianModel, NearLightModel
+from gelform.color_models import DepthByLightsModel, HierarchicalModel, LambertianModel, NearLightModel
 from gelform.errors import CalibrationError
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
@@ -28,6 +28,16 @@ def test_photometric_stereo_is_the_models_own(model):
     expected = model.gradients_at(change.reshape(-1, 3), x_px, y_px).reshape(*SHAPE, 2)
     found = gradients_module(model, BACKGROUND)(torch.from_numpy(change).permute(2, 0, 1)[None])[0]
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, rtol=2e-4, atol=1e-5)
+
+
+def test_lights_without_known_depths_leave_colours_as_they_are():
+    plain = HierarchicalModel(np.random.default_rng(3).normal(0, 0.3, (2, 2, 19, 2)), 3, SHAPE)
+    lights = NearLightModel(POSITIONS_PX, np.eye(3) + 0.1, 2.0, 1.0, SHAPE)
+    model = DepthByLightsModel(plain, plain, lights, 0.1, 0.01)
+    change = np.random.default_rng(0).uniform(-0.3, 0.5, (*SHAPE, 3)).astype(np.float32)
+    expected, _ = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
+    found = gradients_module(model, BACKGROUND)(torch.from_numpy(change).permute(2, 0, 1)[None])[0]
+    np.testing.assert_allclose(found.permute(1, 2, 0), expected, atol=1e-5)
 
 
 def test_a_model_without_such_a_form_is_named():

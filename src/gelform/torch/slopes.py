@@ -47,7 +47,11 @@ def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
     if isinstance(model, DepthAwareModel):
         return DepthAwareGradients(model, background)
     if isinstance(model, DepthByLightsModel):
-        return DepthByLightsGradients(model, background)
+        return (
+            DepthByLightsGradients(model, background)
+            if model.carries
+            else gradients_module(model.plain, background)
+        )
     raise CalibrationError(
         "Expected a calibration with the color model hierarchical, polynomial, lambertian, near_light, depth_aware or "
         f"depth_by_lights, got {model.name}. Calibrate with --model hierarchical, or use gelform.Reconstructor."

@@ -89,6 +89,11 @@ class DepthByLightsModel:
         depth = FrameDepth(samples.shape, untouched_change(samples))
         return lambda color_change: depth(color_change, plain.gradients_from_color(color_change)[0])
 
+    @property
+    def carries(self) -> bool:
+        """Whether colours are carried to depth 0; fitted without depths, what reads the slopes knows them as they are."""
+        return not np.array_equal(self.plain.nodes, self.beside.nodes)
+
     @classmethod
     def variants(cls, presses: int) -> list[Variant]:
         """Those of `hierarchical`, and the lights; `auto` tries it by a rule of its own."""
@@ -209,7 +214,7 @@ class PreparedDepthByLights:
     def __init__(self, model: DepthByLightsModel, background: NDArray[Any]) -> None:
         shape = model.plain.shape
         self._plain, self._beside = (one.prepare(background, shape) for one in (model.plain, model.beside))
-        self._carries = not np.array_equal(model.plain.nodes, model.beside.nodes)
+        self._carries = model.carries
         self._depth = FrameDepth(shape, model.untouched)
         x, y = self._depth.coarse_positions()
         lighter, stronger = (
@@ -221,7 +226,7 @@ class PreparedDepthByLights:
     def gradients_from_color(self, color_change: NDArray[np.float32]) -> tuple[NDArray[np.float32], None]:
         """Gradients (H, W, 2) of a color change (H, W, 3); their deviation is the calibration's."""
         plain, _ = self._plain.gradients_from_color(color_change)
-        if not self._carries:  # fitted without depths: what reads the slopes knows colours as they are
+        if not self._carries:
             return plain, None
         depth = self._depth.coarse(color_change, plain)[..., None]
         level = color_change - self._depth.in_full(depth * self.lighter)
