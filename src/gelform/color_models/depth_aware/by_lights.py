@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -93,6 +94,18 @@ class DepthByLightsModel:
     def carries(self) -> bool:
         """Whether colours are carried to depth 0; fitted without depths, what reads the slopes knows them as they are."""
         return not np.array_equal(self.plain.nodes, self.beside.nodes)
+
+    @cached_property
+    def frame_depth(self) -> FrameDepth:
+        """What reads the depth of a frame from the slopes of `plain`."""
+        return FrameDepth(self.plain.shape, self.untouched)
+
+    @cached_property
+    def per_depth(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`light_per_depth` on the grid of `frame_depth`, (rows, columns, 3) each: the same for every background."""
+        x, y = self.frame_depth.coarse_positions()
+        lighter, stronger = light_per_depth(self.lights, x.ravel(), y.ravel())
+        return lighter.reshape(*x.shape, 3), stronger.reshape(*x.shape, 3)
 
     @classmethod
     def variants(cls, presses: int) -> list[Variant]:
@@ -215,11 +228,7 @@ class PreparedDepthByLights:
         shape = model.plain.shape
         self._plain, self._beside = (one.prepare(background, shape) for one in (model.plain, model.beside))
         self._carries = model.carries
-        self._depth = FrameDepth(shape, model.untouched)
-        x, y = self._depth.coarse_positions()
-        lighter, stronger = (
-            one.reshape(*x.shape, 3) for one in light_per_depth(model.lights, x.ravel(), y.ravel())
-        )
+        self._depth, (lighter, stronger) = model.frame_depth, model.per_depth
         seen = self._depth.made_coarse(_seen(background)) if background.size else 1.0
         self.lighter, self.stronger = (lighter * seen).astype(np.float32), stronger.astype(np.float32)
 
