@@ -113,6 +113,10 @@ def real() -> dict[str, Any]:
             [i for ball_ in by_ball for i in ball_[0::2]],
             [i for ball_ in by_ball for i in ball_[1::2]],
         ),
+        "the others calibrate, every second press tests": (
+            [i for ball_ in by_ball for i in ball_[1::2]],
+            [i for ball_ in by_ball for i in ball_[0::2]],
+        ),
         "6.31 mm calibrates, 9.50 mm tests": (by_ball[0], by_ball[1]),
         "9.50 mm calibrates, 6.31 mm tests": (by_ball[1], by_ball[0]),
         "every sixth press calibrates (12), the others test": (order[0::6], _without(order, order[0::6])),

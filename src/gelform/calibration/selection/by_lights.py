@@ -17,7 +17,7 @@ from gelform.color_models import DepthByLightsModel, HierarchicalModel
 
 LEAST_PRESSES = 25  # the rule was made and judged on 30; a calibration takes half as long again
 # Part of the colours, root mean square, that near lights may leave unexplained. On simulated sensors in the open they leave
-# 0.05-0.21; on a simulated GelSight Mini 0.39 and on a real one 0.49, where the law says nothing true of the depth.
+# 0.05-0.21; on a real GelSight Mini 0.49, where the law says nothing true of the depth.
 MOST_UNEXPLAINED = 0.28
 
 
