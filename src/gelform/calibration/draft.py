@@ -44,8 +44,7 @@ def fit_all(
     refined : their circles, and which presses are accepted
     chosen : the color model, its settings and its training zone
     """
-    used = [prepared[i] for i in refined.accepted]
-    contacts = [refined.contacts[i] for i in refined.accepted]
+    used, contacts = refined.of_accepted(prepared)
     own = [presses.presses[i] for i in refined.accepted]
     samples = chosen.samples(used, contacts)
     noise = presses.background_noise

@@ -139,8 +139,9 @@ def _surround_sigma(
     prepared = by_offset.get(DepthAwareModel.change_offset)
     if prepared is None:
         return 0.0
-    used, contacts = zip(*((prepared[i], refined.contacts[i]) for i in refined.accepted))
-    return surround_sigma(used, contacts, zone, model if isinstance(model, DepthByLightsModel) else None)
+    return surround_sigma(
+        *refined.of_accepted(prepared), zone, model if isinstance(model, DepthByLightsModel) else None
+    )
 
 
 def _refined_and_folded(

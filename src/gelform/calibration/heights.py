@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -107,24 +108,19 @@ def judged_by_heights(
         return selection, ()
     if chosen.model != wanted or chosen.start is not None:
         return selection, (_unused(len(presses.flats), chosen),)
-    aware = replace(chosen, model=DepthAwareModel.name)
-    draft = fit_all(presses, by_offset[aware.change_offset], refined, aware)
+    whole = replace(chosen, model=DepthAwareModel.name)
+    draft = fit_all(presses, by_offset[whole.change_offset], refined, whole)
     judged = judgement(draft, presses.flats)
     if judged is None:
         return selection, (f"{_counted(len(presses.flats))} of known height did not count: {UNREAD}.",)
     tells = judged.share_sigma <= INFORMED if named else judged.clear
     if not tells:
         return selection, (_said(judged, presses, judged.why_not),)
-    aware = _with_share(aware, judged.used_share)
-    (trial,) = held_out.try_candidates([aware])
+    with_share = partial(_aware, share=judged.used_share)
+    (trial,) = held_out.try_candidates([with_share(chosen)])
     if not named and worse_on_balls(trial, selection):
         return selection, (_said(judged, presses, "but balls worse, so it was not chosen."),)
-    by_fold = tuple(
-        _with_share(replace(one, model=aware.model), judged.used_share) if one.model == wanted else one
-        for one in selection.by_fold
-    )
-    taken = Selection(aware, by_fold, (*selection.trials, trial))
-    return taken, (_said(judged, presses, "and was chosen."),)
+    return selection.exchanged(trial, with_share), (_said(judged, presses, "and was chosen."),)
 
 
 def judgement(draft: Calibration, flats: Sequence[FlatPress]) -> HeightJudgement | None:
@@ -194,8 +190,8 @@ def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
     return float(depth_mm[square <= max(MIDDLE**2 * area / np.pi, 1.0)].mean())
 
 
-def _with_share(candidate: Candidate, share: float) -> Candidate:
-    return replace(candidate, settings=(*candidate.settings, ("share", share)))
+def _aware(candidate: Candidate, share: float) -> Candidate:
+    return replace(candidate, model=DepthAwareModel.name, settings=(*candidate.settings, ("share", share)))
 
 
 def _unused(count: int, chosen: Candidate) -> str:

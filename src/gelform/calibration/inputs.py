@@ -70,14 +70,14 @@ def repeated_images(presses: Presses) -> dict[int, str]:
 
 
 def _check_flats(presses: Presses) -> None:
-    first = {press.digest: press.name for press in presses.presses}
+    names = {press.digest: press.name for press in presses.presses}
     for flat in presses.flats:
-        earlier = first.setdefault(flat.digest, flat.name)
-        if earlier is not flat.name:
+        if flat.digest in names:
             raise CalibrationError(
                 f"{flat.name} of {presses.folder}, listed as a flat punch {flat.height_mm:g} mm high, is the same image as "
-                f"{earlier}. Correct the table: one row for each press."
+                f"{names[flat.digest]}. Correct the table: one row for each press."
             )
+        names[flat.digest] = flat.name
 
 
 def _check_colored(presses: Presses) -> None:
@@ -164,8 +164,7 @@ def input_notes(
     refined : their circles, and which are accepted
     samples : of each press, read by a model that has not seen it
     """
-    prepared = [prepared[i] for i in refined.accepted]
-    contacts = [refined.contacts[i] for i in refined.accepted]
+    prepared, contacts = refined.of_accepted(prepared)
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
     order = light_order_note(presses, prepared, contacts)
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)

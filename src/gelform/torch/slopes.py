@@ -78,14 +78,21 @@ class PolynomialGradients(nn.Module):
         return gradients
 
 
-class DepthAwareGradients(nn.Module):
+class _GradientsByDepth(nn.Module):
+    """A plain polynomial that reads the depth of the frame, and one beside it for the slopes."""
+
+    def __init__(self, model: DepthAwareModel | DepthByLightsModel, shape: tuple[int, int]) -> None:
+        super().__init__()
+        self.plain, self.beside = (PolynomialGradients(one, shape) for one in (model.plain, model.beside))
+        self.depth = FrameDepth(shape, model.untouched)
+
+
+class DepthAwareGradients(_GradientsByDepth):
     """Slopes with terms of the depth: first of that which a plain polynomial reads, then of that of these slopes."""
 
     def __init__(self, model: DepthAwareModel, background: NDArray[Any]) -> None:
-        super().__init__()
         shape = background.shape[:2]
-        self.plain, self.beside = (PolynomialGradients(one, shape) for one in (model.plain, model.beside))
-        self.depth = FrameDepth(shape, model.untouched)
+        super().__init__(model, shape)
         prepared = model.prepare(background, shape)
         self.register_buffer("place", planes(prepared.place))
         self.register_buffer("color", _tensor(prepared.color))
@@ -99,14 +106,12 @@ class DepthAwareGradients(nn.Module):
         return beside + again * per_depth
 
 
-class DepthByLightsGradients(nn.Module):
+class DepthByLightsGradients(_GradientsByDepth):
     """A polynomial of the color change that there would be at depth 0; a plain polynomial reads the depth."""
 
     def __init__(self, model: DepthByLightsModel, background: NDArray[Any]) -> None:
-        super().__init__()
         shape = background.shape[:2]
-        self.plain, self.beside = (PolynomialGradients(one, shape) for one in (model.plain, model.beside))
-        self.depth = FrameDepth(shape, model.untouched)
+        super().__init__(model, shape)
         prepared = model.prepare(background, shape)
         self.register_buffer("lighter", planes(prepared.lighter))
         self.register_buffer("stronger", planes(prepared.stronger))

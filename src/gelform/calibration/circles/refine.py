@@ -55,6 +55,12 @@ class Refined:
         """Indices of the presses that fit."""
         return [i for i, reason in enumerate(self.reasons) if reason is None]
 
+    def of_accepted(
+        self, presses: Sequence[PreparedPress]
+    ) -> tuple[list[PreparedPress], list[ContactCircle]]:
+        """Those of all presses that fit, and their circles."""
+        return [presses[i] for i in self.accepted], [self.contacts[i] for i in self.accepted]
+
 
 def refining_degrees(count: int) -> tuple[int, ...]:
     """Position degrees that a number of presses can carry while their circles are still uncertain."""

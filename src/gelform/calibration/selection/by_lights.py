@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress
@@ -40,19 +41,13 @@ def judged_by_lights(
     fits = chosen.model == HierarchicalModel.name and chosen.start is None
     if not fits or len(refined.accepted) < LEAST_PRESSES:
         return selection, ()
-    used, contacts = zip(
-        *((by_offset[chosen.change_offset][i], refined.contacts[i]) for i in refined.accepted)
-    )
-    model = DepthByLightsModel.fit(chosen.samples(used, contacts), **dict(chosen.settings))
-    if model.unexplained > MOST_UNEXPLAINED:
+    samples = chosen.samples(*refined.of_accepted(by_offset[chosen.change_offset]))
+    _, unexplained = DepthByLightsModel.lights_of(samples)
+    if unexplained > MOST_UNEXPLAINED:
         return selection, ()
-    lit = replace(chosen, model=DepthByLightsModel.name)
-    (trial,) = held_out.try_candidates([lit])
-    said = f"Near lights explain all but {100 * model.unexplained:.0f} % of the colours, and so what depth does to them: "
+    lit = partial(replace, model=DepthByLightsModel.name)
+    (trial,) = held_out.try_candidates([lit(chosen)])
+    said = f"Near lights explain all but {100 * unexplained:.0f} % of the colours, and so what depth does to them: "
     if worse_on_balls(trial, selection):
-        return selection, (f"{said}{lit.model} reads balls worse, though, and was not chosen.",)
-    by_fold = tuple(
-        replace(one, model=lit.model) if one.model == chosen.model else one for one in selection.by_fold
-    )
-    taken = Selection(lit, by_fold, (*selection.trials, trial))
-    return taken, (f"{said}{lit.model} was chosen.",)
+        return selection, (f"{said}{DepthByLightsModel.name} reads balls worse, though, and was not chosen.",)
+    return selection.exchanged(trial, lit), (f"{said}{DepthByLightsModel.name} was chosen.",)

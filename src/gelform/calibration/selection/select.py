@@ -15,7 +15,7 @@ scored by what was chosen then.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -40,6 +40,11 @@ class Selection:
     chosen: Candidate
     by_fold: tuple[Candidate, ...]
     trials: tuple[Trial, ...]
+
+    def exchanged(self, trial: Trial, exchange: Callable[[Candidate], Candidate]) -> Selection:
+        """The candidate of a further trial in place of the chosen one, and in folds that chose the same color model."""
+        by_fold = tuple(exchange(one) if one.model == self.chosen.model else one for one in self.by_fold)
+        return Selection(trial.candidate, by_fold, (*self.trials, trial))
 
 
 def select(

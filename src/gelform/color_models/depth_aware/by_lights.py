@@ -69,19 +69,25 @@ class DepthByLightsModel:
         samples, position_degrees, ridge : as for `HierarchicalModel.fit`
         """
         plain = HierarchicalModel.fit(samples, position_degrees=position_degrees, ridge=ridge)
-        seen = _seen_at(samples)
-        ratios = replace(samples, color_change=np.asarray(samples.color_change, dtype=np.float64) / seen)
-        lights = NearLightModel.fit(_some_pressed(ratios))
-        found = cls(plain, plain, lights, _unexplained(lights, ratios), untouched_change(samples))
+        lights, unexplained = cls.lights_of(samples)
+        found = cls(plain, plain, lights, unexplained, untouched_change(samples))
         if samples.depth_px is None:
             return found
         lighter, stronger = light_per_depth(lights, samples.x_px, samples.y_px)
         depth = np.asarray(samples.depth_px, dtype=np.float64)[:, None]
-        level = (samples.color_change - depth * lighter * seen) / (1 + depth * stronger)
+        level = (samples.color_change - depth * lighter * _seen_at(samples)) / (1 + depth * stronger)
         beside = HierarchicalModel.fit(
             replace(samples, color_change=level), position_degrees=position_degrees, ridge=ridge
         )
         return replace(found, beside=beside)
+
+    @classmethod
+    def lights_of(cls, samples: Samples) -> tuple[NearLightModel, float]:
+        """Near lights fitted to the contacts, and the part of their color change, root mean square, left unexplained."""
+        change = np.asarray(samples.color_change, dtype=np.float64)
+        ratios = replace(samples, color_change=change / _seen_at(samples))
+        lights = NearLightModel.fit(_some_pressed(ratios))
+        return lights, _unexplained(lights, ratios)
 
     @classmethod
     def depth_reader(cls, samples: Samples, **settings: Any) -> Read:
