@@ -1,65 +1,36 @@
 // Gradients as a polynomial in the color change whose coefficients are given at nodes and bilinear between them.
 #include "../background/blurred_change.h"
-#include "monomials.h"
+#include "nodes.h"
 
 struct hierarchical {
-  const float *nodes;      // (rows, columns, terms, 2), PIXELS pixels apart
+  struct node_grid grid;   // of coefficients (terms, 2)
   const int32_t *parents;  // (terms, 2)
-  ptrdiff_t rows, columns, terms, w;
-  float *line, *planes, *ramps;  // work: (columns, terms, 2), (3, padded), (terms, 4)
+  ptrdiff_t terms, w;
+  float *planes;  // work: (3, padded)
 };
 
 static ptrdiff_t hierarchical_work(ptrdiff_t columns, ptrdiff_t terms, ptrdiff_t w) {
-  return columns * terms * 2 + 3 * padded_width(w) + terms * 4;
+  return node_work(columns, 2 * terms) + 3 * padded_width(w);
 }
 
 static void place_work(struct hierarchical *m, float *work) {
-  const ptrdiff_t padded = padded_width(m->w);
-  m->line = work;
-  m->planes = work + m->columns * m->terms * 2;
-  m->ramps = m->planes + 3 * padded;
-  memset(m->planes, 0, sizeof(float) * 3 * padded);
+  m->grid.line = work;
+  m->grid.ramps = work + m->grid.columns * m->grid.count;
+  m->planes = m->grid.ramps + 2 * m->grid.count;
+  memset(m->planes, 0, sizeof(float) * 3 * padded_width(m->w));
 }
-
-// The coefficients in row y at the nodes' columns around pixels first ... first + count - 1.
-static void coefficients_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t first, ptrdiff_t count) {
-  const ptrdiff_t node = y / PIXELS < m->rows - 2 ? y / PIXELS : m->rows - 2, column = m->terms * 2, whole = m->columns * column;
-  const ptrdiff_t last = (first + count - 1) / PIXELS + 2, to = (last < m->columns ? last : m->columns) * column;
-  const ptrdiff_t beyond = m->columns - 2, from = (first / PIXELS < beyond ? first / PIXELS : beyond) * column;
-  const float v = (float)(y - node * PIXELS) / PIXELS;
-  const float *restrict above = m->nodes + node * whole, *restrict below = above + whole;
-  float *restrict line = m->line;
-  for (ptrdiff_t k = from; k < to; k++) line[k] = above[k] + v * (below[k] - above[k]);
-}
-
-// Coefficients of the pixels from `start` on: for each term those of p and q at the first pixel, and how much the next node's
-// are more.
-static void ramps_of_block(const struct hierarchical *m, ptrdiff_t start, float *restrict ramps) {
-  const ptrdiff_t last = m->columns - 2, count = m->terms * 2, node = start / PIXELS < last ? start / PIXELS : last;
-  const float beyond = (float)(start / PIXELS - node);  // a pixel on the last node has none to its right
-  const float *restrict left = m->line + node * count, *restrict right = left + count;
-  for (ptrdiff_t k = 0; k < count; k++) {
-    const float step = right[k] - left[k];
-    ramps[2 * k] = left[k] + beyond * step;
-    ramps[2 * k + 1] = step;
-  }
-}
-
-static const lanes RAMP = {0,      0.0625, 0.125,  0.1875, 0.25,  0.3125, 0.375,  0.4375,
-                           0.5,    0.5625, 0.625,  0.6875, 0.75,  0.8125, 0.875,  0.9375};
 
 // Slopes of `count` pixels of row y, the first a node's column, from their color change.
 static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t first, ptrdiff_t count, const float *change,
                           float *gradients) {
   const ptrdiff_t stride = padded_width(m->w), terms = m->terms;
   const int32_t *parents = m->parents;
-  float *ramps = m->ramps;
   lanes products[MAX_TERMS];
-  coefficients_of_row(m, y, first, count);
+  coefficients_of_row(&m->grid, y, first, count);
   planes_of_row(change, m->planes, count, stride);
   for (ptrdiff_t start = 0; start < count; start += PIXELS) {
     lanes p = {0}, q = {0};
-    ramps_of_block(m, first + start, ramps);
+    const float *ramps = ramps_of_block(&m->grid, first + start);
     for (ptrdiff_t t = 0; t < terms; t++) {
       const lanes product = next_monomial(parents + 2 * t, m->planes + start, stride, products, t);
       const float *ramp = ramps + 4 * t;
@@ -71,14 +42,10 @@ static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t f
   }
 }
 
-static bool nodes_fit(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t h, ptrdiff_t w) {
-  return rows >= 2 && columns >= 2 && h <= (rows - 1) * PIXELS + 1 && w <= (columns - 1) * PIXELS + 1;
-}
-
 EXPORT int hierarchical_gradients(const float *change, const float *nodes, const int32_t *parents, float *work,
                                   float *gradients, ptrdiff_t h, ptrdiff_t w, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                   ptrdiff_t n) {
-  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL};
+  struct hierarchical model = {{nodes, r, c, 2 * t, NULL, NULL}, parents, t, w, NULL};
   if (!nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) || n < hierarchical_work(c, t, w))
     return WRONG_SIZE;
   place_work(&model, work);
@@ -93,7 +60,7 @@ EXPORT int hierarchical_from_image(const uint8_t *image, const float *light, con
                                    ptrdiff_t w, ptrdiff_t s, ptrdiff_t k, ptrdiff_t r, ptrdiff_t c, ptrdiff_t t,
                                    ptrdiff_t n) {
   struct blurred_change rows = {image, light, scale, untouched, gain, taps, h, w, k - 1, 0, 0, 0, NULL, NULL, 0};
-  struct hierarchical model = {nodes, parents, r, c, t, w, NULL, NULL, NULL};
+  struct hierarchical model = {{nodes, r, c, 2 * t, NULL, NULL}, parents, t, w, NULL};
   const ptrdiff_t own = blurred_change_work(w, rows.radius);
   if (s != 3 * w || !nodes_fit(r, c, h, w) || !monomials_are_ordered(parents, t) ||
       !place_ring(&rows, work, n) || n < own + hierarchical_work(c, t, w))

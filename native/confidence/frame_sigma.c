@@ -1,18 +1,18 @@
-// Which pixels are untouched, their slopes without bias, and the slopes' deviation by law and colour: one pass over a frame.
+// Which pixels are untouched, their slopes without bias, and the slopes' deviation: one pass over a frame.
 #include "../common.h"
 
 enum { PIXELS = 64 };  // at a time: unpacked to lines, on which the arithmetic is vectors
 
 // What does not depend on the pixel; see PreparedSigma.
 struct settings {
-  const float *common, *bias, *law, *gamut, *low;
-  float square, steps, grows, rest, bins_per_change, worth, unlearnt;
-  int32_t law_size, gamut_size;
+  const float *common, *bias, *law;
+  float square, steps, grows, rest;
+  int32_t law_size;
 };
 
 struct lines {
   float r[PIXELS], g[PIXELS], b[PIXELS], p[PIXELS], q[PIXELS];
-  float beyond[PIXELS], variance[PIXELS], fraction[PIXELS], square[PIXELS];
+  float variance[PIXELS], fraction[PIXELS], square[PIXELS];
   int32_t untouched[PIXELS], index[PIXELS];
 };
 
@@ -31,26 +31,7 @@ static inline void find_untouched(struct lines *restrict l, const struct setting
   }
 }
 
-// Distance of each colour from those of the training presses, as a slope: the nearest bin's, and the way there.
-static inline void distance_from_gamut(struct lines *restrict l, const struct settings *restrict s) {
-  if (s->gamut == NULL) {
-    memset(l->beyond, 0, sizeof l->beyond);
-    return;
-  }
-  const float scale = s->bins_per_change, last = (float)(s->gamut_size - 1);
-  const float r0 = s->low[0] * scale, g0 = s->low[1] * scale, b0 = s->low[2] * scale;
-  const int32_t size = s->gamut_size;
-  for (int k = 0; k < PIXELS; k++) {
-    const float r = l->r[k] * scale - r0, g = l->g[k] * scale - g0, b = l->b[k] * scale - b0;
-    const float i = clamp(r, 0, last), j = clamp(g, 0, last), m = clamp(b, 0, last);
-    l->beyond[k] = (r - i) * (r - i) + (g - j) * (g - j) + (b - m) * (b - m);
-    l->index[k] = ((int32_t)(i + 0.5f) * size + (int32_t)(j + 0.5f)) * size + (int32_t)(m + 0.5f);
-  }
-  for (int k = 0; k < PIXELS; k++) l->variance[k] = s->gamut[l->index[k]];
-  for (int k = 0; k < PIXELS; k++) l->beyond[k] = l->variance[k] + s->worth * sqrtf(l->beyond[k]);
-}
-
-// Variance of each slope by the law of its size: linear between the table's values, proportional beyond the last.
+// By the law of a slope's size: linear between the table's values, proportional beyond the last.
 static inline void variance_by_law(struct lines *restrict l, const struct settings *restrict s) {
   const float end = (float)(s->law_size - 2), steps = s->steps, grows = s->grows;
   for (int k = 0; k < PIXELS; k++) {
@@ -66,21 +47,13 @@ static inline void variance_by_law(struct lines *restrict l, const struct settin
     l->variance[k] = l->fraction[k] <= end ? l->variance[k] : grows * l->square[k];
 }
 
-// Slopes beyond the steepest that the presses showed at their place: a variance by how far beyond at least.
-static inline void variance_of_steepness(struct lines *restrict l, const struct settings *restrict s,
-                                         const float *restrict place, const float *restrict per_steepest, ptrdiff_t n) {
-  for (ptrdiff_t k = 0; k < n; k++) {
-    const float slope = sqrtf(l->square[k]);
-    const float least = s->unlearnt * slope * larger(slope * per_steepest[k] - 1, 0);
-    l->variance[k] = larger(l->variance[k] * place[k], least * least);
-  }
-}
-
-static inline void deviation(const struct lines *restrict l, const struct settings *restrict s,
-                             float *restrict sigma, ptrdiff_t n) {
+static inline void deviation(const struct lines *restrict l, const struct settings *restrict s, const float *restrict place,
+                             const float *restrict variance, float *restrict sigma, ptrdiff_t n) {
   const float rest = s->rest;
-  for (ptrdiff_t k = 0; k < n; k++)
-    sigma[k] = sqrtf((l->untouched[k] ? rest : l->variance[k]) + l->beyond[k] * l->beyond[k]);
+  if (variance == NULL)
+    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest : l->variance[k] * place[k]);
+  else
+    for (ptrdiff_t k = 0; k < n; k++) sigma[k] = sqrtf(l->untouched[k] ? rest : l->variance[k] * place[k] * variance[k]);
 }
 
 // How many pixels have a slope that is NaN or beyond the highest.
@@ -109,15 +82,13 @@ static inline void decide_untouched(struct lines *restrict l, const struct setti
   else if (hidden != NULL) hide_untouched(l, hidden + start, n);
 }
 
-// `given`: untouched pixels that were decided elsewhere, or NULL. `bias` is subtracted from the gradients. Returns how many
-// pixels have a slope that is NaN or beyond the highest.
-EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common,
-                       const float *bias, const float *place, const float *per_steepest, const float *law,
-                       const float *gamut, const float *low, float *gradients, bool *untouched, float *sigma,
-                       float square, float steps, float grows, float rest, float bins_per_change, float worth,
-                       float unlearnt, float highest, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t g) {
-  const struct settings s = {common, bias, law, gamut, low, square, steps, grows, rest, bins_per_change,
-                             worth, unlearnt, (int32_t)t, (int32_t)g};
+// `given`: untouched pixels that were decided elsewhere, or NULL. `variance`: of each slope by its step, or NULL. `bias` is
+// subtracted from the gradients. Returns how many pixels have a slope that is NaN or beyond the highest.
+EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *given, const float *common, const float *bias,
+                       const float *place, const float *law, const float *variance, float *gradients, bool *untouched,
+                       float *sigma, float square, float steps, float grows, float rest, float highest, ptrdiff_t h,
+                       ptrdiff_t w, ptrdiff_t t) {
+  const struct settings s = {common, bias, law, square, steps, grows, rest, (int32_t)t};
   struct lines l = {0};
   int refused = 0;
   if (t < 2) return WRONG_SIZE;
@@ -126,10 +97,8 @@ EXPORT int frame_sigma(const float *change, const bool *hidden, const bool *give
     unpack(&l, change + 3 * start, gradients + 2 * start, bias, n);
     refused += count_refused(&l, highest, n);
     decide_untouched(&l, &s, hidden, given, start, n);
-    distance_from_gamut(&l, &s);
     variance_by_law(&l, &s);
-    variance_of_steepness(&l, &s, place + start, per_steepest + start, n);
-    deviation(&l, &s, sigma + start, n);
+    deviation(&l, &s, place + start, variance == NULL ? NULL : variance + start, sigma + start, n);
     write_back(&l, gradients + 2 * start, untouched + start, n);
   }
   return refused;

@@ -1,19 +1,16 @@
 // Standard deviation of the solved slopes: from that of the slopes that were read, by slope and place, and with what presses of
-// balls do not show: blurred walls, the gel's depth, weak light.
+// balls do not show: blurred walls.
 #include "../common.h"
 
 // Besides its own reading a slope is known by the two loops of four edges that it closes, each through three others.
 static const float LOOPS = 2.0f / 3;
 
-// Of pairs the first is outside contacts, the second in them.
 struct numbers {
-  const float *curvature, *bend, *depth;
-  float bend_from, unlimited, from_slope, per_slope, limit, dim_from;
+  float curvature, unlimited, from_slope, per_slope, limit;
 };
 
 struct maps {
-  const float *sigma, *gradients, *gentle, *steep, *dim;
-  const bool *contact;
+  const float *sigma, *gentle, *steep, *gradients;
 };
 
 static inline float square_of(float x) { return x * x; }
@@ -27,69 +24,55 @@ static inline void sum_of_three_rows(const float *restrict above, const float *r
   column[w + 1] = column[w];
 }
 
-// Of the slopes (p, q) of a row: second differences to those on four sides, and the sum of the squares of the first ones.
+// Of the slopes (p, q) of a row: second differences to those on four sides.
 static inline void compare(const float *restrict row, ptrdiff_t left, ptrdiff_t right, const float *restrict above,
-                           const float *restrict below, float *restrict second, float *restrict squares, ptrdiff_t first,
-                           ptrdiff_t end) {
+                           const float *restrict below, float *restrict second, ptrdiff_t first, ptrdiff_t end) {
   for (ptrdiff_t i = first; i < end; i++) {
-    const float here = row[i], a = row[i - left] - here, b = row[i + right] - here, c = above[i] - here, d = below[i] - here;
-    second[i] = (a + b) + (c + d);
-    squares[i] = (a * a + b * b) + (c * c + d * d);
+    const float here = row[i];
+    second[i] = ((row[i - left] - here) + (row[i + right] - here)) + ((above[i] - here) + (below[i] - here));
   }
 }
 
 // Where the frame ends before the other pixel nothing differs.
-static inline void compare_row(const float *row, ptrdiff_t reach, ptrdiff_t y, float *restrict second, float *restrict squares,
-                               ptrdiff_t h, ptrdiff_t w) {
+static inline void compare_row(const float *row, ptrdiff_t reach, ptrdiff_t y, float *restrict second, ptrdiff_t h, ptrdiff_t w) {
   const float *above = y >= reach ? row - 2 * reach * w : row, *below = y < h - reach ? row + 2 * reach * w : row;
   const ptrdiff_t inner = reach < w ? reach : w, outer = w - inner, side = 2 * reach;
   const ptrdiff_t a = 2 * (inner < outer ? inner : outer), b = 2 * (inner < outer ? outer : inner);
   const ptrdiff_t both = inner <= outer ? side : 0;
-  compare(row, 0, side, above, below, second, squares, 0, a);
-  compare(row, both, both, above, below, second, squares, a, b);
-  compare(row, side, 0, above, below, second, squares, b, 2 * w);
+  compare(row, 0, side, above, below, second, 0, a);
+  compare(row, both, both, above, below, second, a, b);
+  compare(row, side, 0, above, below, second, b, 2 * w);
 }
 
 static inline void solve_row(const struct numbers *restrict n, const struct maps *restrict m, ptrdiff_t at,
-                             const float *restrict column, const float *restrict second, const float *restrict squares,
-                             float *restrict solved, ptrdiff_t w) {
-  const float *restrict sigma = m->sigma + at, *restrict row = m->gradients + 2 * at, *restrict dim = m->dim + at;
+                             const float *restrict column, const float *restrict second, float *restrict solved, ptrdiff_t w) {
+  const float *restrict sigma = m->sigma + at, *restrict row = m->gradients + 2 * at;
   const float *restrict gentle = m->gentle + at, *restrict steep = m->steep + at;
-  const bool *restrict contact = m->contact + at;
-  const float curvature_out = square_of(n->curvature[0]), curvature_in = square_of(n->curvature[1]);
-  const float bend_out = square_of(n->bend[0]), bend_in = square_of(n->bend[1]);
-  const float depth_out = square_of(n->depth[0]), depth_in = square_of(n->depth[1]);
+  const float curvature = square_of(n->curvature);
   for (ptrdiff_t x = 0; x < w; x++) {
     const float own = square_of(smaller(sigma[x], n->unlimited));
     const float others = (column[x] + column[x + 1] + column[x + 2] - own) * 0.125f;
     const float read = sqrtf((1 + LOOPS) * own * others / (others + LOOPS * own));
-    const float square = square_of(row[2 * x]) + square_of(row[2 * x + 1]);
-    const float along = clamp((sqrtf(square) - n->from_slope) * n->per_slope, 0, 1);
+    const float along = clamp((sqrtf(square_of(row[2 * x]) + square_of(row[2 * x + 1])) - n->from_slope) * n->per_slope, 0, 1);
     const float known = smaller(read * (gentle[x] + along * (steep[x] - gentle[x])), n->limit);
-    const bool in = contact[x];
-    const float curvature = in ? curvature_in : curvature_out, bend = in ? bend_in : bend_out;
-    const float bent = larger(0.5f * (squares[2 * x] + squares[2 * x + 1]) - n->bend_from, 0);
-    const float wall = curvature * (square_of(second[2 * x]) + square_of(second[2 * x + 1])) + bend * bent;
-    const float weak = in ? 1 : square / (square + n->dim_from);
-    solved[x] = sqrtf(known * known + wall + (in ? depth_in : depth_out) * square + weak * square_of(dim[x]));
+    solved[x] = sqrtf(known * known + curvature * (square_of(second[2 * x]) + square_of(second[2 * x + 1])));
   }
 }
 
-EXPORT int solved_sigma(const float *sigma, const float *gradients, const bool *contact, const float *gentle,
-                        const float *steep, const float *dim, const float *curvature, const float *bend,
-                        const float *depth, float *work, float *solved, float bend_from, float unlimited, float from_slope,
-                        float per_slope, float limit, float dim_from, int32_t reach, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
-  if (reach < 1 || n < 5 * w + 2 || !(dim_from > 0)) return WRONG_SIZE;
-  const struct numbers values = {curvature, bend, depth, bend_from * bend_from, unlimited, from_slope, per_slope, limit, dim_from * dim_from};
-  const struct maps m = {sigma, gradients, gentle, steep, dim, contact};
-  float *column = work, *second = work + w + 2, *squares = second + 2 * w;
-  memset(second, 0, (size_t)(4 * w) * sizeof *second);
+EXPORT int solved_sigma(const float *sigma, const float *gradients, const float *gentle, const float *steep, float *work,
+                        float *solved, float curvature, float unlimited, float from_slope, float per_slope, float limit,
+                        int32_t reach, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+  if (reach < 1 || n < 3 * w + 2) return WRONG_SIZE;
+  const struct numbers values = {curvature, unlimited, from_slope, per_slope, limit};
+  const struct maps m = {sigma, gentle, steep, gradients};
+  float *column = work, *second = work + w + 2;
+  memset(second, 0, (size_t)(2 * w) * sizeof *second);
   for (ptrdiff_t y = 0; y < h; y++) {
     const ptrdiff_t at = y * w;
     const float *here = sigma + at, *above = y > 0 ? here - w : here, *below = y < h - 1 ? here + w : here;
     sum_of_three_rows(above, here, below, unlimited, column, w);
-    if (curvature[1] > 0) compare_row(gradients + 2 * at, reach, y, second, squares, h, w);
-    solve_row(&values, &m, at, column, second, squares, solved + at, w);
+    if (curvature > 0) compare_row(gradients + 2 * at, reach, y, second, h, w);
+    solve_row(&values, &m, at, column, second, solved + at, w);
   }
   return OK;
 }

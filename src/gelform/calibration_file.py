@@ -20,16 +20,16 @@ from gelform.checks import (
     check_values,
     check_within,
 )
-from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel
-from gelform.color_models._shared.forward import ForwardResponse
-from gelform.color_models._shared.gamut import Gamut
+from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
+from gelform.color_models.older_response import older_response
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.npz_files import digest_of, read_npz, write_npz
 from gelform.view import View
 
 KIND = "gelform calibration"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+DISCONTINUED = ("depth_aware", "depth_by_lights")  # color models that only gelform 0.1.0 had
 MAX_BYTES = 512 * 2**20
 
 
@@ -55,7 +55,6 @@ class Calibration:
     training_digests : SHA-256 of the images that were used
     settings : what the calibration chose and was given: training zone, model settings, gel_thickness_mm ...
     library_version, created_utc : by what and when
-    gamut : the colours it was fitted on; None where they are not known
     report : the CalibrationReport of the run that made it; not saved
     """
 
@@ -78,7 +77,6 @@ class Calibration:
     settings: dict[str, Any]
     library_version: str
     created_utc: str
-    gamut: Gamut | None = None
     report: Any = field(default=None, repr=False)
 
     @cached_property
@@ -150,14 +148,13 @@ class Calibration:
 
     def _contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         model_arrays, model_settings = self.color_model.to_arrays()
+        forward_arrays, forward_settings = ({}, None) if self.forward is None else self.forward.to_arrays()
         arrays: dict[str, NDArray[Any]] = {
             "background": self.background,
             "background_noise": self.background_noise,
-            **_forward_arrays(self.forward),
+            **{f"forward_{name}": array for name, array in forward_arrays.items()},
             **{f"model_{name}": array for name, array in model_arrays.items()},
         }
-        if self.gamut is not None:
-            arrays |= {"gamut_distance": self.gamut.distance, "gamut_low": self.gamut.low}
         meta: dict[str, Any] = {
             "sensor_name": self.sensor_name,
             "serial": self.serial,
@@ -169,10 +166,8 @@ class Calibration:
             "change": asdict(self.change),
             "color_model": self.color_model.name,
             "model_settings": model_settings,
-            "forward_settings": self.forward and self.forward.settings(),
+            "forward_settings": forward_settings,
             "slope_sigma": self.slope_sigma and asdict(self.slope_sigma),
-            "gamut": self.gamut
-            and {"cell": self.gamut.bin_width, "slope_per_change": self.gamut.slope_per_change},
             "untouched_change": self.untouched_change,
             "background_digest": self.background_digest,
             "held_out": self.held_out,
@@ -253,9 +248,14 @@ def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibratio
 def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
     shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
     models = {**COLOR_MODELS, **IMPORTED_MODELS}
+    if meta["color_model"] in DISCONTINUED:
+        raise CalibrationError(
+            f"This calibration's color model is {meta['color_model']}, which the forward response has replaced. Calibrate "
+            "again from its presses, or install gelform 0.1.0, which reads it."
+        )
     if meta["color_model"] not in models:
         raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
-    own = {name.removeprefix("model_"): array for name, array in arrays.items() if name.startswith("model_")}
+    own = _parts(arrays, "model_")
     return Calibration(
         sensor_name=meta["sensor_name"],
         serial=meta["serial"],
@@ -268,7 +268,7 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         background_noise=arrays["background_noise"],
         change=ChangeSettings(**meta["change"]),
         color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
-        forward=_forward(arrays, meta["forward_settings"], shape),
+        forward=_forward(_parts(arrays, "forward_"), meta["forward_settings"], shape, meta["mm_per_px"]),
         slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
         untouched_change=meta["untouched_change"],
         held_out=meta["held_out"],
@@ -276,25 +276,19 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         settings=meta["settings"],
         library_version=meta["library_version"],
         created_utc=meta["created_utc"],
-        gamut=_gamut(arrays, meta["gamut"]) if meta.get("gamut") else None,
     )
 
 
-def _forward_arrays(forward: ForwardResponse | None) -> dict[str, NDArray[Any]]:
-    if forward is None:
-        return {}
-    return {"forward_coefficients": forward.coefficients, "forward_noise": forward.noise}
-
-
-def _gamut(arrays: dict[str, NDArray[Any]], settings: dict[str, float]) -> Gamut:
-    bin_width, slope_per_change = settings["cell"], settings["slope_per_change"]  # the file's own names
-    return Gamut(arrays["gamut_distance"], arrays["gamut_low"], bin_width, slope_per_change)
+def _parts(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def _forward(
-    arrays: dict[str, NDArray[Any]], settings: dict[str, Any] | None, shape: tuple[int, int]
+    arrays: dict[str, NDArray[Any]], settings: dict[str, Any] | None, shape: tuple[int, int], mm_per_px: float | None
 ) -> ForwardResponse | None:
+    """The response; that of an older calibration translated, without a step."""
     if settings is None:
         return None
-    parts = arrays["forward_coefficients"], arrays["forward_noise"]
-    return ForwardResponse.from_settings(*parts, shape, settings)
+    if "coefficients" in arrays:
+        return older_response(arrays, settings, shape, mm_per_px)
+    return ForwardResponse.from_arrays(arrays, settings, shape)

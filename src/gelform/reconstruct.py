@@ -18,8 +18,10 @@ from gelform.background.check import Finding, background_digest, check_own_backg
 from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.color_models.seam import gradients_from_pending
+from gelform.color_models.stepped import SteppedSlopes
 from gelform.confidence import (
     AllAlike,
+    ClippedChannels,
     Explanation,
     PreparedCauses,
     PreparedSigma,
@@ -28,13 +30,14 @@ from gelform.confidence import (
     explanation_of,
     with_model_sigma,
 )
-from gelform.confidence.limits import prepared_causes
+from gelform.confidence.raised import as_levels
 from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.difference import DepthDifference
 from gelform.depth_sigma.inputs import checked_sigma
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.depth_sigma.total import add_in_proportion
+from gelform.errors import GelformError
 from gelform.frames import Frame, check_viewed_image
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
@@ -64,6 +67,7 @@ class _Read(NamedTuple):
     untouched: NDArray[np.bool_]
     sigma: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    maps: dict[str, NDArray[np.float32]] | None = None
 
 
 class Reconstructor:
@@ -128,27 +132,31 @@ class Reconstructor:
         self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
         self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
         self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
+        forward, change = calibration.forward, calibration.change
+        self._stepped = SteppedSlopes(forward, calibration.image_shape, calibration.untouched_change)
+        learnt, self._scale = (None, 1.0) if forward is None else (forward.clipped, forward.residual_scale)
+        self._clipped = ClippedChannels(change.blur_px, learnt, int(self._stepped.steps))
         self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
         self._states_sigma = slope_sigma and calibration.slope_sigma is not None
         if calibration.slope_sigma is not None and slope_sigma:
-            self._sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
+            self._sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape)
         self._causes: PreparedCauses | AllAlike = AllAlike()
         if slope_sigma:
-            self._causes = prepared_causes(
-                self.background, calibration.change, clean=self._clean, levels=calibration.settings.get("image_noise"),
-                gamut=calibration.gamut, forward=calibration.forward, shadows=takes_weights(self.solver),
+            per_change = 1.0 if forward is None else forward.slope_per_change
+            self._causes = PreparedCauses(
+                self.background, change, clean=self._clean, levels=calibration.settings.get("image_noise"),
+                slope_per_change=per_change, walls=calibration.slope_sigma is not None,
             )  # fmt: skip
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None
         known = calibration.slope_sigma
-        self._gains = (known.gain_sigma, known.depth_gain_sigma) if known else (0.0, 0.0)
+        self._gain_sigma = known.gain_sigma if known else 0.0
         self._health = FrameHealth(self.background)
         shape = calibration.image_shape
         self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.get("gel_thickness_mm"))
         noise = noise_by_place(self._model, self._untouched_image, calibration.settings.get("image_noise"))
         self._contact = PreparedContact((self._pitch,) * 2, calibration.settings.get("relaxation_mm"), noise)
-        walls_px = calibration.change.blur_px if calibration.gamut else None
-        self.solved_sigma = SolvedSigma(known, shape, walls_px, noise)
+        self.solved_sigma = SolvedSigma(known, shape, change.blur_px if known else None)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
@@ -215,7 +223,7 @@ class Reconstructor:
             depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
-            gradients_sigma=self.solved_sigma(read.observed_sigma, gradients, contact),
+            gradients_sigma=self.solved_sigma(read.observed_sigma, gradients),
             observed_gradients=observed,
             confidence=read.confidence,
             contact=contact,
@@ -237,32 +245,49 @@ class Reconstructor:
 
         Of the sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
         """
+        if isinstance(self._causes, AllAlike):
+            raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
         image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
-        read = self._read(image, change)
-        gradients, _ = self._model.gradients_from_color(change)
-        masks = {"markers": read.markers, "lost": read.faults.lost}
-        seen = self._causes.seen(read.faults.image, change, gradients, **masks, lost_image=image)
-        return explanation_of(seen, read.sigma, read.confidence)
+        read = self._read(image, change, explains=True)
+        assert read.maps is not None
+        return explanation_of(read.maps, read.sigma, read.confidence, self._clean)
 
     def _read(
-        self, image: NDArray[Any], change: NDArray[np.float32], flow: MarkerFlow | None = None
+        self,
+        image: NDArray[Any],
+        change: NDArray[np.float32],
+        flow: MarkerFlow | None = None,
+        *,
+        explains: bool = False,
     ) -> _Read:
         """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
-        came, faults = image, self._health(image)
+        raw_image, faults = image, self._health(image)
         image = faults.image  # what says nothing shows the untouched gel, and has no weight
         exposure, drifted = self._untouched_image.compare(image)
         flow = self.markers(image) if flow is None and len(self.markers) else flow
         markers = self.markers.hidden(image, flow, self.calibration.change.blur_px)
         hidden = faults.hidden(markers)
+        clipped = self._clipped(as_levels(image), hidden)
+        unseen = _either(hidden, clipped.unseen)
         pending = self._untouched_image.pending(image, exposure)
-        observed, model_sigma = gradients_from_pending(self._model, pending, out=change)
+        direct, model_sigma = gradients_from_pending(self._model, pending, out=change)
+        step = self._stepped(change, direct, unseen, clipped.channels)
+        observed, variance = (direct, None) if step is None else (step.gradients, step.variance)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
-        untouched, sigma = self._sigma(change, observed, reference, hidden)
-        confidence = self._causes(image, change, observed, reference, hidden, sigma, came)
+        left = self._stepped.left(change, direct, observed, unseen) if explains else None
+        untouched, sigma = self._sigma(change, observed, reference, hidden, variance)
+        maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
+        own = sigma.copy() if explains else sigma
+        residual = None if step is None else (step.residual * np.float32(1 / self._scale), step.variance)
+        confidence = self._causes(observed, sigma, unseen, raw_image, residual, maps)
+        if maps is not None and isinstance(self._causes, PreparedCauses):
+            maps = self._causes.maps_of(
+                maps, own, raw_image, clipped=clipped.channels, markers=markers, lost=faults.lost, left=left
+            )
         stated = sigma if self._states_sigma else None
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
         return _Read(
-            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence
+            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, maps
         )
 
     def _prepared_sigma(self) -> DepthSigma | None:
@@ -290,11 +315,15 @@ class Reconstructor:
         solution = integrate_unchecked(read.observed, mm_per_px=self._pitch, solver=self.solver, **how)
         if self._depth_sigma is None or read.observed_sigma is None or sigma_of is None:
             return solution, None, None
-        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self._gains[1], self._limit.ignorance_mm)
-        parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gains[0]
+        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self._gain_sigma, self._limit.ignorance_mm)
+        parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gain_sigma
         return solution, sigma, DepthDifference(*parts)
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; color models that know none give none."""
         albedo_from_color = getattr(self._model, "albedo_from_color", None)
         return None if albedo_from_color is None else partial(albedo_from_color, change.copy())
+
+
+def _either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    return one if other is None else other if one is None else one | other

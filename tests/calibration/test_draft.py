@@ -1,13 +1,22 @@
-"""The color model of all presses: how large a change an untouched pixel may show."""
+"""The color model and the forward response of all presses, and how large a change an untouched pixel may show."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.draft import USUAL_UNTOUCHED_CHANGE, _settings, untouched_change
+from gelform.calibration.circles.refine import refine
+from gelform.calibration.draft import (
+    FIRST_GUESS,
+    USUAL_UNTOUCHED_CHANGE,
+    _settings,
+    fit_all,
+    image_noise,
+    untouched_change,
+)
+from gelform.calibration.selection.candidates import Candidate
+from gelform.color_models.forward_response import RIDGES
 
 
 class Change:
@@ -47,8 +56,64 @@ def test_the_draft_is_of_the_accepted_presses(presses, calibration):
 
 def test_the_cameras_settings_are_kept(presses, calibration):
     assert "camera" not in calibration.settings
-    candidate = SimpleNamespace(zone="contact", settings={}, start=None)
+    candidate = Candidate("hierarchical", (("ridge", 1e-3),), step_ridge=3e-5)
     with_camera = replace(presses, camera={"exposure": 50.0})
-    kept = _settings(with_camera, candidate, [press.image for press in presses.presses], relaxation_mm=0.5)
+    images = [press.image for press in presses.presses]
+    kept = _settings(with_camera, candidate, images, 0.8, relaxation_mm=0.5)
     assert kept["camera"] == {"exposure": 50.0}
     assert kept["relaxation_mm"] == 0.5
+    assert (kept["contact_radius_ratio"], kept["ridge"], kept["step_ridge"]) == (0.8, 1e-3, 3e-5)
+    assert "step_ridge" not in _settings(with_camera, replace(candidate, step_ridge=None), images, 0.8)
+
+
+def test_the_noise_of_images_is_found_under_what_is_smooth():
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:120, :160] / 20
+    background = (100 + 10 * np.sin(x) + 5 * np.cos(y))[..., None] * np.ones(3)
+    images = [
+        background + (20 * np.sin(x + k))[..., None] + rng.normal(size=(120, 160, 3)) * [1, 2, 3]
+        for k in range(15)
+    ]
+    np.testing.assert_allclose(image_noise(images, background.astype(np.float32)), [1, 2, 3], rtol=0.03)
+
+
+@pytest.fixture(scope="module")
+def drafted(presses, prepared, found):
+    """Makes the draft of the presses, some of their images changed, by a candidate of a given step."""
+    refined = refine(prepared, found)
+
+    def make(step_ridge, change=lambda image: image):
+        candidate = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
+        changed = tuple(replace(press, image=change(press.image)) for press in presses.presses)
+        return fit_all(replace(presses, presses=changed), prepared, refined, candidate, 0.02)
+
+    return make
+
+
+def test_a_step_is_in_the_draft_where_one_was_chosen(drafted):
+    """The forward response is there all the same: it renders, and says what a fault is."""
+    plain, stepped = drafted(None), drafted(RIDGES[0])
+    assert plain.forward.step_sigma is None
+    at_rest, per_slope = stepped.forward.step_sigma
+    assert 0.001 < at_rest < 0.1 * per_slope < 0.1
+    np.testing.assert_array_equal(plain.forward.nodes, stepped.forward.nodes)
+    assert plain.slope_sigma == FIRST_GUESS
+    assert set(stepped.slope_sigma.sigmas) == {1.0}, "what the step states, as it states it"
+
+
+def test_channels_that_presses_clip_are_kept(drafted, prepared, found):
+    """At each end, by the share of the pixels that train: what is learnt there holds for clipped pixels too."""
+    inside = prepared[0].pixels(found[0], 0.9)
+
+    def clipped(image):
+        changed = np.clip(image, 10, 245)  # all usual levels lie between
+        changed[inside[0], inside[1], 2] = 255
+        changed[inside[0][:3], inside[1][:3], 0] = 0  # of hardly any pixel
+        return changed
+
+    usual = drafted(RIDGES[0], lambda image: np.clip(image, 10, 245)).forward.clipped
+    assert usual.shape == (2, 3)
+    assert not usual.any()
+    np.testing.assert_array_equal(
+        drafted(RIDGES[0], clipped).forward.clipped, [[False, False, False], [False, False, True]]
+    )

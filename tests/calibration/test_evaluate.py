@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.evaluate import face_height_mm
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.simulate import Punch, simulate_press
 from gelform.view import View
@@ -38,6 +39,40 @@ def test_flat_punches_are_read_beside_the_balls(calibration, presses, sensor):
     whole, cut = evaluation.to_dict()["flats"]
     assert whole["read_mm"] == pytest.approx(0.25, rel=0.15)
     assert cut == {"name": "flat", "height_mm": 0.25, "read_mm": None}
+
+
+def tilted_disc(center, radius, height, tilt, around=6.0):
+    """Depth (90, 120) of a disc whose face is tilted along x, and of gel that comes down beside it."""
+    y, x = np.mgrid[:90, :120].astype(float)
+    distance = np.hypot(x - center[0], y - center[1])
+    face = height + tilt * np.clip(x - center[0], -radius, radius)
+    return (face * np.exp(-np.maximum(distance - radius, 0) / around)).astype(np.float32)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.002])
+@pytest.mark.parametrize("around", [0.5, 3.0, 6.0])
+def test_the_middle_of_a_face_is_read_whatever_its_tilt_and_its_surroundings(tilt, around):
+    depth = tilted_disc((70, 40), 20, 0.3, tilt, around)
+    assert face_height_mm(depth) == pytest.approx(0.3, rel=0.02)
+
+
+def test_a_face_that_is_cut_by_the_border_has_no_height():
+    assert np.isnan(face_height_mm(tilted_disc((10, 40), 20, 0.3, 0)))
+    assert np.isnan(face_height_mm(np.zeros((90, 120), np.float32)))
+
+
+def test_errors_are_counted_inside_the_edge_of_the_calibrations_contacts(calibration, presses):
+    """An older calibration does not know it: then up to the visible rim."""
+    few = presses.subset([0, 3, 5])
+    ratio = calibration.settings["contact_radius_ratio"]
+    known = gelform.evaluate(calibration, few)
+    assert known.where["contact_radius_ratio"] == ratio
+    assert known.summary["normal_free_deg"] < known.summary["normal_rim_deg"]
+    settings = {name: one for name, one in calibration.settings.items() if name != "contact_radius_ratio"}
+    older = gelform.evaluate(replace(calibration, settings=settings), few)
+    assert older.where["contact_radius_ratio"] == 1
+    assert older.summary["normal_free_deg"] == older.summary["normal_rim_deg"]
+    assert older.where["contact"]["normal_deg"] == older.where["rim"]["normal_deg"]
 
 
 def test_untouched_images_cannot_be_evaluated(calibration, presses):

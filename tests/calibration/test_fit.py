@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.circles.edge import contact_radius_ratio
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.refine import Refined
+from gelform.calibration.circles.refine import Refined, refine
+from gelform.calibration.circles.samples import USUAL_EDGE
 from gelform.calibration.fit import _check_enough
+from gelform.color_models import COLOR_MODELS
 from gelform.simulate import Ball, simulate_ball_presses, simulate_press
 
 
@@ -26,11 +29,12 @@ def test_held_out_errors_are_those_of_new_presses(calibration, simulated):
             circle_px=(*press.center_px, press.contact_radius_px),
             ball_radius_mm=3.2,
             mm_per_px=simulated.sensor.mm_per_px,
+            contact_radius_ratio=calibration.settings["contact_radius_ratio"],
         )
         degrees.append(errors.normal_deg)
         assert abs(errors.radius_percent) < 8
     assert np.mean(degrees) < 1.5 * calibration.held_out["normal_free_deg"]
-    assert np.mean(degrees) < 4
+    assert np.mean(degrees) < 2
 
 
 def test_report_accounts_for_every_press(calibration, presses):
@@ -105,7 +109,60 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
         gelform.CalibrationError,
         match=rf"{len(reasons)} like {names[0]}: contact radius 0.5 px is too wide: ball diameter is wrong; 1 like",
     ):
-        _check_enough(presses, refined, 0)
+        _check_enough(presses, refined, 0, None)
+    with pytest.raises(gelform.CalibrationError, match=r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball"):
+        _check_enough(presses, refined, 0, "The ball is twice as large.")
+
+
+def test_a_ball_of_another_size_is_named_where_no_press_fits(presses):
+    """Stated half as large as it is: all are refused, and the message says what to look at."""
+    small = tuple(replace(press, ball_diameter_mm=press.ball_diameter_mm / 2) for press in presses.presses)
+    with pytest.raises(gelform.CalibrationError, match=r"fit a ball \d\.\d\d times as large .* check ball_diameter_mm"):
+        gelform.calibrate(replace(presses, presses=small))
+
+
+def test_presses_train_up_to_the_measured_edge(calibration, presses, prepared, found):
+    """That of the presses that fit; fewer than 12 are taken to have the usual one."""
+    accepted = refine(prepared, found).of_accepted(prepared)
+    assert calibration.settings["contact_radius_ratio"] == contact_radius_ratio(*accepted) != USUAL_EDGE
+    few = gelform.calibrate(presses.subset(range(7)))
+    assert few.settings["contact_radius_ratio"] == USUAL_EDGE
+    assert few.color_model.name == "polynomial"
+
+
+def test_all_color_models_can_be_compared_and_the_choice_stays(presses, monkeypatch):
+    """Beside the trials of what was asked for, those of all others, on the same folds; but for those that take long."""
+    for slow in ("near_light", "interpolation", "mlp", "lookup"):
+        monkeypatch.delitem(COLOR_MODELS, slow)
+    few = presses.subset(range(0, 14, 2))
+    plain = gelform.calibrate(few)
+    compared = gelform.calibrate(few, compare=True)
+    tried = [row["candidate"] for row in compared.report.candidates]
+    assert {name.split()[0] for name in tried} == {"lambertian", "polynomial", "hierarchical"}
+    assert len(tried) == len(set(tried))
+    (chosen,) = (row for row in compared.report.candidates if row["chosen"])
+    assert chosen in plain.report.candidates
+    assert {row["candidate"] for row in plain.report.candidates} < set(tried)
+    same = [replace(one, report=None, created_utc="").digest for one in (plain, compared)]
+    assert same[0] == same[1]
+    assert compared.held_out == plain.held_out
+
+
+@pytest.mark.parametrize("name", ["lambertian", "near_light"])
+def test_pixels_that_the_untouched_image_shows_black_do_not_train(presses, lambertian_calibration, name):
+    """A law of light is divided by the untouched image: where that is 0 nothing is said, elsewhere all is as it was."""
+    few = presses.subset(range(0, 14, 2))
+    background = few.background.copy()
+    background[40:43, 60:63] = 0
+    images = [press.image.copy() for press in few.presses]
+    for image in images:
+        image[40:43, 60:63] = 0
+    black = tuple(replace(press, image=image) for press, image in zip(few.presses, images))
+    spotted = gelform.calibrate(replace(few, presses=black, background=background), color_model=name)
+    assert spotted.color_model.name == name
+    assert spotted.held_out["normal_free_deg"] < 1.1 * lambertian_calibration.held_out["normal_free_deg"]
+    result = gelform.Reconstructor(spotted).from_image(images[0])
+    assert np.isfinite(result.depth_mm).all()
 
 
 def test_other_sensors_background_is_refused(presses):
@@ -130,7 +187,8 @@ def test_ten_real_presses_are_enough_to_start(data):
     """Every sixth press of a real sensor, at half its size: the held-out errors stay within what ten presses can give."""
     presses = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 6))
     calibration = gelform.calibrate(half_size(presses), color_model="hierarchical")
-    assert calibration.held_out["normal_free_deg"] < 3.8  # recorded: 3.14
+    assert calibration.held_out["normal_free_deg"] < 2.3  # recorded: 1.90
+    assert calibration.held_out["normal_rim_deg"] < 3.3  # recorded: 2.72
     assert all(row.accepted for row in calibration.report.presses)
 
 
@@ -150,7 +208,10 @@ def second_unit(sensor):
 
 
 def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
-    """Started from the first unit's, it is nearly as good as its own full calibration, and better than five alone."""
+    """Started from the first unit's, it comes near its own full calibration, and is better than five alone.
+
+    Errors are counted inside one edge, that which is assumed of five presses.
+    """
 
     def presses_of(count, seed, name):
         rng = np.random.default_rng(seed)
@@ -167,9 +228,12 @@ def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
     started = gelform.calibrate(str(tmp_path / "five"), start=tmp_path / "first.npz")  # paths are read
     full = gelform.calibrate(many, color_model="hierarchical")
     alone = gelform.calibrate(five, color_model="hierarchical")
+    edge = {"contact_radius_ratio": USUAL_EDGE}
+    assert edge.items() <= started.settings.items()
+    full = replace(full, settings={**full.settings, **edge})
     error, own, few = (gelform.evaluate(c, test).summary["normal_free_deg"] for c in (started, full, alone))
-    assert error < 1.3 * own
-    assert error < 0.95 * few
+    assert error < 1.7 * own
+    assert error < 0.8 * few
     assert started.settings["start"] == calibration.digest
     started.save(tmp_path / "second.npz")
     assert gelform.load_calibration(tmp_path / "second.npz").digest == started.digest

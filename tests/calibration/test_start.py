@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.start import start_from, translated
 from gelform.color_models import HierarchicalModel
 from gelform.errors import CalibrationError
@@ -21,7 +20,8 @@ def test_a_translated_model_reads_the_slopes_that_the_first_one_reads(lambertian
     model = translated(lambertian_calibration)
     assert isinstance(model, HierarchicalModel)
     change = replace(lambertian_calibration.change, offset=HierarchicalModel.change_offset)
-    other = replace(lambertian_calibration, color_model=model, change=change, gamut=None)
+    lambertian_calibration = replace(lambertian_calibration, forward=response_alone(lambertian_calibration))
+    other = replace(lambertian_calibration, color_model=model, change=change)
     y, x = np.mgrid[: press.image.shape[0], : press.image.shape[1]]
     inside = np.hypot(x - press.center_px[0], y - press.center_px[1]) < 0.8 * press.contact_radius_px
     first, second = (
@@ -31,18 +31,41 @@ def test_a_translated_model_reads_the_slopes_that_the_first_one_reads(lambertian
     assert np.sqrt(np.mean((first - second) ** 2)) < 0.04
 
 
+def response_alone(calibration):
+    """Its forward response, which takes no step from the slopes that its color model reads."""
+    return replace(calibration.forward, step_sigma=None)
+
+
 def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, presses):
     start = start_from(lambertian_calibration, presses, "auto")
     assert start.digest == lambertian_calibration.digest
-    assert start.zone == lambertian_calibration.settings["zone"]
     assert start.model.degree == 3, "as the model that is drawn to it"
 
 
-@pytest.mark.parametrize("kind", ["depth_aware", "depth_by_lights"])
-def test_a_model_that_knows_the_depth_gives_its_plain_one(kind, prepared, found, presses, calibration):
-    model = Candidate(kind, 0.8).fit(prepared, found, total=3000)
-    start = start_from(replace(calibration, color_model=model), presses, "auto")
-    assert start.model is model.plain
+def test_of_the_same_color_model_the_start_is_the_model_itself(calibration, presses):
+    assert start_from(calibration, presses, "hierarchical").model is calibration.color_model
+
+
+def test_the_noise_of_colours_is_that_of_the_response(lambertian_calibration, monkeypatch):
+    """Alike channels stay alike: the covariance, not a deviation of each."""
+    drawn = []
+    covariance = 1e-4 * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.25]])
+    forward = replace(response_alone(lambertian_calibration), covariance=covariance)
+    plain = type(lambertian_calibration.color_model).gradients_at
+
+    def read(self, change, x, y):
+        drawn.append(change)  # of no slope: all of it is noise
+        return plain(self, change, x, y)
+
+    first = replace(lambertian_calibration, forward=forward, slope_sigma=flat(lambertian_calibration))
+    monkeypatch.setattr(type(first.color_model), "gradients_at", read)
+    translated(first)
+    np.testing.assert_allclose(np.cov(drawn[0].T), covariance, atol=1e-5)
+
+
+def flat(calibration):
+    """Its deviation of slopes, measured up to hardly any slope."""
+    return replace(calibration.slope_sigma, slopes=(0.0, 1e-6), sigmas=(0.01, 0.01))
 
 
 def test_a_start_without_a_forward_response_is_refused(lambertian_calibration, presses):

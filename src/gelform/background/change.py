@@ -91,17 +91,12 @@ def _linear(levels: NDArray[Any], response: float) -> NDArray[np.float32]:
 
 
 def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDArray[np.float32]:
-    """What each pixel's difference to the background is multiplied by, (H, W, 3) float32: prepared once."""
+    """What each pixel's difference to the background is multiplied by, (H, W, 3) float32; 0 where nothing divides it."""
     reference = check_image(background, name="background").astype(np.float32)
     if settings.method == "subtract":
         return np.full(reference.shape, 1 / 255, dtype=np.float32)
     divisor = light_from_image(reference, settings) + np.float32(settings.offset)
-    if float(divisor.min()) <= 0:
-        raise ValueError(
-            "Expected a background above 0 where it is divided by, got pixels of 0 with offset 0. "
-            "Give an offset (10 grey levels is usual) or subtract instead."
-        )
-    return np.reciprocal(divisor)
+    return np.divide(1, divisor, out=np.zeros_like(divisor), where=divisor > 0)
 
 
 def color_change_from_image(

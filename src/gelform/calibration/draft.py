@@ -8,32 +8,38 @@ from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelform import __version__
 from gelform.background.average import noise_from_image
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.refine import Refined
-from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.forward import forward_from_presses, image_noise
+from gelform.calibration.circles.samples import ZONE, PreparedPress
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.relaxation import relaxation_from_presses
-from gelform.calibration.selection.candidates import Candidate
-from gelform.calibration.shadows import shadow_noise
-from gelform.calibration.unlabelled import steepest_at_places
+from gelform.calibration.selection.candidates import Candidate, fitted_responses, training_samples
 from gelform.calibration_file import Calibration
-from gelform.color_models._shared.gamut import Gamut
+from gelform.color_models import ForwardResponse
+from gelform.color_models.forward_response import RIDGES
 from gelform.confidence import SlopeSigma
+from gelform.confidence.clipped import ends_shown
 
 UNTOUCHED_PERCENTILE = 99.0
 UNTOUCHED_DISTANCE = 3  # contact radii
 USUAL_UNTOUCHED_CHANGE = 0.03  # where no press leaves room for it
+CLIPPED_SHARE = 0.01  # of the training pixels: fewer teach nothing of what a clipped channel means
+MAX_NOISE_IMAGES = 12
 # What a Reconstructor weighs slopes by until the held-out presses have told.
 FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
 
 
 def fit_all(
-    presses: Presses, prepared: Sequence[PreparedPress], refined: Refined, chosen: Candidate
+    presses: Presses,
+    prepared: Sequence[PreparedPress],
+    refined: Refined,
+    chosen: Candidate,
+    untouched: float,
 ) -> Calibration:
     """The calibration of every accepted press; its errors and its slope sigma are filled in later.
 
@@ -42,15 +48,21 @@ def fit_all(
     presses : as read
     prepared : with the color changes that the candidate wants
     refined : their circles, and which presses are accepted
-    chosen : the color model, its settings and its training zone
+    chosen : the color model, its settings and its step
+    untouched : from `untouched_change`
     """
     used, contacts = refined.of_accepted(prepared)
     own = [presses.presses[i] for i in refined.accepted]
-    samples = chosen.samples(used, contacts)
     noise = presses.background_noise
-    model = chosen.fit_samples(samples)
-    forward = forward_from_presses(used, contacts, chosen.zone, presses.mm_per_px, presses.sensor_name)
-    cast = shadow_noise(model, forward, used, contacts, presses.background)
+    model = chosen.fit(training_samples(used, contacts))
+    ridge = RIDGES[0] if chosen.step_ridge is None else chosen.step_ridge
+    (forward,) = fitted_responses(model, used, contacts, [ridge], untouched)
+    images = [press.image for press in own]
+    forward = replace(
+        forward,
+        step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
+        clipped=_clipped(images, used, contacts),
+    )
     relaxation_mm = relaxation_from_presses(model, used, contacts, presses.background, presses.mm_per_px)
     return Calibration(
         sensor_name=presses.sensor_name,
@@ -64,30 +76,44 @@ def fit_all(
         background_noise=noise_from_image(presses.background) if noise is None else noise,
         change=change_settings(presses, chosen.change_offset),
         color_model=model,
-        forward=replace(forward, shadow_noise=cast),
-        slope_sigma=replace(FIRST_GUESS, steepest=steepest_at_places(samples)),
-        untouched_change=untouched_change(used, contacts),
+        forward=forward,
+        slope_sigma=_first_guess(forward),
+        untouched_change=untouched,
         held_out={},
         training_digests=tuple(press.digest for press in own),
-        settings=_settings(presses, chosen, [press.image for press in own], used[0].followed, relaxation_mm),
+        settings=_settings(presses, chosen, images, used[0].contact_radius_ratio, relaxation_mm),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        gamut=Gamut.fit(samples.color_change, samples.gradients),
     )
+
+
+def _first_guess(forward: ForwardResponse) -> SlopeSigma:
+    """By which slopes are weighed until the held-out presses have told: the step's own deviation, or a usual one."""
+    if forward.step_sigma is None:
+        return FIRST_GUESS
+    return replace(FIRST_GUESS, sigmas=(1.0, 1.0))
+
+
+def _clipped(
+    images: Sequence[NDArray[Any]], presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
+) -> NDArray[np.bool_]:
+    """(2, 3): which channels more than a hundredth of the training pixels show at the camera's lower and upper end."""
+    levels = [image[press.pixels(contact, ZONE)] for image, press, contact in zip(images, presses, contacts)]
+    return np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE)
 
 
 def _settings(
     presses: Presses,
     chosen: Candidate,
     images: Sequence[Any],
-    followed: float = 1.0,
+    contact_radius_ratio: float,
     relaxation_mm: float | None = None,
 ) -> dict[str, Any]:
     """What the run chose and was given and how the gel relaxes, as the calibration records it."""
     return {
-        "zone": chosen.zone,
-        **({} if followed == 1 else {"followed": followed}),
+        "contact_radius_ratio": contact_radius_ratio,
         **dict(chosen.settings),
+        **({} if chosen.step_ridge is None else {"step_ridge": chosen.step_ridge}),
         **({} if chosen.start is None else {"start": chosen.start.digest}),
         "presses": len(images),
         "response": presses.response,
@@ -109,3 +135,13 @@ def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contac
         if far.any():
             sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
     return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
+
+
+def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Standard deviation (3,) of an image's pixel, grey levels: the median over some of the images.
+
+    A background is often an average of frames, and quieter than the images that are taken beside it.
+    """
+    some = images[:: max(1, len(images) // MAX_NOISE_IMAGES)]
+    found = [noise_from_image(image.astype(np.float32) - background) for image in some]
+    return np.asarray(np.median(found, axis=0), dtype=np.float64)

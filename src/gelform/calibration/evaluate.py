@@ -6,11 +6,12 @@ from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
-from gelform.calibration.heights import face_height_mm
 from gelform.calibration.presses.adjust import with_view
 from gelform.calibration.presses.folder import Press, Presses, as_presses
 from gelform.calibration.presses.press_set import FlatPress
@@ -22,6 +23,10 @@ from gelform.errors import DataError
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 
+STANDING = 0.5  # of the largest depth: more than that is the punch and a narrow strip around it
+MIDDLE = 0.6  # of the radius of a disc as large as what stands: the face, without its edge
+SMOOTHED_PX = 5
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -31,7 +36,7 @@ class Evaluation:
     ----------
     rows : one per press: its name, whether the calibration has seen it, its circle and errors, or why it has none
     summary : over the presses that have errors
-    where : their normal errors by the ball's slope and by place, of the whole contact and of its inner 0.8
+    where : their normal errors by the ball's slope and by place, inside the contact's edge and up to the visible rim
     seen : how many of them the calibration was made from; their errors say little
     own_background : whether the presses' background is the calibration's own, pixel for pixel
     findings : what should be known of a background that is not
@@ -79,6 +84,7 @@ def evaluate(
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background, depth_sigma=False)
     changes = ColorChanges(reconstruct.background, calibration.change)
+    ratio = float(calibration.settings.get("contact_radius_ratio", 1.0))
     rows, errors, samples = [], [], []
     for done, press in enumerate(presses.presses):
         circle, reason = _circle(press, changes)
@@ -91,8 +97,9 @@ def evaluate(
         }
         if reason is None:
             result = reconstruct.from_image(press.image)
-            errors.append(errors_of(press, circle, result, mm_per_px))
-            samples.append(sample_of(done, press, circle, result, mm_per_px))
+            how = press, circle, result, mm_per_px, ratio
+            errors.append(errors_of(*how))
+            samples.append(sample_of(done, *how))
             row["errors"] = asdict(errors[-1])
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
@@ -100,7 +107,7 @@ def evaluate(
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {rows[0]['reason']}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     said = tuple(finding.message for finding in reconstruct.findings)
-    where = errors_where(samples, calibration.image_shape)
+    where = errors_where(samples, calibration.image_shape, ratio)
     flats = tuple(_height_of(flat, reconstruct) for flat in presses.flats)
     return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, said, flats)
 
@@ -109,6 +116,25 @@ def _height_of(flat: FlatPress, reconstruct: Reconstructor) -> dict[str, Any]:
     read_mm = face_height_mm(reconstruct.from_image(flat.image).depth_mm)
     known = {"name": flat.name, "height_mm": flat.height_mm}
     return {**known, "read_mm": read_mm if np.isfinite(read_mm) else None}
+
+
+def face_height_mm(depth_mm: NDArray[np.float32]) -> float:
+    """Mean depth in the middle of the largest flat face of a depth map (H, W); NaN where it is cut by the border.
+
+    The mean about the middle does not feel a small tilt. A punch has to be about as wide as it is long.
+    """
+    top = float(cv2.blur(depth_mm, (SMOOTHED_PX, SMOOTHED_PX)).max())
+    standing = (depth_mm > STANDING * top).astype(np.uint8)
+    count, _, stats, centers = cv2.connectedComponentsWithStats(standing)
+    if top <= 0 or count < 2:
+        return float("nan")
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    left, up, width, height, area = stats[largest]
+    if left == 0 or up == 0 or left + width == depth_mm.shape[1] or up + height == depth_mm.shape[0]:
+        return float("nan")
+    rows, columns = np.ogrid[: depth_mm.shape[0], : depth_mm.shape[1]]
+    square = (columns - centers[largest][0]) ** 2 + (rows - centers[largest][1]) ** 2
+    return float(depth_mm[square <= max(MIDDLE**2 * area / np.pi, 1.0)].mean())
 
 
 def _through_view_of(calibration: Calibration, presses: Presses) -> Presses:

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from gelform.background.change import color_change_from_image
 from gelform.background.check import check_background_of_frames
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
-from gelform.calibration.circles.followed import USUAL_CIRCLE
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.held_out import HeldOutSample
 from gelform.errors import CalibrationError
 from gelform.sensors.profiles import light_order_of
 
@@ -29,7 +27,7 @@ MIN_CHANGE = 0.08
 MIN_ROUGHER = 1.3
 DARK, SATURATED = 10.0, 254.5
 MOST_UNUSABLE = 0.1
-LIGHT_ZONE = 0.8
+EARLY_EDGE = 0.75  # of the visible radius: a gel that leaves the ball further in is worth a note
 MIN_SINE = 0.3
 
 
@@ -153,7 +151,6 @@ def input_notes(
     presses: Presses,
     prepared: Sequence[PreparedPress],
     refined: Refined,
-    samples: Sequence[HeldOutSample] = (),
 ) -> tuple[str, ...]:
     """What a user should know of the presses: how they were read, where some are missing, drift, light, their order.
 
@@ -162,7 +159,6 @@ def input_notes(
     presses : as read
     prepared : the same with their color changes
     refined : their circles, and which are accepted
-    samples : of each press, read by a model that has not seen it
     """
     prepared, contacts = refined.of_accepted(prepared)
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
@@ -174,7 +170,7 @@ def input_notes(
         *covered,
         *drift,
         *light_notes(presses.background),
-        *_followed_notes(prepared, samples),
+        *_edge_notes(prepared),
         *(() if order is None else (order,)),
     )
 
@@ -196,22 +192,15 @@ def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _followed_notes(
-    prepared: Sequence[PreparedPress], samples: Sequence[HeldOutSample] = ()
-) -> tuple[str, ...]:
-    """A note where the gel leaves the ball far inside of the visible rim, and how good normals are up to there."""
-    if not prepared or prepared[0].followed == 1:
+def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
+    """A note where the gel leaves the ball far inside of the visible rim."""
+    if not prepared or prepared[0].contact_radius_ratio >= EARLY_EDGE:
         return ()
-    share = prepared[0].followed * USUAL_CIRCLE
-    inside = [one.within(share) for one in samples]
-    degrees = [one.normal_deg for one in inside if one.x_px.size]
     one_size = len({press.ball_radius_px for press in prepared}) == 1
     alike = " A ball that is smaller than stated looks the same: measure it, or press a second size."
-    up_to_there = f" Up to there held-out normals are {np.mean(degrees):.1f} degrees off." if degrees else ""
     return (
-        f"The gel leaves the ball at about {share:.2f} of the visible circles' radius: nothing further out trains. Errors "
-        "that are counted up to the visible rim hold the gel against a ball that it does not touch there."
-        f"{up_to_there}{alike if one_size else ''}",
+        f"The gel leaves the ball at {prepared[0].contact_radius_ratio:.2f} of the visible circles' radius: nothing further "
+        f"out trains, and errors are counted up to there.{alike if one_size else ''}",
     )
 
 
@@ -244,7 +233,7 @@ def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCirc
 
     The sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
     """
-    samples = contact_samples(prepared, contacts, LIGHT_ZONE, total=8000)
+    samples = contact_samples(prepared, contacts, total=8000)
     response = np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0]
     towards = np.arctan2(response[1], response[0])  # y is down: a growing angle turns clockwise
     return float(np.sin(np.roll(towards, -1) - towards).sum())

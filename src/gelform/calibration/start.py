@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelform.background.change import ChangeSettings, gain_from_background
-from gelform.calibration.selection.candidates import DEFAULT_ZONE, Start
+from gelform.calibration.selection.candidates import Start
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.color_models import DepthAwareModel, DepthByLightsModel, HierarchicalModel, Samples
+from gelform.color_models import HierarchicalModel, Samples
 from gelform.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -47,8 +47,6 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             "Leave it out, or give --model hierarchical."
         )
     model = first.color_model
-    if isinstance(model, (DepthAwareModel, DepthByLightsModel)):
-        model = model.plain
     if isinstance(model, HierarchicalModel):
         model.check_like(model.degree, presses.image_shape)
     elif tuple(first.image_shape) != tuple(presses.image_shape):
@@ -58,7 +56,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
         )
     else:
         model = translated(first)
-    return Start(model, first.digest, first.settings.get("zone", DEFAULT_ZONE))
+    return Start(model, first.digest)
 
 
 def translated(first: Calibration) -> HierarchicalModel:
@@ -83,9 +81,8 @@ def translated(first: Calibration) -> HierarchicalModel:
     size = steepest * np.sqrt(rng.uniform(size=TRANSLATED_SAMPLES))
     turn = rng.uniform(0, 2 * np.pi, TRANSLATED_SAMPLES)
     slopes = size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    change = (
-        first.forward.color_from_gradients(slopes, x, y) + rng.normal(size=(len(x), 3)) * first.forward.noise
-    )
+    noise = rng.multivariate_normal(np.zeros(3), first.forward.covariance, len(x))
+    change = first.forward.color_from_gradients(slopes, x, y) + noise
     usual = ChangeSettings(
         offset=HierarchicalModel.change_offset,
         crosstalk=first.change.crosstalk,

@@ -8,7 +8,7 @@ A model is fitted on samples of ball presses, where the gradient is known, and p
 No colour change means no slope, in every model.
 """
 
-from gelform.color_models.depth_aware import DepthAwareModel, DepthByLightsModel
+from gelform.color_models.forward_response import ForwardResponse
 from gelform.color_models.hierarchical import HierarchicalModel
 from gelform.color_models.interpolation import InterpolationModel
 from gelform.color_models.lambertian import LambertianModel
@@ -25,8 +25,6 @@ COLOR_MODELS: dict[str, type[FittableColorModel]] = {
     "near_light": NearLightModel,
     "polynomial": PolynomialModel,
     "hierarchical": HierarchicalModel,
-    "depth_aware": DepthAwareModel,
-    "depth_by_lights": DepthByLightsModel,
     "interpolation": InterpolationModel,
     "mlp": MlpModel,
     "lookup": LookupModel,
@@ -42,9 +40,8 @@ __all__ = [
     "COLOR_MODELS",
     "IMPORTED_MODELS",
     "ColorModel",
-    "DepthAwareModel",
-    "DepthByLightsModel",
     "FittableColorModel",
+    "ForwardResponse",
     "HierarchicalModel",
     "InterpolationModel",
     "LambertianModel",

@@ -9,28 +9,26 @@ per term).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.color_models._shared.least_squares import monomial_parents, monomials
+from gelform.color_models._shared.least_squares import HUBER_SLOPE, monomial_parents, monomials
 from gelform.color_models._shared.nodes import (
     NODE_PX,
+    VaryingRegression,
     at_pixels,
     colour_products,
-    fitted_nodes,
     interpolation,
+    terms_of_orders,
 )
 from gelform.color_models.seam import PendingChange, Samples, Variant, check_image_shape
 
-# Ridges that calibration tries, and the coefficients that each leaves free (the trace of the regression's hat matrix) on
-# ten presses of a GelSight Mini.
-RIDGES = {3e-4: 95.0, 1e-4: 114.0}
-RIDGES_OF_FEW = {1e-3: 77.0, 3e-4: 95.0}
-ENOUGH_PRESSES = 18
+RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # what calibration tries, the stiffest first
 
 _hierarchical_gradients = Kernel(
     "hierarchical_gradients",
@@ -78,25 +76,24 @@ class HierarchicalModel:
         samples : with `background` the light at each place counts too
         position_degrees : degree in (x, y) of the linear, quadratic, cubic colour terms; each may be large,
             since the ridge is 4 times stronger per degree in place and 3 times per degree in colour
-        ridge : > 0, of a coefficient that is the same everywhere, relative to one sample
+        ridge : > 0, of a coefficient that is the same everywhere, relative to the samples' weight, where the color
+            change's RMS is 1
         start : the model of another unit of the same sensor; the coefficients are drawn to its own instead of to 0
         """
         if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
             raise ValueError(
                 f"Expected position degrees >= 0 and ridge > 0, got {position_degrees} and {ridge}."
             )
-        target = samples.gradients
         if start is not None:
             start.check_like(len(position_degrees), samples.shape)
-            target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
-        nodes, _ = fitted_nodes(replace(samples, gradients=target), position_degrees, ridge)
+        regression, scales = _regression(samples, tuple(position_degrees), start)
+        nodes = regression.nodes(regression.coefficients(ridge)) / scales[:, None]
         return cls(nodes if start is None else nodes + start.nodes, len(position_degrees), samples.shape)
 
     @classmethod
     def variants(cls, presses: int) -> list[Variant]:
-        """Two ridges, the stiffer first; both are stiffer where presses are few."""
-        ridges = RIDGES if presses >= ENOUGH_PRESSES else RIDGES_OF_FEW
-        return [Variant(coefficients, {"ridge": ridge}) for ridge, coefficients in ridges.items()]
+        """One for each ridge, the stiffest first; complexity falls with the ridge."""
+        return [Variant(1 / ridge, {"ridge": ridge}) for ridge in RIDGES]
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
@@ -132,6 +129,31 @@ class HierarchicalModel:
         """The model of `to_arrays`."""
         height, width = settings["shape"]
         return cls(arrays["nodes"], settings["degree"], (height, width))
+
+
+_last: tuple[Any, ...] = ()  # the last regression, and what it is of: calibration tries one ridge after the other
+
+
+def _regression(
+    samples: Samples, position_degrees: tuple[int, ...], start: HierarchicalModel | None
+) -> tuple[VaryingRegression, NDArray[np.float64]]:
+    """The regression of samples on the monomials of their color change, and what each monomial was divided by (terms,)."""
+    global _last
+    if _last and _last[0]() is samples and _last[1] == position_degrees and _last[2] is start:
+        regression, scales = _last[3:]
+        return regression, scales
+    change = np.asarray(samples.color_change, dtype=np.float64)
+    terms = monomials(3, len(position_degrees))
+    scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=samples.weight))) + 1e-12
+    orders = [len(term) for term in terms]
+    products = terms_of_orders(list(colour_products(change / scale, terms)), orders, position_degrees)
+    target = np.asarray(samples.gradients, dtype=np.float64)
+    if start is not None:
+        target = target - start.gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    regression = VaryingRegression.of(products, target, samples, huber=HUBER_SLOPE)
+    scales = scale ** np.array(orders, dtype=np.float64)
+    _last = ref(samples), position_degrees, start, regression, scales
+    return regression, scales
 
 
 class PreparedHierarchical:

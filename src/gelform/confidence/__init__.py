@@ -1,14 +1,15 @@
 """How far each slope of a frame is to be trusted: its standard deviation, what raises it, and the confidence."""
 
+from gelform.confidence.clipped import ClippedChannels
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
-from gelform.confidence.limits import prepared_causes
 from gelform.confidence.raised import AllAlike, PreparedCauses
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
 from gelform.confidence.solved import SolvedErrors, SolvedSigma, with_solved_factors
 
 __all__ = [
     "AllAlike",
+    "ClippedChannels",
     "Explanation",
     "PreparedCauses",
     "PreparedSigma",
@@ -18,7 +19,6 @@ __all__ = [
     "SolvedSigma",
     "UnknownSigma",
     "explanation_of",
-    "prepared_causes",
     "solved_factor",
     "with_model_sigma",
     "with_solved_factors",

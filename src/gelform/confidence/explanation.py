@@ -13,26 +13,9 @@ from numpy.typing import NDArray
 
 from gelform.background.check import Finding
 from gelform.confidence.causes import CAUSES
-from gelform.confidence.causes.seen import Seen
 
 LAW = "law"
-NAMED_FROM = (
-    0.35  # mm/mm, that a cause adds alone: about the slope of a ball's rim, so that nothing is left of it
-)
-NAMED_EARLIER = {"off_gamut": 0.1, "compression": 0.0}  # what is 0 unless it is there
-NEVER_NAMED = {"wall"}  # an object's edge is no fault
-LEAST_PX = 12  # connected, where a cause adds so much: less is not named
-SAID = {
-    "saturated": "at the camera's upper end in a channel. Lower exposure, gain or the lights.",
-    "dark": "at the camera's lower end in a channel. Is a light off, or the exposure too short?",
-    "shadow": "darker than any slope makes it: a cast shadow.",
-    "specular": "brighter than any slope makes it: a mirrored light.",
-    "off_gamut": "of colours that no training press has shown. Calibrate with deeper presses too.",
-    "inconsistent": "of colours that no slope gives: dust, a scratch, another gel, or torn data.",
-    "marker": "hidden by markers.",
-    "outside": "not lit, or not gel.",
-    "compression": "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
-}
+LEAST_PX = 12  # connected, where a cause adds enough to be named: less is not named
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +50,9 @@ class Explanation:
     def findings(self) -> tuple[Finding, ...]:
         """The faults that matter: each with the share of the frame where it alone leaves nothing of a slope."""
         return tuple(
-            Finding(name, f"{100 * share:.1f} % of the frame is {SAID[name]}", share)
+            Finding(name, f"{100 * share:.1f} % of the frame is {CAUSES[name].sentence}", share)
             for name, one in self.maps.items()
-            if name not in NEVER_NAMED
-            and (share := _named_share(one > NAMED_EARLIER.get(name, NAMED_FROM))) > 0
+            if CAUSES[name].sentence and (share := _named_share(one > CAUSES[name].named_from)) > 0
         )
 
     @cached_property
@@ -92,13 +74,15 @@ class Explanation:
 
 
 def explanation_of(
-    seen: Seen, gradients_sigma: NDArray[np.float32], confidence: NDArray[np.float32]
+    maps: Mapping[str, NDArray[np.float32]],
+    gradients_sigma: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    clean: float,
 ) -> Explanation:
     """The maps of all causes of a frame, beside the sigma (H, W) and the confidence (H, W) that it was solved with."""
-    maps = {name: cause(seen) for name, cause in CAUSES.items()}
     explained = sum(np.square(one) for one in maps.values())
     law = np.sqrt(np.maximum(np.square(gradients_sigma) - explained, 0))
-    return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, seen.limits.clean)
+    return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, clean)
 
 
 def _named_share(mask: NDArray[np.bool_]) -> float:

@@ -1,4 +1,4 @@
-"""Standard deviation of a frame's slopes, as they are read, by their size, place and colour, pixel by pixel."""
+"""Standard deviation of a frame's slopes, as they are read: by their step, their size and their place, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -7,21 +7,16 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.background.untouched import Reference
-from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from gelform.confidence.solved import for_both
 from gelform.solvers.inputs import HIGHEST_SLOPE, check_slopes
 
 TABLE = 64  # the law, tabulated for the frame's kernel
-# A slope s where the presses showed slopes up to t is off by no less than UNLEARNT s (s/t - 1): what is steeper reads like
-# it. Simulated walls would have it larger, and already from 0.6 t on; that costs balls their rim.
-UNLEARNT = 0.3
 _frame_sigma = Kernel(
     "frame_sigma",
-    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, "
-    "f32[h,w] per_steepest, f32[t] law, "
-    "f32[g,g,g]? gamut, f32[3]? low, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, "
-    "f32 square, f32 steps, f32 grows, f32 rest, f32 bins_per_change, f32 worth, f32 unlearnt, f32 highest",
+    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, f32[t] law, "
+    "f32[h,w]? variance, out f32[h,w,2] gradients, out bool[h,w] untouched, out f32[h,w] sigma, f32 square, f32 steps, "
+    "f32 grows, f32 rest, f32 highest",
 )
 _subtract_bias = Kernel(
     "subtract_bias",
@@ -31,27 +26,16 @@ _subtract_bias = Kernel(
 
 
 class PreparedSigma:
-    """Standard deviation of whole frames by the law and the gamut; immutable, shared by threads."""
+    """Standard deviation of whole frames: their step's, times the factors of slope and place; immutable, shared by threads."""
 
-    def __init__(self, sigma: SlopeSigma, shape: tuple[int, int], gamut: Gamut | None) -> None:
-        grid = np.array(sigma.place)
+    def __init__(self, sigma: SlopeSigma, shape: tuple[int, int]) -> None:
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
-        places = x[None, :], y[:, None]
-        self._place = (factor_at(grid, *places) ** 2).astype(np.float32)
-        self._per_steepest = np.zeros(shape, np.float32)
-        if sigma.steepest is not None:
-            self._per_steepest = (1 / factor_at(np.array(sigma.steepest), *places)).astype(np.float32)
+        self._place = (factor_at(np.array(sigma.place), x[None, :], y[:, None]) ** 2).astype(np.float32)
         step = np.float32(1.25 * max(sigma.slopes) / (TABLE - 2))
         knots = np.array(sigma.slopes), np.array(sigma.sigmas)
         self._law = (law_at(step * np.arange(TABLE), *knots) ** 2).astype(np.float32)
         grows = (knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else 0.0
         self._numbers = (1 / step, grows, sigma.rest**2)
-        self._gamut = self._gamut_low = None
-        self._gamut_numbers = (0.0, 0.0)
-        if gamut is not None:
-            self._gamut = np.ascontiguousarray(gamut.distance)
-            self._gamut_low = np.ascontiguousarray(gamut.low)
-            self._gamut_numbers = (1 / gamut.bin_width, gamut.bin_width * gamut.slope_per_change)
 
     def __call__(
         self,
@@ -59,12 +43,11 @@ class PreparedSigma:
         gradients: NDArray[np.float32],
         reference: Reference,
         hidden: NDArray[np.bool_] | None = None,
+        variance: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """Which pixels are untouched, and standard deviation of the slopes.
 
-        Untouched pixels have the deviation of rest. Slopes s beyond the steepest that the training presses showed at their
-        place have `UNLEARNT s (s/steepest - 1)` at least. A colour beyond those of the training presses adds its distance
-        to them (`Gamut`).
+        Untouched pixels have the deviation of rest.
 
         Parameters
         ----------
@@ -72,6 +55,7 @@ class PreparedSigma:
         gradients : (H, W, 2); the reference's bias is subtracted from them, in place
         reference : what untouched pixels have in common
         hidden : (H, W), pixels that markers hide: not untouched
+        variance : (H, W), of each slope by the step of the forward response; None where none is taken: 1
 
         Returns
         -------
@@ -86,9 +70,8 @@ class PreparedSigma:
         shape = gradients.shape[:2]
         untouched, sigma = np.empty(shape, dtype=bool), np.empty(shape, dtype=np.float32)
         refused = _frame_sigma(
-            color_change, hidden, reference.given, reference.common_change, reference.bias, self._place,
-            self._per_steepest, self._law, self._gamut, self._gamut_low, gradients, untouched, sigma,
-            reference.threshold**2, *self._numbers, *self._gamut_numbers, UNLEARNT, HIGHEST_SLOPE,
+            color_change, hidden, reference.given, reference.common_change, reference.bias, self._place, self._law,
+            variance, gradients, untouched, sigma, reference.threshold**2, *self._numbers, HIGHEST_SLOPE,
         )  # fmt: skip
         if refused:
             check_slopes(gradients)
@@ -107,6 +90,7 @@ class UnknownSigma:
         gradients: NDArray[np.float32],
         reference: Reference,
         hidden: NDArray[np.bool_] | None = None,
+        variance: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """As `PreparedSigma`."""
         shape = gradients.shape[:2]

@@ -1,27 +1,37 @@
-"""Causes in a frame: its sigma raised by all of them in one pass, and the confidence that follows."""
+"""Causes of doubt in a frame: its sigma raised by all of them in one pass, and the confidence that follows."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.untouched import Reference
-from gelform.confidence.cast_shadows import CastShadows
-from gelform.confidence.causes import dark, saturated, seen
-from gelform.confidence.causes.compression import added_levels
-from gelform.confidence.causes.seen import Limits, Seen, with_margin
-from gelform.confidence.forward_cells import explained_change
-from gelform.errors import GelformError
+from gelform.background.change import ChangeSettings, gain_from_background
+from gelform.confidence.clipped import SATURATED_FROM, ClippedChannels
+from gelform.confidence.compression import added_levels
+from gelform.confidence.solved import reach_px
+
+# Squared residual, in units of its covariance on held-out presses, from which a colour is that of no slope (4 sigma).
+OUTLIER = 16.0
+UNKNOWN = 1.0  # mm/mm, what a slope of a doubted colour may be off by
+# Mean of the residual's channels over their RMS: below, all are darker (a shadow); above, all are brighter (a mirrored light).
+DARKER, BRIGHTER = -0.25, 0.6
+# Slopes that differ by more from those `reach_px` away than a small ball's do are blurred, and off by so much of the rest.
+BEND_FROM, BEND = 0.1, 1.75
+UNSEEN = 1000.0  # of the clean sigma, for what says nothing: a weight of 1e-6, which solvers take for none
+LEAST_CONFIDENCE = 0.002  # of a slope of which the image says something: solvers fill what has less from around
+UNLIT_TO = 8  # grey levels of the untouched image's brightest channel
+LEAST_OUTSIDE_PX = 25  # connected: less is dust
+LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = 16, 16, 240  # mean of a block that was lost: dark, saturated or torn
 
 _raise_sigma = Kernel(
     "raise_sigma",
-    "u8[h,w,3] image, f32[h,w,3] change, f32[h,w,2] gradients, bool[h,w]? unseen_at, f32[ch,cw,9,3]? cells, f32[2] bias, "
-    "f32[h,w] gain, out f32[h,w] sigma, out f32[h,w] confidence, out bool[h,w] marked, f32 unexplained, f32 sure, "
-    "f32 per_change, f32 unseen, f32 clean, f32 added, f32 per_bend, f32 bend_from, f32 per_slope, "
-    "f32 least, i32 reach, i32 dark_to, i32 saturated_from",
+    "f32[h,w,2] gradients, f32[h,w]? residual, f32[h,w]? of_step, bool[h,w]? unseen_at, f32[h,w] gain, out f32[h,w] sigma, "
+    "out f32[h,w] confidence, out bool[h,w] marked, out f32[h,w]? walls, out f32[h,w]? outliers, f32 outlier, f32 unseen, "
+    "f32 clean, f32 added, f32 per_bend, f32 bend_from, f32 unknown, f32 least, i32 reach",
 )
 
 
@@ -30,128 +40,139 @@ class PreparedCauses:
 
     Parameters
     ----------
-    limits : what does not depend on the frame
-    cells : of the forward response, `coefficients_of_cells`; None where there is none
-    rest : (H, W, 3), the untouched image
-    shadows : of a sensor whose presses cast some, or None
+    rest : (H, W, 3), 0-255, the untouched image in use
+    change : how images become color changes
+    clean : standard deviation of a slope of confidence 1, mm/mm
+    levels : standard deviation of the calibrated images' pixels, grey levels, of each channel; None where not known
+    slope_per_change : slope that a color change of 1 is worth, mm/mm
+    walls : whether slopes that bend sharply are doubted; not those of imported color models, whose blur is unknown
     """
 
     def __init__(
         self,
-        limits: Limits,
-        cells: NDArray[np.float32] | None,
-        rest: NDArray[Any],
-        shadows: CastShadows | None = None,
+        rest: NDArray[np.float32],
+        change: ChangeSettings,
+        *,
+        clean: float,
+        levels: Any | None,
+        slope_per_change: float = 1.0,
+        walls: bool = True,
     ) -> None:
-        self.limits = limits
-        self._cells = cells
-        self._shadows = shadows
-        self._rest = as_levels(rest)
-        unexplained = limits.unexplained, limits.sure, limits.per_change
-        self._variances = *unexplained, limits.unseen, limits.clean
-        self._bend = limits.per_bend, seen.BEND_FROM, seen.STEEP, seen.LEAST_CONFIDENCE, limits.reach_px
+        self._rest, self._clean, self._per_change = as_levels(rest), clean, slope_per_change
+        self._levels = np.inf if levels is None else float(np.sqrt(np.mean(np.square(levels))))
+        self._gain = np.ascontiguousarray(gain_from_background(rest, change).mean(axis=-1))
+        self._outside = outside_of_gel(rest)
+        self._bend = BEND if walls else 0.0, BEND_FROM, UNKNOWN, LEAST_CONFIDENCE, reach_px(change.blur_px)
+        self._disc = ClippedChannels(change.blur_px, None, 0).disc
 
     def __call__(
         self,
-        image: NDArray[Any],
-        color_change: NDArray[np.float32],
         gradients: NDArray[np.float32],
-        reference: Reference,
-        hidden: NDArray[np.bool_] | None,
         sigma: NDArray[np.float32],
-        came: NDArray[Any] | None = None,
+        unseen: NDArray[np.bool_] | None,
+        image: NDArray[Any],
+        step: tuple[NDArray[Any], NDArray[Any]] | None = None,
+        maps: dict[str, NDArray[np.float32]] | None = None,
     ) -> NDArray[np.float32]:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
         Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.002 at least where the image says
-        something of the slope. In cast shadows the slopes change in place to those that the other lights show, and are
-        doubted.
+        something of the slope.
 
         Parameters
         ----------
-        image : (H, W, 3), 0-255
-        color_change : (H, W, 3)
-        gradients : (H, W, 2), without the reference's bias
-        reference : what untouched pixels have in common
-        hidden : (H, W) bool, pixels that markers hide or that are lost, or None
-        sigma : (H, W), of the law and the colours' distance to those of the training presses
-        came : (H, W, 3), the image as it came, where `image` has parts replaced: its noise counts
+        gradients : (H, W, 2)
+        sigma : (H, W)
+        unseen : (H, W) bool, pixels that show no gel, or of which too few channels say something; None: nowhere
+        image : (H, W, 3), 0-255, as it came: its noise counts
+        step : residual and variance (H, W) of the forward response's step, the residual's unit that of held-out presses
+        maps : gets what walls, outliers and compression add, by name, where it is given
         """
-        limits, pixels = self.limits, as_levels(image)
-        added = self.added_levels(pixels if came is None else as_levels(came))
-        unseen = self._unseen(hidden)
+        added = added_levels(as_levels(image), self._rest, self._levels)
+        unseen_at = unseen if self._outside is None else self._outside if unseen is None else unseen | self._outside
         confidence, marked = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
+        walls = outliers = None
+        if maps is not None:
+            walls, outliers = maps["wall"], maps["outlier"] = np.empty_like(sigma), np.empty_like(sigma)
+            maps["compression"] = np.float32(self._per_change * added) * self._gain
         count = _raise_sigma(
-            pixels, color_change, gradients, unseen, self._cells, reference.bias, limits.gain, sigma,
-            confidence, marked, *self._variances, limits.worth * added, *self._bend,
-            dark.DARK_TO, saturated.SATURATED_FROM,
+            gradients, *(step or (None, None)), unseen_at, self._gain, sigma, confidence, marked, walls, outliers, OUTLIER,
+            UNSEEN * self._clean, self._clean, self._per_change * added, *self._bend,
         )  # fmt: skip
         if count:
-            self._raise_around(marked if unseen is None else marked & ~unseen, sigma, confidence)
-        if self._shadows is not None:
-            frame = color_change, gradients, reference.bias, unseen
-            self._shadows.take_back(*frame, sigma, confidence, seen.LEAST_CONFIDENCE)
+            reached = cv2.dilate(marked.view(np.uint8), self._disc).view(np.bool_)
+            if unseen_at is not None:
+                reached &= ~unseen_at
+            raised = np.hypot(sigma[reached], np.float32(UNSEEN * self._clean))
+            sigma[reached] = raised
+            confidence[reached] = np.minimum(np.square(np.float32(self._clean) / raised), 1)
+            if outliers is not None:
+                outliers[reached] = UNSEEN * self._clean
         return confidence
 
-    def seen(
+    def maps_of(
         self,
+        maps: dict[str, NDArray[np.float32]],
+        sigma: NDArray[np.float32],
         image: NDArray[Any],
-        color_change: NDArray[np.float32],
-        gradients: NDArray[np.float32],
         *,
+        clipped: NDArray[np.uint8] | None,
         markers: NDArray[np.bool_] | None,
         lost: NDArray[np.bool_] | None,
-        lost_image: NDArray[Any],
-    ) -> Seen:
-        """A frame as the single causes look at it; the gradients (H, W, 2) as the color model read them."""
-        residual = gentle = None
-        if self._cells is not None:
-            slopes = gradients, seen.no_steeper(gradients)
-            residual, gentle = (color_change - explained_change(self._cells, one) for one in slopes)
-        pixels, came = as_levels(image), as_levels(lost_image)
-        added = self.added_levels(came)
-        cast = None
-        if self._shadows is not None:
-            hidden = lost if markers is None else markers if lost is None else markers | lost
-            cast = self._shadows.sigma(color_change, gradients, self._unseen(hidden))
-        masks = markers, lost, came
-        return Seen(pixels, color_change, gradients, residual, *masks, added, self.limits, cast, gentle)
+        left: NDArray[Any] | None,
+    ) -> dict[str, NDArray[np.float32]]:
+        """What each cause of `CAUSES` adds (H, W), in squares, to the sigma of slopes, mm/mm.
 
-    def added_levels(self, pixels: NDArray[np.uint8]) -> float:
-        """Noise of an image beyond the calibrated images', grey levels."""
-        return added_levels(pixels, self._rest, self.limits.levels)
-
-    def _unseen(self, hidden: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-        outside = self.limits.outside
-        return hidden if outside is None else outside if hidden is None else hidden | outside
-
-    def _raise_around(
-        self, marked: NDArray[np.bool_], sigma: NDArray[np.float32], confidence: NDArray[np.float32]
-    ) -> None:
-        limits = self.limits
-        reached = with_margin(marked, limits.margin_px)
-        raised = np.hypot(sigma[reached], np.float32(limits.unseen))
-        sigma[reached] = raised
-        confidence[reached] = np.minimum(np.square(np.float32(limits.clean) / raised), 1)
+        Parameters
+        ----------
+        maps : from the call
+        sigma : (H, W), before it was raised
+        image : (H, W, 3), 0-255, as it came
+        clipped : (H, W, 3), channels that say nothing
+        markers, lost : (H, W) bool, pixels that markers hide, and parts that were lost
+        left : (H, W, 3), what the forward response leaves of the color change, for the kind of outliers; None without one
+        """
+        nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
+        found = {name: nothing for name in ("saturated", "dark", "shadow", "specular", "off_gamut", "inconsistent")}
+        for name, where in (("marker", markers), ("outside", self._outside)):
+            found[name] = nothing if where is None else np.where(where, unseen, nothing)
+        pixels = as_levels(image)
+        if clipped is not None:
+            says_nothing = clipped.sum(axis=-1) > 1
+            cost = np.where(says_nothing, unseen, sigma) * clipped.any(axis=-1)
+            bright = cv2.dilate((pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8), self._disc) > 0
+            found["saturated"] = np.where(bright, cost, nothing)
+            found["dark"] = np.where(bright, nothing, cost)
+        if lost is not None:
+            level = cv2.blur(pixels, (LOST_BLOCK_PX, LOST_BLOCK_PX))
+            bright = lost & (level.max(axis=-1) >= LOST_SATURATED_FROM)
+            dark = lost & ~bright & (level.min(axis=-1) <= LOST_DARK_TO)
+            for name, where in (("saturated", bright), ("dark", dark), ("inconsistent", lost & ~bright & ~dark)):
+                found[name] = np.where(where, unseen, found[name])
+        if left is not None:
+            outlier = maps["outlier"]
+            common = left.mean(axis=-1) / np.maximum(np.sqrt(np.mean(np.square(left), axis=-1)), 1e-12)
+            darker, brighter = common < DARKER, common > BRIGHTER
+            kinds = ("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)
+            found |= {name: np.where(where, outlier, nothing) for name, where in kinds}
+        return {**found, "wall": maps["wall"], "compression": maps["compression"]}
 
 
 class AllAlike:
     """Where results state no deviation of the slopes: each has a confidence of 1, as solvers without weights count it."""
 
-    def __call__(self, *frame: Any) -> NDArray[np.float32]:
+    def __call__(self, gradients: NDArray[np.float32], *frame: Any) -> NDArray[np.float32]:
         """Confidence (H, W), of the arguments of `PreparedCauses`; the sigma stays as it is."""
-        _, _, gradients, *_ = frame
         return np.ones(gradients.shape[:2], dtype=np.float32)
 
-    def seen(self, *frame: Any, **masks: Any) -> Seen:
-        """Refused: nothing was looked for.
 
-        Raises
-        ------
-        GelformError
-            Always.
-        """
-        raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
+def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Pixels (H, W) of an untouched image that no light reaches, in regions that are not dust; None: there are none."""
+    unlit = (np.asarray(background).max(axis=-1) <= UNLIT_TO).astype(np.uint8)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(unlit, connectivity=8)
+    large = boxes[:, cv2.CC_STAT_AREA] >= LEAST_OUTSIDE_PX
+    large[0] = False
+    return large[labels] if count > 1 and large.any() else None
 
 
 def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -18,6 +18,7 @@ GOOD = 0.95
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
 ROUNDS = 3
 LEAST_APART, MOST_FACTOR = 1e-6, 1e3  # of the factors of solved slopes
+NO_LONGER = ("surround_sigma", "steepest")  # in older calibrations, by rules that a step's covariance replaced
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
@@ -27,7 +28,6 @@ _RANGES = (
     ("gain_sigma", 0, 10),
     ("solved_factor", 1e-3, 1e3),
     ("rest_correlation_px", 0, 1e4),
-    ("surround_sigma", 0, 10),
 )
 
 
@@ -42,6 +42,7 @@ class SlopeErrors:
     x, y : (N,) place in the frame, 0-1
     press : (N,) index of the press: pixels of one press are no independent witnesses
     rest : (M, 2) slopes read where nothing touched, their bias removed: all of it is error
+    stated : (N,) standard deviation by the step of the forward response; 1 where none is taken
     """
 
     slopes: NDArray[Any]
@@ -50,19 +51,20 @@ class SlopeErrors:
     y: NDArray[Any]
     press: NDArray[Any]
     rest: NDArray[Any]
+    stated: NDArray[Any] | float = 1.0
 
 
 @dataclass(frozen=True)
 class SlopeSigma:
-    """Standard deviation of a slope component, by slope and place.
+    """Standard deviation of a slope component: that of its step, times factors of slope and place.
 
-    68 % of the errors are within it: it is fitted to that share, not to the
-    variance, which a few bad pixels would rule.
+    Where no step is taken, the step's counts as 1 mm/mm and the factors are the deviation. 68 % of the errors on held-out
+    presses are within it: it is fitted to that share, not to the variance, which a few bad pixels would rule.
 
     Attributes
     ----------
     rest : of untouched gel
-    slopes, sigmas : a law in contact, linear between these |gradient| and proportional beyond the last
+    slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
     solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact; see `solved_factor`
     solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over what a slope's
@@ -73,10 +75,6 @@ class SlopeSigma:
         many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     correlated_share : share of the variance that is correlated; the rest is white
-    surround_sigma : relative error of how deep a whole contact lies, beyond `gain_sigma`: what the slopes around contacts,
-        of which presses say nothing, may be off
-    steepest : slopes that the training presses show, on a grid of rows and columns over the frame as `place` is; None in
-        calibrations that do not hold it
     rest_correlation_px, rest_correlated_share : the same of untouched gel, where noise is left that the color change's
         blur correlates over a pixel or two: over the first the errors fall to exp(-1/2), but for the second, 0-1,
         which is correlated over `correlation_px`; None: as in a contact, in calibrations that do not hold it
@@ -93,8 +91,6 @@ class SlopeSigma:
     place: tuple[tuple[float, ...], ...] = ((1.0,),)
     rest_correlation_px: float = 0.0
     rest_correlated_share: float | None = None
-    surround_sigma: float = 0.0
-    steepest: tuple[tuple[float, ...], ...] | None = None
     solved_slopes: tuple[float, float] | None = None
     solved_places: tuple[tuple[tuple[float, ...], ...], ...] | None = None
 
@@ -113,9 +109,6 @@ class SlopeSigma:
             raise ValueError("Expected slopes that grow and as many sigmas > 0, got others.")
         if not (place.ndim == 2 and place.min() > 0):
             raise ValueError("Expected place as rows of factors > 0, got others.")
-        steepest = place if self.steepest is None else check_values(self.steepest, "steepest")
-        if not (steepest.ndim == 2 and steepest.min() > 0):
-            raise ValueError("Expected steepest as rows of slopes > 0, got others.")
         self._check_solved()
 
     def _check_solved(self) -> None:
@@ -132,7 +125,8 @@ class SlopeSigma:
         cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float, gain_sigma: float = 0.0
     ) -> SlopeSigma:
         """The law and the factors that hold 68 % of the held-out errors within one sigma, everywhere alike."""
-        slopes, error = held_out.slopes, np.abs(held_out.errors)
+        stated = np.broadcast_to(np.asarray(held_out.stated, dtype=np.float64), held_out.slopes.shape)[:, None]
+        slopes, error = held_out.slopes, np.abs(held_out.errors) / stated
         edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
         bins = np.clip(np.digitize(slopes, edges[1:-1]), 0, len(edges) - 2)
         place = np.ones(PLACES)
@@ -145,8 +139,8 @@ class SlopeSigma:
             ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
             law = law_at(slopes, *np.array(knots).T)[:, None]
             place = _place_factors(held_out, error / law)
-        rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA)) if held_out.rest.size else knots[0][1]
-        clean = float(np.quantile(law * factor, GOOD))
+        rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA)) if held_out.rest.size else knots[0][1] * float(np.median(stated))
+        clean = float(np.quantile(law * factor * stated, GOOD))
         return cls(
             rest=max(rest, 1e-5),
             slopes=tuple(k[0] for k in knots),
@@ -174,29 +168,20 @@ class SlopeSigma:
         exact = {name: tuple(values[name]) for name in ("slopes", "sigmas")}
         grids: dict[str, Any] = {
             name: tuple(tuple(row) for row in values[name])
-            for name in ("place", "steepest")
+            for name in ("place",)
             if values.get(name) is not None
         }
         if values.get("solved_places") is not None:
             grids["solved_slopes"] = tuple(values["solved_slopes"])
             grids["solved_places"] = tuple(tuple(map(tuple, grid)) for grid in values["solved_places"])
-        return cls(**{**values, **exact, **grids})
+        kept = {name: value for name, value in values.items() if name not in NO_LONGER}
+        return cls(**{**kept, **exact, **grids})
 
     @property
     def correlation(self) -> dict[str, Any]:
         """How the errors correlate, as `DepthSigma` takes it."""
         names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
         return {name: getattr(self, name) for name in names}
-
-    @property
-    def depth_gain_sigma(self) -> float:
-        """Relative error of a contact's depth against rest: its own slopes' and that of those around it."""
-        return float(np.hypot(self.gain_sigma, self.surround_sigma))
-
-    def of(self, slopes: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
-        """Standard deviation of scattered slopes |g| in contact, at places 0-1."""
-        law = law_at(np.asarray(slopes), np.array(self.slopes), np.array(self.sigmas))
-        return law * factor_at(np.array(self.place), x, y)
 
 
 def solved_factor(observed_errors: NDArray[Any], solved_errors: NDArray[Any]) -> float:

@@ -1,8 +1,8 @@
 """Standard deviation of the slopes of the solved depth, which is what a result states: where balls showed them, and beyond.
 
 A surface cannot follow errors of slopes that have curl, so solved slopes are better than those that were read; by how much,
-held-out presses say by slope and place. Three things are added that presses of balls hardly show: blur at edges and walls,
-how deep the gel lies, and weak light. None of it changes how slopes are weighted, nor the depth.
+held-out presses say by slope and place. What presses of balls hardly show is added: what blur takes at edges and walls. None of
+it changes how slopes are weighted, nor the depth.
 """
 
 from __future__ import annotations
@@ -14,33 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.confidence.causes.seen import reach_px
 from gelform.confidence.slope_sigma import LEAST_APART, MIN_IN_BIN, ONE_SIGMA, PLACES, SlopeSigma, factor_at
 
-STEEPEST = (
-    1.0  # mm/mm: no slope of a gel is known less well than that; saturated or hidden, it is known no better
-)
+STEEPEST = 1.0  # mm/mm: no slope of a gel is known less well than that; saturated or hidden, it is known no better
 UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
 EXACT = 1e-6  # mm/mm
 PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
 # Blur of standard deviation d px takes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that holds two thirds
-# of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. All constants were chosen
-# on eight objects on twelve simulated sensors and on a real one, and held on eight others.
+# of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. Both were chosen on eight
+# objects on twelve simulated sensors and on a real one, and held on eight others.
 OPTICS_PX, BLURRED = 2.5, 0.6
-BEND, BEND_FROM = 0.9, 0.12  # of the difference to slopes that far away, where it is more than a small ball's
-TAIL = 0.22  # of both outside contacts, where the gel bends gently
-# Of `SlopeSigma.surround_sigma`, the relative error of how deep a contact lies: of slopes outside contacts, and in them.
-DEPTH = 0.7, 0.22
-# A slope where light is n times as noisy as usual is off by DIM (n - 1) times the deviation of rest, outside contacts by
-# half of that variance at DIM_FROM and less below.
-DIM, DIM_FROM = 2.0, 0.05
+REACH = 1.6  # blurs, to the slopes that a slope is compared with
 
 _solved_sigma = Kernel(
     "solved_sigma",
-    "f32[h,w] sigma, f32[h,w,2] gradients, bool[h,w] contact, f32[h,w] gentle, f32[h,w] steep, f32[h,w] dim, "
-    "f32[2] curvature, f32[2] bend, f32[2] depth, out f32[n] work, out f32[h,w] solved, f32 bend_from, f32 unlimited, "
-    "f32 from_slope, f32 per_slope, f32 limit, f32 dim_from, i32 reach",
+    "f32[h,w] sigma, f32[h,w,2] gradients, f32[h,w] gentle, f32[h,w] steep, out f32[n] work, out f32[h,w] solved, "
+    "f32 curvature, f32 unlimited, f32 from_slope, f32 per_slope, f32 limit, i32 reach",
 )
 
 
@@ -51,76 +41,56 @@ class SolvedSigma:
     ----------
     sigma : of the calibration; None where it knows none: what a color model states itself holds for solved slopes too
     shape : (H, W) of the images
-    blur_px : of the color change; None of calibrations that know no colours of training presses: no slope is a wall's
-    noise : (H, W), how noisy slopes at rest are over their median; None: alike everywhere
+    blur_px : of the color change; None of imported calibrations, whose blur is unknown: no slope is a wall's
     """
 
-    def __init__(
-        self,
-        sigma: SlopeSigma | None,
-        shape: tuple[int, int],
-        blur_px: float | None,
-        noise: NDArray[np.float32] | None = None,
-    ) -> None:
+    def __init__(self, sigma: SlopeSigma | None, shape: tuple[int, int], blur_px: float | None) -> None:
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
-        slopes, around = (0.0, 1.0), 0.0
+        slopes: tuple[float, float] = (0.0, 1.0)
         grids: tuple[Any, ...] = (((1.0,),),) * 2
-        self._dim = np.zeros(shape, dtype=np.float32)
         if sigma is not None:
-            slopes, around = sigma.solved_slopes or slopes, sigma.surround_sigma
+            slopes = sigma.solved_slopes or slopes
             grids = sigma.solved_places or (((sigma.solved_factor,),),) * 2
-            if noise is not None:
-                self._dim += np.float32(DIM * sigma.rest) * np.maximum(noise - 1, 0)
         self._factors = [
             factor_at(np.array(grid), x[None, :], y[:, None]).astype(np.float32) for grid in grids
         ]
-        reach, curvature, bend = 1, 0.0, 0.0
-        if blur_px is not None:
-            reach, curvature, bend = reach_px(blur_px), curvature_worth(blur_px), BEND
-        pairs = (TAIL * curvature, curvature), (TAIL * bend, bend), (DEPTH[0] * around, DEPTH[1] * around)
-        self._pairs = [np.array(pair, dtype=np.float32) for pair in pairs]
+        walls = (0.0, 1) if blur_px is None else (curvature_worth(blur_px), reach_px(blur_px))
         law = slopes[0], 1 / (slopes[1] - slopes[0])
-        self._numbers = (BEND_FROM, UNLIMITED, *law, STEEPEST, DIM_FROM, reach)
+        self._numbers = (walls[0], UNLIMITED, *law, STEEPEST, walls[1])
 
     def __call__(
-        self,
-        sigma: NDArray[np.float32] | None,
-        gradients: NDArray[np.float32],
-        contact: NDArray[np.bool_],
+        self, sigma: NDArray[np.float32] | None, gradients: NDArray[np.float32]
     ) -> NDArray[np.float32] | None:
         """Standard deviation (H, W, 2) of the slopes of the solved depth.
 
         A slope that was read badly follows from its neighbours: beside its own reading each is known by the two loops of
-        four edges that it closes. All share a part of the error of how deep a contact lies (`SlopeSigma.surround_sigma`),
-        relative to them. Where slopes bend sharply they are off by what the blur takes. No slope is less known than within
-        `STEEPEST` but for a wall's.
+        four edges that it closes. Where slopes bend sharply they are off by what the blur takes. No slope is less known than
+        within `STEEPEST` but for a wall's.
 
         Parameters
         ----------
         sigma : (H, W, 2) of the slopes as they were read; None where nobody knows
         gradients : (H, W, 2) of the solved depth
-        contact : (H, W)
         """
         if sigma is None:
             return None
         alike = sigma.strides[-1] == 0  # one map for both components, broadcast
-        maps = [
-            self._map(np.ascontiguousarray(sigma[..., c]), gradients, contact)
-            for c in range(1 if alike else 2)
-        ]
+        maps = [self._map(np.ascontiguousarray(sigma[..., c]), gradients) for c in range(1 if alike else 2)]
         return for_both(maps[0]) if alike else np.stack(maps, axis=-1)
 
-    def beyond(self, gradients: NDArray[np.float32], contact: NDArray[np.bool_]) -> NDArray[np.float32]:
+    def beyond(self, gradients: NDArray[np.float32]) -> NDArray[np.float32]:
         """What (H, W) slopes that were read nearly exactly, to `EXACT`, are off by."""
-        return self._map(np.full(contact.shape, EXACT, dtype=np.float32), gradients, contact)
+        return self._map(np.full(gradients.shape[:2], EXACT, dtype=np.float32), gradients)
 
-    def _map(
-        self, sigma: NDArray[np.float32], gradients: NDArray[np.float32], contact: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        solved, work = np.empty_like(sigma), np.empty(5 * sigma.shape[1] + 2, dtype=np.float32)
-        frame = sigma, gradients, contact, *self._factors, self._dim
-        _solved_sigma(*frame, *self._pairs, work, solved, *self._numbers)
+    def _map(self, sigma: NDArray[np.float32], gradients: NDArray[np.float32]) -> NDArray[np.float32]:
+        solved, work = np.empty_like(sigma), np.empty(3 * sigma.shape[1] + 2, dtype=np.float32)
+        _solved_sigma(sigma, gradients, *self._factors, work, solved, *self._numbers)
         return solved
+
+
+def reach_px(blur_px: float) -> int:
+    """How far from a pixel those lie that its slope is compared with, of a color change that is blurred so much."""
+    return max(1, round(REACH * blur_px))
 
 
 def curvature_worth(blur_px: float) -> float:

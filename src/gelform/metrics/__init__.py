@@ -1,7 +1,6 @@
 """Figures of surfaces: how far a result is from the truth, and how rough a surface is."""
 
 from gelform.metrics.depth_errors import (
-    INNER,
     PressErrors,
     SlopeScore,
     angle_deg,
@@ -12,7 +11,6 @@ from gelform.metrics.roughness import FORMS, Roughness, areal_roughness, gaussia
 
 __all__ = [
     "FORMS",
-    "INNER",
     "PressErrors",
     "Roughness",
     "SlopeScore",

@@ -11,10 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere, followed_radius
 from gelform.checks import check_gradients, check_map, check_numbers, check_positive, check_within
 
-INNER = (
-    0.8  # of the contact radius: beyond it the gel leaves the ball, and the ball's slopes are not the gel's
-)
-
 
 def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
     """Angle between the normals of two sets of gradients (..., 2), degrees."""
@@ -62,15 +58,16 @@ def score_slopes(
 class PressErrors:
     """Errors of one reconstructed ball press against the ball; no scale is fitted.
 
-    Where the visible circle is as wide as the ball, the contact is what the gel certainly follows (`followed_radius`).
+    They are counted inside the contact's edge, where the gel follows the ball, and 3 px (at 240 rows) inside the visible rim
+    at least. Where the visible circle is as wide as the ball, the contact is what the gel certainly follows
+    (`followed_radius`).
 
     Attributes
     ----------
-    normal_deg : mean angle to the ball's normals inside the contact, 3 px (at 240 rows) inside its rim
+    normal_deg : mean angle to the ball's normals
     normal_free_deg : the same with a free centre: the ball of known radius fitted to the gradients
-    normal_inner_deg : the same, within 0.8 of the contact radius of that centre: without the rim, where the gel leaves
-        the ball
-    cap_um : standard deviation of depth minus the ball's cap there (offset free, scale not)
+    normal_rim_deg : the same up to 3 px inside the visible rim: it holds the gel against a ball that it has left there
+    cap_um : standard deviation of depth minus the ball's cap (offset free, scale not)
     cap_free_um : the same with a free centre, fitted to the slopes of the depth map
     radius_percent : (R_fit - R)/R of a sphere fitted to the depth, signed
     off_contact_um : RMS of depth beyond 2.5 radii of the visible circle; NaN where the frame ends before
@@ -78,7 +75,7 @@ class PressErrors:
 
     normal_deg: float
     normal_free_deg: float
-    normal_inner_deg: float
+    normal_rim_deg: float
     cap_um: float
     cap_free_um: float
     radius_percent: float
@@ -92,6 +89,7 @@ def press_errors(
     circle_px: tuple[float, float, float],
     ball_radius_mm: float,
     mm_per_px: float,
+    contact_radius_ratio: float = 1.0,
 ) -> PressErrors:
     """Errors of a reconstructed press of a ball.
 
@@ -101,6 +99,7 @@ def press_errors(
     gradients : (H, W, 2)
     circle_px : contact circle (centre x, centre y, radius), px
     ball_radius_mm, mm_per_px : known, never fitted
+    contact_radius_ratio : radius of the contact's edge over that of the visible circle, 0-1
 
     Raises
     ------
@@ -121,7 +120,8 @@ def press_errors(
     inset = 3 * min(height, width) / 240
     rho = np.hypot(x - cx, y - cy)
     followed = followed_radius(contact, ball_px)
-    reach = min(followed - inset, STEEPEST_FRACTION * ball_px)
+    visible = min(followed - inset, STEEPEST_FRACTION * ball_px)
+    reach = min(check_within(contact_radius_ratio, "contact_radius_ratio", 1e-3, 1) * followed, visible)
     inside = rho < reach
     if np.count_nonzero(inside) < 10:
         raise ValueError(f"Expected a contact of at least 10 px inside the frame, got a circle {circle_px}.")
@@ -150,7 +150,7 @@ def press_errors(
     return PressErrors(
         normal_deg=normal((cx, cy), inside),
         normal_free_deg=normal(free[0], inside_free[0]),
-        normal_inner_deg=normal(free[0], from_free[0] < min(INNER * followed, reach)),
+        normal_rim_deg=normal(free[0], from_free[0] < visible),
         cap_um=cap((cx, cy), inside),
         cap_free_um=cap(free[1], inside_free[1]),
         radius_percent=100 * (sphere.radius_mm - ball_radius_mm) / ball_radius_mm,

@@ -69,7 +69,7 @@ class Look(Protocol):
 class CalibratedLook:
     """The look that a calibration has learnt: its forward response to slope and depth.
 
-    To slope alone where it was fitted without depths. The noise is that of the images it was made from; its
+    To slope alone where it was imported without. The noise is that of the images it was made from; its
     background's where the calibration knows no other.
 
     Parameters
@@ -104,10 +104,10 @@ class CalibratedLook:
         steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
         limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
         forward = self.calibration.forward
-        if forward is None or not forward.knows_depth:
+        if forward is None:
             return self.calibration.color_from_gradients(limited)
         y, x = (axis.ravel() for axis in np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]])
-        change = forward.color_from_gradients(limited.reshape(-1, 2), x, y, depth_mm=depth_mm.ravel())
+        change = forward.color_from_gradients(limited.reshape(-1, 2), x, y, depth_px=depth_mm.ravel() / self.mm_per_px)
         return change.reshape(*depth_mm.shape, 3).astype(np.float32)
 
 

@@ -1,11 +1,11 @@
-"""gradients -> the frame's depth, for color models that correct slopes by it: `FrameDepth` of numpy, a batch at a time."""
+"""gradients -> the frame's depth, for the forward response: `FrameDepth` of numpy, a batch at a time."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-from gelform.color_models.depth_aware.frame_depth import LEAST_UNTOUCHED, coarse_grid
+from gelform.color_models.frame_depth import LEAST_UNTOUCHED, coarse_grid
 from gelform.torch.maps import bilinear_shares, block_shares, medians_where
 from gelform.torch.poisson import PoissonDepth
 

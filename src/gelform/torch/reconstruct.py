@@ -24,6 +24,7 @@ except ModuleNotFoundError as missing:
     ) from missing
 
 from gelform.torch.color_change import ColorChange
+from gelform.torch.forward_step import ForwardStep
 from gelform.torch.maps import medians_where
 from gelform.torch.poisson import PoissonDepth
 from gelform.torch.slopes import gradients_module
@@ -48,12 +49,11 @@ class Reconstruct(nn.Module):
     """Color model and cosine solve of a calibration, for batches: differentiable, on the device it is moved to.
 
     The same depth as `gelform.Reconstructor(calibration, solver="dct").from_image`, within 1e-4 of its peak; without
-    weights, anchor, confidence, uncertainty, contact and health. Its buffers follow `.to(device)` and `.double()`.
+    weights, anchor, confidence, uncertainty, contact and health; a clipped channel is read as it is. Its buffers follow `.to(device)` and `.double()`.
 
     Parameters
     ----------
-    calibration : of this sensor, or the path of its file; color model hierarchical, polynomial, lambertian, near_light,
-        depth_aware or depth_by_lights
+    calibration : of this sensor, or the path of its file; color model hierarchical, polynomial, lambertian or near_light
     background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
     compensate_exposure : whether each image's exposure is estimated and undone, as the numpy path does
         As a constant: no derivative passes through it. Off for images that are rendered, and for exact derivatives.
@@ -87,6 +87,9 @@ class Reconstruct(nn.Module):
         self.threshold = calibration.untouched_change
         self.color_change = ColorChange(today, calibration.change, compensate_exposure)
         self.model = gradients_module(calibration.color_model, today)
+        forward = calibration.forward
+        steps = forward is not None and forward.step_sigma is not None
+        self.step = ForwardStep(forward, self.threshold) if forward is not None and steps else None
         self.solver = PoissonDepth(self.shape, (calibration.mm_per_px or 1.0,) * 2)
 
     def forward(self, images: Tensor) -> BatchReconstruction:
@@ -110,6 +113,8 @@ class Reconstruct(nn.Module):
     def _of_part(self, images: Tensor) -> BatchReconstruction:
         change = self.color_change(images)
         gradients = self.model(change)
+        if self.step is not None:
+            gradients = self.step(change, gradients)
         untouched = self._untouched(change)
         step = _step(self.shape, SAMPLES)
         bias = medians_where(gradients[..., ::step, ::step], untouched[..., ::step, ::step])

@@ -1,4 +1,4 @@
-"""color change -> gradients, a batch at a time: the color models that are a formula, some with the frame's depth in it."""
+"""color change -> gradients, a batch at a time: the color models that are a formula."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from torch import Tensor, nn
 
 from gelform.color_models import (
     ColorModel,
-    DepthAwareModel,
-    DepthByLightsModel,
     HierarchicalModel,
     LambertianModel,
     NearLightModel,
@@ -21,8 +19,6 @@ from gelform.color_models import (
 from gelform.color_models._shared.least_squares import monomial_parents, monomials
 from gelform.color_models.lambertian import MAX_SLOPE, inverse_lights
 from gelform.errors import CalibrationError
-from gelform.torch.frame_depth import FrameDepth
-from gelform.torch.maps import planes
 
 LEAST_NORMAL_Z = 1e-6
 
@@ -44,17 +40,9 @@ def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
         x_px, y_px = _pixels(shape)
         inverse = np.linalg.inv(model.lights_at(x_px, y_px)).reshape(*shape, 3, 3)
         return LitGradients(inverse, model.response)
-    if isinstance(model, DepthAwareModel):
-        return DepthAwareGradients(model, background)
-    if isinstance(model, DepthByLightsModel):
-        return (
-            DepthByLightsGradients(model, background)
-            if model.carries
-            else gradients_module(model.plain, background)
-        )
     raise CalibrationError(
-        "Expected a calibration with the color model hierarchical, polynomial, lambertian, near_light, depth_aware or "
-        f"depth_by_lights, got {model.name}. Calibrate with --model hierarchical, or use gelform.Reconstructor."
+        "Expected a calibration with the color model hierarchical, polynomial, lambertian or near_light, "
+        f"got {model.name}. Calibrate with --model hierarchical, or use gelform.Reconstructor."
     )
 
 
@@ -76,51 +64,6 @@ class PolynomialGradients(nn.Module):
             products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
             gradients = gradients + products[-1][:, None] * coefficient
         return gradients
-
-
-class _GradientsByDepth(nn.Module):
-    """A plain polynomial that reads the depth of the frame, and one beside it for the slopes."""
-
-    def __init__(self, model: DepthAwareModel | DepthByLightsModel, shape: tuple[int, int]) -> None:
-        super().__init__()
-        self.plain, self.beside = (PolynomialGradients(one, shape) for one in (model.plain, model.beside))
-        self.depth = FrameDepth(shape, model.untouched)
-
-
-class DepthAwareGradients(_GradientsByDepth):
-    """Slopes with terms of the depth: first of that which a plain polynomial reads, then of that of these slopes."""
-
-    def __init__(self, model: DepthAwareModel, background: NDArray[Any]) -> None:
-        shape = background.shape[:2]
-        super().__init__(model, shape)
-        prepared = model.prepare(background, shape)
-        self.register_buffer("place", planes(prepared.place))
-        self.register_buffer("color", _tensor(prepared.color))
-
-    def forward(self, color_change: Tensor) -> Tensor:
-        """Gradients, the depth read twice."""
-        rest, beside = self.depth.rest(color_change), self.beside(color_change)
-        per_depth = torch.einsum("ck,nchw->nkhw", self.color, color_change) + self.place
-        depth = self.depth.in_full(self.depth(self.plain(color_change), rest))
-        again = self.depth.in_full(self.depth(beside + depth * per_depth, rest))
-        return beside + again * per_depth
-
-
-class DepthByLightsGradients(_GradientsByDepth):
-    """A polynomial of the color change that there would be at depth 0; a plain polynomial reads the depth."""
-
-    def __init__(self, model: DepthByLightsModel, background: NDArray[Any]) -> None:
-        shape = background.shape[:2]
-        super().__init__(model, shape)
-        prepared = model.prepare(background, shape)
-        self.register_buffer("lighter", planes(prepared.lighter))
-        self.register_buffer("stronger", planes(prepared.stronger))
-
-    def forward(self, color_change: Tensor) -> Tensor:
-        """Gradients of the color change without what the depth does to the light."""
-        depth = self.depth(self.plain(color_change), self.depth.rest(color_change))
-        level = color_change - self.depth.in_full(depth * self.lighter)
-        return self.beside(level * self.depth.in_full(1 / (1 + depth * self.stronger)))
 
 
 class LitGradients(nn.Module):

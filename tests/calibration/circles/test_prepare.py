@@ -50,8 +50,14 @@ def test_each_offset_is_prepared_once(few):
     found = prepared_by_offset(few, usual, [USUAL_OFFSET, 0.0, 0.0])
     assert found.keys() == {USUAL_OFFSET, 0.0}
     assert found[USUAL_OFFSET] is usual
-    dark = replace(few, background=np.zeros_like(few.background))
-    assert prepared_by_offset(dark, usual, [0.0]).keys() == {USUAL_OFFSET}, "0/0 tells nothing"
+    assert [press.name for press in found[0.0]] == [press.name for press in usual]
+    assert not np.array_equal(found[0.0][0].color_change, usual[0].color_change)
+
+
+def test_the_edge_of_the_contacts_goes_with_the_presses(few):
+    """It is measured once, in what circles are found in."""
+    usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few)]
+    assert {press.contact_radius_ratio for press in prepared_by_offset(few, usual, [0.0])[0.0]} == {0.7}
 
 
 def test_a_circle_for_each_press_and_progress_for_each(few):
@@ -61,11 +67,31 @@ def test_a_circle_for_each_press_and_progress_for_each(few):
     assert calls == [(1, 2), (2, 2)]
 
 
-def test_nothing_is_divided_by_a_background_of_0(few):
+@pytest.mark.parametrize("marked", [False, True])
+def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked):
+    """Of the offset 0 those pixels are not usable, beside those on markers; of others all are."""
     black = few.background.copy()
-    black[0, 0] = 0
-    spotted = replace(few, background=black)
-    assert set(prepared_by_offset(spotted, prepare(few), [0.0, 0.5])) == {USUAL_OFFSET, 0.5}
+    black[5, 7, 1] = 0
+    spotted, free = replace(few, background=black), np.ones(few.image_shape, dtype=bool)
+    free[20, 30] = not marked
+    usual = prepare(few)
+    with pytest.MonkeyPatch.context() as patch:
+        if marked:
+            patch.setattr(ColorChanges, "__call__", _marked(free))
+        found = prepared_by_offset(spotted, usual, [0.0, 0.5])
+    for press in found[0.0]:
+        assert np.argwhere(~press.usable).tolist() == [[5, 7], *([[20, 30]] if marked else [])]
+        assert np.isfinite(press.color_change).all()
+        assert press.color_change[5, 7, 1] == pytest.approx(0, abs=0.05), "its neighbours', by the blur"
+    for press in found[0.5]:
+        assert press.usable is None if not marked else not press.usable[20, 30]
+    assert found[USUAL_OFFSET] is usual
+
+
+def _marked(free):
+    """What `ColorChanges` gives, with markers that hide some pixels."""
+    plain = ColorChanges.__call__
+    return lambda self, image: (plain(self, image)[0], free)
 
 
 def test_the_press_that_is_of_another_sensor_is_named(few):

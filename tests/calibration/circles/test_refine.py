@@ -20,7 +20,6 @@ from gelform.calibration.circles.refine import (
     why_too_wide,
 )
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.selection.folds import make_folds, unlike_the_others
 from gelform.simulate import LAYOUTS, Ball, simulate_press
 from gelform.simulate.background import simulate_background
 
@@ -41,17 +40,22 @@ def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, s
     assert after[kept].max() < 4.0
 
 
-def test_wrong_ball_is_found_by_the_presses_that_did_not_see_it(data):
-    """One real press under the name of another ball: its fold contradicts it, and nobody else."""
+def test_a_wrong_ball_is_found_by_the_other_presses(data):
+    """One real press under the name of another ball: the others contradict it, and nobody else."""
     presses = gelform.read_presses(data / "mini-ball")
     prepared = prepare(presses, 10.0)
     prepared[20] = replace(prepared[20], ball_radius_px=2 * prepared[20].ball_radius_px)
     found = [find_contact(press.color_change) for press in prepared]
-    folds = make_folds(prepared, found, range(len(prepared)))
-    odd = unlike_the_others(prepared, found, folds)
-    assert list(odd) == [20]
-    assert "or its ball_diameter_mm is wrong" in odd[20]
-    assert refine(prepared, found, excluded=odd).reasons[20] == odd[20]
+    reasons = refine(prepared, found).reasons
+    assert [i for i, reason in enumerate(reasons) if reason is not None] == [20]
+    assert "or its ball_diameter_mm is wrong" in reasons[20]
+
+
+def test_presses_that_were_rejected_before_keep_their_reason(prepared, found):
+    refined = refine(prepared, found, excluded={3: "the same image as another"})
+    assert refined.reasons[3] == "the same image as another"
+    assert 3 not in refined.accepted
+    assert refined.contacts[3] == found[3]
 
 
 def test_double_contact_is_rejected(prepared):

@@ -5,19 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.ball import followed_radius
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
+from gelform.calibration.circles.samples import (
+    USUAL_EDGE,
+    PreparedPress,
+    contact_samples,
+    with_rest_samples,
+)
 
 
 def test_samples_carry_the_balls_slopes_and_the_untouched_image():
     background = np.full((60, 80, 3), 90, np.float32)
     change = np.zeros((60, 80, 3), np.float32)
-    press = PreparedPress("one", change, change[..., 0], 40.0, background=background)
+    press = PreparedPress("one", change, change[..., 0], 40.0, None, background, 0.9)
     contact = ContactCircle(40.0, 30.0, 15.0, 1.0, 9.0)
     samples = contact_samples([press], [contact], 0.8)
     assert samples.background is background
     u, v = samples.x_px - 40, samples.y_px - 30
-    assert np.hypot(u, v).max() < 12
+    assert 9.8 < np.hypot(u, v).max() < 0.8 * 0.9 * 15
     np.testing.assert_allclose(
         samples.gradients, -np.stack([u, v], 1) / np.sqrt(1600 - u**2 - v**2)[:, None], rtol=1e-6
     )
@@ -31,8 +37,9 @@ SHAPE = (60, 80)
 
 
 def press_of(usable=None, ball_radius_px=40.0):
+    """A press whose gel follows the ball up to the visible rim."""
     change = np.zeros((*SHAPE, 3), np.float32)
-    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable)
+    return PreparedPress("one", change, change[..., 0], ball_radius_px, usable, contact_radius_ratio=1.0)
 
 
 def within(contact, radius_px):
@@ -86,27 +93,33 @@ def test_presses_share_the_samples_and_rest_gives_half_as_many():
 
 def test_depths_come_with_the_pixels_that_they_belong_to():
     depth = np.arange(SHAPE[0] * SHAPE[1], dtype=np.float32).reshape(SHAPE)
-    press, contact = replace(press_of(), depth_px=depth), ContactCircle(40.0, 30.0, 10.0, 1.0, 9.0)
-    samples = with_rest_samples(contact_samples([press], [contact], 0.8), [press], [contact])
-    np.testing.assert_array_equal(samples.depth_px, depth[samples.y_px.astype(int), samples.x_px.astype(int)])
-    assert contact_samples([press_of()], [contact], 0.8).depth_px is None
+    contacts = [ContactCircle(20.0, 30.0, 10.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 10.0, 1.0, 9.0)]
+    presses, depths = [press_of(), press_of()], [depth, -depth]
+    inside = contact_samples(presses, contacts, depths_px=depths)
+    samples = with_rest_samples(inside, presses, contacts, depths)
+    assert len(samples.depth_px) == len(samples.x_px) > len(inside.x_px)
+    at = samples.y_px.astype(int), samples.x_px.astype(int)
+    np.testing.assert_array_equal(np.abs(samples.depth_px), depth[at])
+    own = within(contacts[1], 10.0)[at]  # of the second press, but for what both leave untouched
+    assert (samples.depth_px[: len(inside.x_px)] < 0).tolist() == own[: len(inside.x_px)].tolist()
+    assert contact_samples(presses, contacts).depth_px is None
+    assert with_rest_samples(contact_samples(presses, contacts), presses, contacts).depth_px is None
 
 
-class WholeFrames:
-    """A model that reads the mean colour of the frame into every slope."""
+@pytest.mark.parametrize("ratio", [0.5, USUAL_EDGE, 1.0])
+def test_nothing_trains_beyond_the_edge_of_the_contact(ratio):
+    """Of a press too deep for its visible circle, the edge is that share of what the gel certainly follows."""
+    contact = ContactCircle(40.0, 30.0, 20.0, 1.0, 9.0)
+    press = replace(press_of(), contact_radius_ratio=ratio)
+    assert press.contact_radius(contact) == ratio * 20
+    samples = contact_samples([press], [contact], total=10**6)
+    away = np.hypot(samples.x_px - 40, samples.y_px - 30)
+    assert 0.95 * ratio * 20 - 1 < away.max() < 0.95 * ratio * 20
+    deep = replace(press, ball_radius_px=15.0)
+    assert deep.contact_radius(contact) == ratio * followed_radius(20.0, 15.0) < ratio * 15
+    assert press_without_a_ratio().contact_radius_ratio == USUAL_EDGE
 
-    whole_frames = True
 
-    def prepare(self, background, shape):
-        assert background.shape == (*shape, 3)
-        return self
-
-    def gradients_from_color(self, color_change):
-        return np.broadcast_to(color_change.mean(), (*color_change.shape[:2], 2)), None
-
-
-def test_a_model_of_whole_frames_gets_the_whole_frame():
-    press = press_of()
-    press.color_change[:30] = 0.5
-    rows, cols = np.array([0, 59]), np.array([3, 4])
-    np.testing.assert_allclose(press.gradients(WholeFrames(), rows, cols), 0.25)
+def press_without_a_ratio():
+    change = np.zeros((*SHAPE, 3), np.float32)
+    return PreparedPress("one", change, change[..., 0], 40.0)

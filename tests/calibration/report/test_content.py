@@ -42,9 +42,13 @@ def test_a_known_scale_is_a_percentage(presses, calibration):
 
 
 def test_simulated_slopes_are_read_at_their_size(content):
-    bins = [b for b in content["gain"]["training_zone"] if b["slope_to"] <= 0.5]
+    bins = [b for b in content["gain"]["contact"] if b["slope_to"] <= 0.5]
     assert bins
     assert all(0.85 < b["gain"] < 1.15 for b in bins)
+    up_to_rim = sum(b["pixels"] for b in content["gain"]["rim"])
+    assert up_to_rim > sum(b["pixels"] for b in content["gain"]["contact"]) > 0
+    assert content["gain"]["contact_radius_ratio"] == content["where"]["contact_radius_ratio"]
+    assert content["gain"]["contact_radius_ratio"] == content["calibration"]["settings"]["contact_radius_ratio"]
 
 
 def test_the_same_seed_gives_the_same_report(presses, calibration, content, learning):

@@ -6,23 +6,25 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.circles.prepare import find_contacts, prepare
-from gelform.calibration.report.held_out import measure_held_out, sample_of
+from gelform.calibration.draft import untouched_change
+from gelform.calibration.report import held_out as module
+from gelform.calibration.report.held_out import errors_of, measure_held_out, sample_of
 from gelform.calibration.selection.candidates import Candidate
-from gelform.calibration.selection.folds import make_folds
-from gelform.calibration.selection.select import Selection
-from gelform.calibration.selection.trials import HeldOutPresses
+from gelform.calibration.selection.select import HeldOutPresses, Selection
+from gelform.color_models.forward_response import RIDGES
 from gelform.reconstruct import Reconstructor
 
 
 def test_samples_carry_the_errors_of_the_report(calibration):
-    report = calibration.report
+    """Those up to the visible rim; inside the contact's edge they are the figures that the report counts first."""
+    report, ratio = calibration.report, calibration.settings["contact_radius_ratio"]
     assert [one.index for one in report.samples] != []
     assert {one.index for one in report.samples} == {i for i, row in enumerate(report.presses) if row.errors}
     for one in report.samples:
         errors = report.presses[one.index].errors
-        assert one.normal_deg == pytest.approx(errors["normal_free_deg"], rel=0.02)
-        assert np.nanstd(one.cap_error_um) == pytest.approx(errors["cap_free_um"], rel=1e-3)
+        assert one.normal_deg == pytest.approx(errors["normal_rim_deg"], rel=0.02)
+        assert one.within(ratio).normal_deg == pytest.approx(errors["normal_free_deg"], rel=0.02)
+        assert np.nanstd(one.cap_error_um) > 0.9 * errors["cap_free_um"], "its rim is counted"
         assert np.nanmean(one.cap_error_um) == pytest.approx(0, abs=1e-2)
 
 
@@ -42,12 +44,18 @@ def test_each_press_is_reconstructed_once(presses, monkeypatch):
     )  # by its fold and by all; once more where the fold chose otherwise
 
 
-def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(presses, calibration):
+@pytest.fixture(scope="module")
+def held_out(prepared, found, folds):
+    return HeldOutPresses({10.0: prepared}, found, folds, {10.0: untouched_change(prepared, found)})
+
+
+@pytest.mark.parametrize("step_ridge", [None, RIDGES[0]])
+def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
+    presses, calibration, held_out, step_ridge
+):
     """Where a fold chose otherwise the procedure's errors are of that, the saved model's of its own settings."""
-    prepared = prepare(presses)
-    found = find_contacts(prepared)
-    held_out = HeldOutPresses({10.0: prepared}, found, make_folds(prepared, found, range(len(prepared))), [])
-    plain, other = (Candidate("polynomial", 0.8, (("position_degrees", d),)) for d in ((2, 1), (1,)))
+    plain = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
+    other = Candidate("polynomial", (("position_degrees", (1,)),))
     folds = len(held_out.folds)
     always, once = (
         measure_held_out(calibration, presses, held_out, Selection(plain, by_fold, ()))
@@ -56,6 +64,31 @@ def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(presses
     assert always.saved_errors == always.errors == once.saved_errors
     differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
     assert differing == set(held_out.folds[0].held_out)
+    assert (always.slope_sigma.sigmas, always.residual_scale) == (once.slope_sigma.sigmas, once.residual_scale)
+
+
+def test_what_is_an_outlier_is_told_as_the_calibration_will_tell_it(presses, calibration, held_out, monkeypatch):
+    """In units of what held-out presses leave unexplained, and with the channels that all presses have clipped.
+
+    In those of the presses that train, half of a contact where nobody has pressed before would be taken for no gel.
+    """
+    used = []
+
+    class Reconstructs(Reconstructor):
+        def __init__(self, own, **more):
+            used.append(own)
+            super().__init__(own, **more)
+
+    monkeypatch.setattr(module, "Reconstructor", Reconstructs)
+    plain = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=RIDGES[0])
+    clipped = np.array([[True, False, False], [False, False, True]])
+    draft = replace(calibration, forward=replace(calibration.forward, clipped=clipped, residual_scale=1.0))
+    folds = len(held_out.folds)
+    measured = measure_held_out(draft, presses, held_out, Selection(plain, (plain,) * folds, ()))
+    assert measured.residual_scale > 1.5
+    assert {own.forward.residual_scale for own in used} == {measured.residual_scale}
+    assert all(own.forward.clipped is clipped for own in used)
+    assert len({id(own.forward.nodes) for own in used}) == folds, "each fitted without its fold"
 
 
 def test_samples_are_not_in_the_json_record(calibration):
@@ -69,12 +102,25 @@ def test_thinning_keeps_the_press(calibration, presses):
     row, press = report.presses[one.index], presses.presses[one.index]
     circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
     result = Reconstructor(calibration).from_image(press.image)
-    full = sample_of(0, press, circle, result, calibration.mm_per_px, max_pixels=10**6)
-    thin = sample_of(0, press, circle, result, calibration.mm_per_px, max_pixels=150)
+    full = sample_of(0, press, circle, result, calibration.mm_per_px, 0.85, max_pixels=10**6)
+    thin = sample_of(0, press, circle, result, calibration.mm_per_px, 0.85, max_pixels=150)
     assert 75 <= len(thin.x_px) <= 160 < len(full.x_px)
     assert thin.circle_px == full.circle_px
     assert thin.normal_deg == pytest.approx(full.normal_deg, rel=0.15)
     assert {*zip(thin.x_px, thin.y_px)} <= {*zip(full.x_px, full.y_px)}
+
+
+def test_errors_are_counted_inside_the_edge(calibration, presses):
+    """The figures that do not say otherwise; a rim that is read wrong changes the rim's alone."""
+    row, press = calibration.report.presses[0], presses.presses[0]
+    circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
+    result = Reconstructor(calibration).from_image(press.image)
+    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
+    beyond = np.hypot(x - circle[0], y - circle[1]) > 0.75 * circle[2]
+    spoilt = replace(result, gradients=np.where(beyond[..., None], 0, result.gradients).astype(np.float32))
+    plain, rim = (errors_of(press, circle, one, calibration.mm_per_px, 0.7) for one in (result, spoilt))
+    assert plain.normal_free_deg == pytest.approx(rim.normal_free_deg, rel=0.02)
+    assert rim.normal_rim_deg > plain.normal_rim_deg + 3
 
 
 def test_within_keeps_the_middle(sample):
@@ -92,7 +138,7 @@ def test_a_ball_outside_the_frame_has_no_cap(calibration, presses):
     row = report.presses[0]
     circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
     result = Reconstructor(calibration).from_image(blank.image)
-    one = sample_of(0, blank, circle, result, calibration.mm_per_px)
+    one = sample_of(0, blank, circle, result, calibration.mm_per_px, 0.85)
     assert one.cap_error_um.ndim == 2
 
 

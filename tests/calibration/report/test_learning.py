@@ -101,7 +101,7 @@ def test_too_few_presses_have_no_curve(presses, calibration):
 
 def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     """A curve of models that began with another unit's says nothing if its own begin with nothing."""
-    start = Start(calibration.color_model, "digest", calibration.settings["zone"])
+    start = Start(calibration.color_model, "digest")
     settings = {**calibration.settings, "ridge": START_RIDGES[1]}
     rows = calibration.report.presses[:8]
     started = replace(
@@ -128,11 +128,42 @@ def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
     polynomial = replace(
         calibration,
         color_model=PolynomialModel(np.zeros((9, 2)), (2, 1), (8, 8)),
-        settings={"zone": 0.8, "position_degrees": (2, 1)},
+        settings={"contact_radius_ratio": 0.8, "position_degrees": (2, 1)},
     )
     assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20)] == [(1,), (2, 1)]
     assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40)] == [(2, 1)]
-    assert {c.zone for c in candidates_of(calibration, 6)} == {calibration.settings["zone"]}
+    assert {c.step_ridge for c in candidates_of(polynomial, 20)} == {None}, "as it was chosen"
+    assert calibration.settings["step_ridge"] > 0
+    for size in (6, 40):
+        assert {c.step_ridge for c in candidates_of(calibration, size)} == {calibration.settings["step_ridge"]}
+
+
+def test_the_curve_ends_where_the_report_is(learning, calibration):
+    """All but a quarter of the presses, by the same slopes inside the same edge: near what the candidates reached."""
+    reached = next(one for one in calibration.report.candidates if one["chosen"])["normal_free_deg"]
+    assert 0.6 * reached < learning["points"][-1]["mean_deg"] < 1.6 * reached
+
+
+def test_presses_train_and_are_scored_inside_the_edge_of_the_calibration(presses, calibration, monkeypatch):
+    """Few presses would not measure it themselves."""
+    edges = []
+    plain = {name: getattr(learning_module, name) for name in ("training_samples", "score_of")}
+
+    def trained(used, *others, **more):
+        edges.extend(press.contact_radius_ratio for press in used)
+        return plain["training_samples"](used, *others, **more)
+
+    def scored(press, *others):
+        edges.append(press.contact_radius_ratio)
+        return plain["score_of"](press, *others)
+
+    monkeypatch.setattr(learning_module, "training_samples", trained)
+    monkeypatch.setattr(learning_module, "score_of", scored)
+    report = replace(calibration.report, presses=calibration.report.presses[:8])
+    settings = {**calibration.settings, "contact_radius_ratio": 0.6}
+    learning_curve(presses, replace(calibration, report=report, settings=settings), rng=np.random.default_rng(0))
+    assert len(edges) > 10
+    assert set(edges) == {0.6}
 
 
 def test_presses_that_show_the_same_are_on_one_side():

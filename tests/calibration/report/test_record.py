@@ -21,9 +21,12 @@ def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calib
 def test_one_candidate_is_chosen_and_none_has_no_error(calibration):
     tried = calibration.report.candidates
     assert sum(one["chosen"] for one in tried) == 1
-    errors = [one["normal_free_deg"] for one in tried]
+    errors = [one["slope_error"] for one in tried]
     assert errors == sorted(errors), "the best one first"
     assert errors[0] > 0
+    assert tried[0]["chosen"], "by its error alone"
+    for one in tried:
+        assert 30 * one["slope_error"] < one["normal_free_deg"] < 70 * one["slope_error"], "of the same slopes"
 
 
 def test_it_is_json_without_the_samples(calibration):

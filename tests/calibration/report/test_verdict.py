@@ -31,14 +31,6 @@ def test_the_worse_of_normals_and_radius_is_the_level():
     assert verdict_of(checks_of({**GOOD, "covered_percent": 1.0}))["level"] == "good"
 
 
-def test_errors_of_a_gel_that_leaves_the_ball_early_are_not_blamed_on_the_ball_alone():
-    poor = {**GOOD, "radius_percent": 9.0}
-    assert "leaves the ball" not in verdict_of(checks_of(poor))["next"]
-    verdict = verdict_of(checks_of(poor, left_early=True))
-    assert verdict["level"] == "poor"
-    assert "leaves the ball before the visible rim" in verdict["next"]
-
-
 @pytest.mark.parametrize(
     ("figures", "because"),
     [

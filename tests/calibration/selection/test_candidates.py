@@ -1,21 +1,26 @@
-"""Candidates: what a color model's class says is what is tried, in the order of complexity."""
+"""Candidates: what a color model's class says is what is tried, and the forward response that each may get a step by."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gelform.calibration.circles.samples import ZONE
 from gelform.calibration.selection.candidates import (
-    DEFAULT_ZONE,
-    ZONES,
+    ENOUGH_FOR_HIERARCHICAL,
+    LEAST_STEP_SIGMA,
+    STEP_SIGMAS,
     Candidate,
     Start,
     candidates_for,
     candidates_from,
     color_model_names,
-    zone_judge,
+    fitted_responses,
+    step_sigma_of,
+    training_samples,
 )
-from gelform.color_models import COLOR_MODELS, HierarchicalModel, Variant
+from gelform.color_models import COLOR_MODELS, HierarchicalModel, Variant, hierarchical
+from gelform.color_models.forward_response import RIDGES
 from made.color_samples import ball_samples, lambertian_change
 
 
@@ -23,25 +28,17 @@ def described(color_model, presses):
     return [candidate.describe() for candidate in candidates_for(color_model, presses)]
 
 
-def test_few_presses_try_few_terms():
-    assert described("auto", 6) == [
-        "lambertian, zone 0.8",
-        "polynomial 1, zone 0.8",
-        "hierarchical ridge 0.001, zone 0.8",
-        "hierarchical ridge 0.0003, zone 0.8",
-    ]
+@pytest.mark.parametrize("presses", [ENOUGH_FOR_HIERARCHICAL, 30, 100])
+def test_many_presses_are_worth_a_model_of_many_terms(presses):
+    """The stiffest first: what is chosen of equals."""
+    ridges = [dict(c.settings)["ridge"] for c in candidates_for("auto", presses)]
+    assert ridges == sorted(hierarchical.RIDGES, reverse=True)
+    assert {c.model for c in candidates_for("auto", presses)} == {"hierarchical"}
 
 
-def test_many_presses_try_more():
-    assert described("auto", 60) == [
-        "lambertian, zone 0.8",
-        "near_light, zone 0.8",
-        "polynomial 1, zone 0.8",
-        "hierarchical ridge 0.0003, zone 0.8",
-        "hierarchical ridge 0.0001, zone 0.8",
-        "polynomial 5-4-3, zone 0.8",
-    ]
-    assert described("auto", 20)[-1] == "polynomial 4-3-1, zone 0.8"
+@pytest.mark.parametrize(("presses", "said"), [(3, "polynomial 1"), (6, "polynomial 2-1"), (11, "polynomial 2-1")])
+def test_few_presses_carry_a_polynomial_of_few_terms(presses, said):
+    assert described("auto", presses) == [said]
 
 
 @pytest.mark.parametrize("presses", [2, 3, 6, 12, 17, 18, 29, 30, 100])
@@ -50,33 +47,23 @@ def test_something_is_always_tried(name, presses):
     candidates = candidates_for(name, presses)
     assert candidates
     assert name == "auto" or {c.model for c in candidates} == {name}
-    assert zone_judge(presses).model == "polynomial"
-
-
-def test_slow_models_are_tried_by_name_only():
-    slow = {name for name, model in COLOR_MODELS.items() if model.slow}
-    assert slow == {"interpolation", "lookup", "mlp"}
-    assert not slow & {c.model for c in candidates_for("auto", 100)}
+    assert all(c.step_ridge is None and c.start is None for c in candidates), "steps are tried of what was chosen"
 
 
 def test_the_class_says_what_is_tried(monkeypatch):
-    """A model of one's own: between the others by its complexity, what it keeps out of auto by name only."""
+    """A model of one's own is tried by its name, in all its variants; auto does not know it."""
 
     class Mine:
-        name, change_offset, slow = "mine", 10.0, False
+        name, change_offset = "mine", 4.0
 
         @classmethod
         def variants(cls, presses):
-            return [Variant(10.0, {"strength": 2}), Variant(1e9, {"strength": presses}, in_auto=False)]
+            return [Variant(10.0, {"strength": 2}), Variant(1e9, {"strength": presses})]
 
     monkeypatch.setitem(COLOR_MODELS, "mine", Mine)
-    assert described("mine", 40) == ["mine strength 2, zone 0.8", "mine strength 40, zone 0.8"]
-    assert [name.split(",")[0] for name in described("auto", 40)][3:5] == [
-        "mine strength 2",
-        "hierarchical ridge 0.0003",
-    ]
-    assert color_model_names()[-1] == "mine"
-    monkeypatch.setattr(Mine, "slow", True)
+    assert described("mine", 40) == ["mine strength 2", "mine strength 40"]
+    assert {c.change_offset for c in candidates_for("mine", 40)} == {4.0}
+    assert color_model_names() == ["auto", *COLOR_MODELS]
     assert "mine" not in {c.model for c in candidates_for("auto", 40)}
 
 
@@ -86,37 +73,104 @@ def test_unknown_models_are_refused_with_the_names_of_all():
 
 
 def test_another_units_model_is_followed_less_and_less():
-    start = Start(None, "digest", 0.7)
+    start = Start(None, "digest")
     ridges = [dict(c.settings)["ridge"] for c in candidates_from(start)]
     assert ridges == sorted(ridges, reverse=True)
     assert {c.start for c in candidates_from(start)} == {start}
-    assert {c.zone for c in candidates_from(start)} == {0.7}
+    assert {c.model for c in candidates_from(start)} == {"hierarchical"}
 
 
 def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
     """Slopes of which the other unit's model reads half: followed closely, and not at all."""
     samples = ball_samples(lambertian_change)
     whole = HierarchicalModel.fit(samples)
-    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest", 0.7)
-    held = replace(candidates_from(start)[0], settings=(("ridge", 1e6),)).fit_samples(samples)
+    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest")
+    held = replace(candidates_from(start)[0], settings=(("ridge", 1e6),)).fit(samples)
     np.testing.assert_allclose(held.nodes, start.model.nodes, atol=1e-3)
-    alone = candidates_for("hierarchical", 6)[0].fit_samples(samples)
+    alone = candidates_for("hierarchical", 6)[-1].fit(samples)
     ratio = np.vdot(alone.nodes, whole.nodes) / np.vdot(whole.nodes, whole.nodes)
     assert ratio == pytest.approx(1, abs=0.05)
 
 
-def test_zones_are_parts_of_the_contact_and_a_fine_polynomial_judges_them():
-    assert list(ZONES) == sorted(ZONES)
-    assert DEFAULT_ZONE in ZONES
-    assert ZONES[0] > 0.5
-    assert ZONES[-1] < 1
-    assert zone_judge(100) == zone_judge(18) != zone_judge(17)
+def test_a_candidate_says_its_settings_and_its_step():
+    candidate = Candidate("polynomial", (("position_degrees", (2, 1)),))
+    assert candidate.describe() == "polynomial 2-1"
+    assert replace(candidate, step_ridge=3e-5).describe() == "polynomial 2-1 step 3e-05"
+    assert candidate.change_offset == COLOR_MODELS["polynomial"].change_offset
+    assert Candidate("lambertian").change_offset == 0
 
 
-def test_a_model_that_asks_gets_the_depth_that_a_plain_one_reads(prepared, found):
-    some = range(0, len(prepared), 2)
-    presses, circles = [prepared[i] for i in some], [found[i] for i in some]
-    samples = Candidate("depth_aware", 0.8).samples(presses, circles, total=3000)
-    inside = samples.gradients.any(axis=1)
-    assert samples.depth_px[inside].mean() > 5 * samples.depth_px[~inside].mean() >= 0
-    assert Candidate("hierarchical", 0.8).samples(presses, circles, total=3000).depth_px is None
+@pytest.fixture(scope="module")
+def some(prepared, found):
+    chosen = range(0, len(prepared), 2)
+    return [prepared[i] for i in chosen], [found[i] for i in chosen]
+
+
+def test_what_trains_is_inside_the_edge_or_far_off(some):
+    presses, contacts = some
+    samples = training_samples(presses, contacts, total=4000)
+    pressed = samples.gradients.any(axis=1)
+    x, y = (np.subtract.outer(at, [getattr(c, name) for c in contacts]) for at, name in (
+        (samples.x_px, "x_px"), (samples.y_px, "y_px")))  # fmt: skip
+    edges = np.array([ZONE * p.contact_radius(c) for p, c in zip(presses, contacts)])
+    assert (np.hypot(x, y) < edges).any(axis=1)[pressed].all()
+    assert 0.2 < pressed.mean() < 0.9
+    assert samples.depth_px is None
+
+
+class Reads:
+    """A model that reads the slopes that lie in the color change."""
+
+    def gradients_at(self, change, x_px, y_px):
+        return change[:, :2]
+
+
+def samples_with_errors(at_rest, per_slope, resting=0.4):
+    """Samples whose color change is their slopes, read off by so much at rest, and by so much more with the slope."""
+    samples = ball_samples(lambertian_change, count=20_000)
+    rng = np.random.default_rng(1)
+    slopes = samples.gradients * (rng.uniform(size=(20_000, 1)) >= resting)
+    sigma = np.hypot(at_rest, per_slope * np.linalg.norm(slopes, axis=1, keepdims=True))
+    read = slopes + sigma * rng.normal(size=slopes.shape)
+    return replace(samples, gradients=slopes, color_change=np.concatenate([read, read[:, :1]], axis=1))
+
+
+@pytest.mark.parametrize(("at_rest", "per_slope"), [(0.01, 0.1), (0.02, 0.05), (0.015, 0.0)])
+def test_a_steps_prior_is_what_the_model_is_off_by(at_rest, per_slope):
+    """At rest, and more by the slope: a quarter more than on the samples that it was fitted to."""
+    found = step_sigma_of(Reads(), samples_with_errors(at_rest, per_slope))
+    assert found[0] == pytest.approx(STEP_SIGMAS * at_rest, rel=0.02)
+    assert found[1] == pytest.approx(STEP_SIGMAS * per_slope, rel=0.05, abs=0.01)
+
+
+def test_a_prior_is_never_none_at_all():
+    """Of a model that is right everywhere, of samples of which none rests, and of one that errs at rest alone."""
+    least = STEP_SIGMAS * LEAST_STEP_SIGMA
+    assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.0)) == pytest.approx((least, 0))
+    assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.1, resting=0)) == pytest.approx((least, 0.125), rel=0.03)
+    rests = samples_with_errors(0.02, 0.0)
+    exact = np.where((rests.gradients != 0).any(axis=1, keepdims=True), rests.gradients, rests.color_change[:, :2])
+    right = replace(rests, color_change=np.concatenate([exact, exact[:, :1]], axis=1))
+    assert step_sigma_of(Reads(), right) == pytest.approx((STEP_SIGMAS * 0.02, 0), rel=0.02)
+
+
+def test_a_response_for_each_ridge_knows_the_depth_that_the_model_reads(some, held_out):
+    """The one with the smaller ridge explains more of the presses that it was fitted to."""
+    presses, contacts = some
+    model = Candidate("hierarchical").fit(training_samples(presses, contacts, total=6000))
+    responses = fitted_responses(model, presses, contacts, RIDGES[::3], held_out.untouched[10.0], total=6000)
+    assert len(responses) == 2
+    assert {response.shape for response in responses} == {presses[0].size.shape}
+    stiff, free = (np.trace(response.covariance) for response in responses)
+    assert free < stiff
+    assert all(np.abs(response.nodes[:, :, -3]).max() > 1e-3 for response in responses), "of the depth"
+
+
+def test_the_responses_step_has_the_prior_of_the_model(some, held_out):
+    """By the slopes that train and the untouched gel beside them, where every model is nearly right."""
+    presses, contacts = some
+    samples = training_samples(presses, contacts, total=6000)
+    model = Candidate("polynomial", (("position_degrees", (1,)),)).fit(samples)
+    (response,) = fitted_responses(model, presses, contacts, RIDGES[:1], held_out.untouched[10.0], total=6000)
+    assert response.step_sigma == pytest.approx(step_sigma_of(model, samples))
+    assert 0.003 < response.step_sigma[0] < 0.03 < response.step_sigma[1] < 0.5

@@ -16,8 +16,10 @@ from gelform.calibration.selection.slope_errors import (
     gain_of,
     press_residuals,
     rest_correlation,
+    share_seen,
     slope_sigma_from_folds,
 )
+from gelform.color_models.forward_response import Step
 
 
 @pytest.mark.parametrize(("length", "share"), [(4.0, 0.8), (8.0, 0.5), (6.0, 1.0)])
@@ -72,51 +74,97 @@ def test_gain_of_a_press():
 
 
 class Reader:
-    """A model that reads the slopes that lie in the color change 7 % too gentle, with white errors of 0.03."""
+    """Reads the slopes that lie in the color change 7 % too gentle, with white errors of 0.03.
 
-    def gradients_at(self, change, x_px, y_px):
-        noise = np.random.default_rng(len(x_px)).normal(0, 0.03, (len(x_px), 2))
-        return 0.93 * np.asarray(change)[:, :2] + noise
+    It states so many times as much, and leaves residuals of one degree of freedom of which a tenth is outliers.
+    """
+
+    def __init__(self, stated=1.0):
+        self.stated = stated
+
+    def frame(self, press):
+        rng = np.random.default_rng(round(1e3 * press.size.sum()))
+        read = 0.93 * press.color_change[..., :2] + rng.normal(0, 0.03, (*press.size.shape, 2))
+        left = np.square(rng.normal(size=press.size.shape)) * np.where(rng.uniform(size=press.size.shape) < 0.1, 50, 1)
+        return Step(read, np.full(press.size.shape, (0.03 * self.stated) ** 2), left)
+
+
+VISIBLE_PX = 22.5  # the gel leaves the ball at 18
 
 
 def press_at(x_px, y_px, shape=(120, 160)):
-    """A press whose color change is its slopes, and the contact's circle."""
+    """A press whose color change is its slopes, and the visible circle."""
     y, x = np.mgrid[: shape[0], : shape[1]]
-    contact = ContactCircle(x_px, y_px, 18.0, 1.0, 9.0)
+    contact = ContactCircle(x_px, y_px, VISIBLE_PX, 1.0, 9.0)
     inside = np.hypot(x - x_px, y - y_px) < 18
     slopes = np.where(inside[..., None], ball_gradients(x, y, (x_px, y_px), 40.0), 0)
     beside = (np.hypot(x - x_px, y - y_px) < 2.8 * 18) & ~inside
     slopes[beside & (y < y_px)] += 0.1  # gel that is drawn down around the ball
     change = np.concatenate([slopes, 0 * slopes[..., :1]], axis=-1).astype(np.float32)
-    return PreparedPress("one", change, magnitude(change), 40.0), contact
+    return PreparedPress("one", change, magnitude(change), 40.0, contact_radius_ratio=0.8), contact
 
 
-def test_the_law_is_that_of_the_errors_that_were_made():
-    """Of two folds: a model of all presses has seen twice as many, and its errors are taken for smaller by a root of 2."""
+@pytest.fixture(scope="module")
+def six():
+    """Presses, their circles and two folds."""
     places = [(30, 30), (80, 60), (130, 90), (40, 85), (120, 35), (75, 95)]
     presses, found = zip(*(press_at(*place) for place in places))
-    folds = [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
-    sigma = slope_sigma_from_folds([Reader(), Reader()], folds, presses, found)
+    return presses, found, [Fold((0, 1, 2), (3, 4, 5), found[3:]), Fold((3, 4, 5), (0, 1, 2), found[:3])]
+
+
+@pytest.mark.parametrize("stated", [1.0, 0.5, 3.0])
+def test_the_law_is_that_of_the_errors_that_were_made(six, stated):
+    """Of two folds: a model of all presses has seen twice as many, and its errors are taken for smaller by a root of 2.
+
+    What a step states is multiplied by factors, so that they come out the same whatever it says.
+    """
+    presses, found, folds = six
+    sigma, _ = slope_sigma_from_folds([Reader(stated)] * 2, folds, presses, found)
     assert sigma.gain_sigma == pytest.approx(0.07 / np.sqrt(2), rel=0.1)
     assert sigma.rest == pytest.approx(0.03, rel=0.1)
-    gentle = sigma.of(np.array([0.1]), np.array([0.5]), np.array([0.5]))
+    gentle = np.interp(0.1, sigma.slopes, sigma.sigmas) * 0.03 * stated
     assert gentle == pytest.approx(0.03 / np.sqrt(2), rel=0.25)
     assert sigma.correlated_share < 0.5
+    assert 0.02 < sigma.clean < 0.06
+
+
+def test_the_residuals_scale_is_that_of_the_95_percent(six):
+    """A tenth of the pixels has fifty times the usual square: the 95 % are reached among them, far below the largest."""
+    presses, found, folds = six
+    _, scale = slope_sigma_from_folds([Reader()] * 2, folds, presses, found)
+    reader = Reader()
+    left = [reader.frame(p).residual[p.pixels(c, 1.0)] for p, c in zip(presses, found)]
+    at_most = np.quantile(np.concatenate(left), 0.95)
+    assert scale == pytest.approx(at_most / 3.84, rel=1e-6)
+    assert 3 < scale < 15
+
+    class Usual(Reader):
+        def frame(self, press):
+            return super().frame(press)._replace(residual=np.full(press.size.shape, 0.1))
+
+    assert slope_sigma_from_folds([Usual()] * 2, folds, presses, found)[1] == 1, "at least what the covariance says"
+
+
+def test_the_share_that_folds_have_seen():
+    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
+    assert share_seen(folds) == pytest.approx((0.8 + 0.6) / 2)
 
 
 def test_columns_are_thinned_and_stay_in_place():
     press, contact = press_at(60, 70)
-    residuals = press_residuals(press, contact, Reader())
-    slopes, errors, x, y, number = residuals.columns((120, 160), 4)
+    reader = Reader()
+    residuals = press_residuals(press, contact, reader)
+    slopes, errors, x, y, number, stated, residual = residuals.columns((120, 160), 4)
     assert 600 < len(slopes) <= 2 * 2000
+    pixels = np.rint(y * 120 - 0.5).astype(int), np.rint(x * 160 - 0.5).astype(int)
+    np.testing.assert_array_equal(residual, reader.frame(press).residual[pixels])
+    np.testing.assert_allclose(stated, 0.03)
     assert set(number) == {4}
-    true = np.linalg.norm(
-        press.color_change[np.rint(y * 120 - 0.5).astype(int), np.rint(x * 160 - 0.5).astype(int)], axis=1
-    )
+    true = np.linalg.norm(press.color_change[pixels], axis=1)
     assert np.abs(slopes - 0.93 * true).mean() < 0.05
     assert errors.shape == (len(slopes), 2)
     away = np.hypot(x * 160 - 60.5, y * 120 - 70.5)
-    assert 15 < away.max() < 16
+    assert 17 < away.max() < 18, "up to the edge of the contact"
     assert np.abs(np.median(residuals.untouched, axis=0)).max() < 1e-9
     assert len(residuals.untouched) > 500
 

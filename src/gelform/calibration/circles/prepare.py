@@ -91,13 +91,15 @@ def prepared_by_offset(
 ) -> dict[float, list[PreparedPress]]:
     """The presses as color models want them, by the offset of the division: `prepared` and what it lacks.
 
-    The offset 0 is left out where the background has pixels of 0.
+    Where the background has pixels of 0 nothing can be divided by them: with the offset 0 they are not usable.
     """
     by_offset = {USUAL_OFFSET: prepared}
+    divides = np.asarray((presses.background > 0).all(axis=-1), dtype=bool)
     for offset in set(offsets) - by_offset.keys():
-        if offset > 0 or float(presses.background.min()) > 0:
-            followed = prepared[0].followed
-            by_offset[offset] = [replace(press, followed=followed) for press in prepare(presses, offset)]
+        own = [replace(press, contact_radius_ratio=prepared[0].contact_radius_ratio) for press in prepare(presses, offset)]
+        if offset == 0 and not divides.all():
+            own = [replace(p, usable=np.asarray(divides if p.usable is None else p.usable & divides)) for p in own]
+        by_offset[offset] = own
     return by_offset
 
 

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from gelform.ball import ball_center, followed_radius
 from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
 from gelform.calibration.circles.joint import joint_moves
-from gelform.calibration.circles.samples import PreparedPress, contact_samples, with_rest_samples
+from gelform.calibration.circles.samples import ZONE, PreparedPress, contact_samples, with_rest_samples
 from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel
 from gelform.progress import Progress, no_progress
 
 ROUNDS = 5
 WHOLE_ROUNDS = 2
 MIN_WHOLE = 6
-REFINING_ZONE = 0.8
 REFINING_SAMPLES = 15_000
 MAX_MOVE_PX = 8.0
 MAX_RESIDUAL = 0.25
@@ -125,7 +124,7 @@ def _jointly_centered(
     chosen = [presses[i] for i in fit_on]
     for _ in range(JOINT_ROUNDS):
         moves = joint_moves(
-            chosen, [contacts[i] for i in fit_on], REFINING_ZONE, JOINT_DEGREES, total=REFINING_SAMPLES
+            chosen, [contacts[i] for i in fit_on], ZONE, JOINT_DEGREES, total=REFINING_SAMPLES
         )
         for i, (dx, dy) in zip(fit_on, moves):
             x, y = contacts[i].x_px + float(dx), contacts[i].y_px + float(dy)
@@ -151,7 +150,7 @@ def fit_model(
     start: HierarchicalModel | None = None,
 ) -> ColorModel:
     """What circles are refined with: a polynomial, or a start that is followed closely."""
-    samples = contact_samples(presses, contacts, REFINING_ZONE, total=REFINING_SAMPLES)
+    samples = contact_samples(presses, contacts, total=REFINING_SAMPLES)
     samples = with_rest_samples(samples, presses, contacts)
     if start is not None:
         return HierarchicalModel.fit(samples, ridge=START_RIDGE, start=start)
@@ -161,7 +160,7 @@ def fit_model(
 def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
     """The reason why a circle found in one image cannot be a press of this ball, or None."""
     reason = why_no_contact(contact)
-    if reason is None and len(press.pixels(contact, REFINING_ZONE)[0]) < 30:
+    if reason is None and len(press.pixels(contact, ZONE)[0]) < 30:
         reason = "contact lies outside the frame"
     return reason
 
@@ -189,7 +188,7 @@ def recentered(
     press: PreparedPress, contact: ContactCircle, found: ContactCircle, model: ColorModel
 ) -> ContactCircle:
     """The contact moved to where the ball agrees best with the model, not far from where it was found."""
-    rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
+    rows, cols = press.pixels(contact, ZONE, 1000)
     if len(rows) < 30:
         return contact
     gradients = press.gradients(model, rows, cols)
@@ -231,7 +230,7 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None
 
 def agreement(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> tuple[float, float]:
     """Median slope error inside the contact, and the slope of model on ball (1 where they agree)."""
-    rows, cols = press.pixels(contact, REFINING_ZONE, 1000)
+    rows, cols = press.pixels(contact, ZONE, 1000)
     ball = press.ball_gradients(contact, rows, cols)
     seen: NDArray[np.float64] = press.gradients(model, rows, cols)
     error = np.linalg.norm(seen - ball, axis=1)

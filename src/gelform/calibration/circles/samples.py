@@ -1,13 +1,14 @@
 """Pixels of ball presses whose gradient is known: what color models are fitted on.
 
-Inside the contact circle the gel follows the ball. Near the visible rim it has already left it, so a model
-trains on r < zone * (contact radius) only; the zone is chosen on held-out presses.
+Inside the contact the gel follows the ball. Near the visible rim it has already left it, so a model trains inside the
+contact's edge only, which is measured on held-out presses (`circles.edge`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,10 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.color_models import ColorModel, Samples
 
 TOTAL_SAMPLES = 40_000
+ZONE = 0.95  # of the contact's radius: what trains
+USUAL_EDGE = 0.85  # of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones
 REST_WEIGHT = 0.3
-REST_DISTANCE = 2.0
+REST_DISTANCE = 2.0  # visible radii
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,7 @@ class PreparedPress:
     ball_radius_px : float
     usable : (H, W) bool, False on marker dots; None where all pixels are
     background : (H, W, 3) float32, the untouched image that all presses share; or None
-    depth_px : (H, W) float32, the depth that a plain model reads, px; None until a model asks for it
-    followed : share of the visible radius inside which the gel follows the ball; the same for all presses
+    contact_radius_ratio : radius at which the gel leaves the ball over that of the visible circle; the same for all presses
     """
 
     name: str
@@ -43,19 +45,17 @@ class PreparedPress:
     ball_radius_px: float
     usable: NDArray[np.bool_] | None = None
     background: NDArray[np.float32] | None = None
-    depth_px: NDArray[np.float32] | None = None
-    followed: float = 1.0
+    contact_radius_ratio: float = USUAL_EDGE
 
-    def followed_radius(self, contact: ContactCircle) -> float:
+    def contact_radius(self, contact: ContactCircle) -> float:
         """Radius, px, up to which the gel follows the ball."""
-        visible = contact.radius_px
-        return min(self.followed * visible, followed_radius(visible, self.ball_radius_px))
+        return self.contact_radius_ratio * followed_radius(contact.radius_px, self.ball_radius_px)
 
     def pixels(
         self, contact: ContactCircle, zone: float, count: int | None = None
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns of about `count` pixels inside `zone` of the followed radius, on a regular lattice."""
-        radius = zone * self.followed_radius(contact)
+        """Rows and columns of about `count` pixels inside `zone` of the contact's radius, on a regular lattice."""
+        radius = zone * self.contact_radius(contact)
         height, width = self.size.shape
         top, bottom = (int(np.clip(contact.y_px + side * (radius + 1), 0, height)) for side in (-1, 1))
         left, right = (int(np.clip(contact.x_px + side * (radius + 1), 0, width)) for side in (-1, 1))
@@ -79,43 +79,48 @@ class PreparedPress:
     def gradients(
         self, model: ColorModel, rows: NDArray[np.intp], cols: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """The slopes that a model reads there; of the whole frame where a pixel alone does not tell it enough."""
-        if getattr(model, "whole_frames", False):
-            rest = np.zeros(self.color_change.shape) if self.background is None else self.background
-            prepared = model.prepare(rest, rest.shape[:2])
-            return prepared.gradients_from_color(self.color_change)[0][rows, cols].astype(np.float64)
+        """The slopes that a color model reads there."""
         return model.gradients_at(self.color_change[rows, cols], cols, rows)
-
-    def depths_at(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The depth there, px; none where it was not asked for."""
-        return np.empty(0, np.float32) if self.depth_px is None else self.depth_px[rows, cols]
 
 
 def contact_samples(
     presses: Sequence[PreparedPress],
     contacts: Sequence[ContactCircle],
-    zone: float,
+    zone: float = ZONE,
     *,
     total: int = TOTAL_SAMPLES,
+    depths_px: Sequence[NDArray[Any]] | None = None,
 ) -> Samples:
-    """Samples inside the contacts, labelled by the balls: about `total`, shared evenly by the presses."""
+    """Samples inside the contacts, labelled by the balls: about `total`, shared evenly by the presses.
+
+    `depths_px`, of each press (H, W), are kept as the samples' depths.
+    """
     parts = []
-    for press, contact in zip(presses, contacts):
+    for k, (press, contact) in enumerate(zip(presses, contacts)):
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
         gradients = press.ball_gradients(contact, rows, cols)
-        parts.append((press.color_change[rows, cols], cols, rows, gradients, press.depths_at(rows, cols)))
+        parts.append((press.color_change[rows, cols], cols, rows, gradients, _depths_at(depths_px, k, rows, cols)))
     change, x, y, gradients, depth = (np.concatenate([part[i] for part in parts]) for i in range(5))
     first = presses[0]
-    known = None if first.depth_px is None else depth
+    known = None if depths_px is None else depth
     return Samples(change, x, y, gradients, np.ones(len(x)), first.size.shape, first.background, known)
 
 
+def _depths_at(
+    depths_px: Sequence[NDArray[Any]] | None, press: int, rows: NDArray[np.intp], cols: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    return np.empty(0, np.float32) if depths_px is None else depths_px[press][rows, cols]
+
+
 def with_rest_samples(
-    samples: Samples, presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
+    samples: Samples,
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    depths_px: Sequence[NDArray[Any]] | None = None,
 ) -> Samples:
     """The samples and up to half as many from the untouched gel, where the gradient is 0, at a lower weight."""
     parts = []
-    for press, contact in zip(presses, contacts):
+    for k, (press, contact) in enumerate(zip(presses, contacts)):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
         rows, cols = (
             axis.ravel() for axis in np.mgrid[: press.size.shape[0] : step, : press.size.shape[1] : step]
@@ -125,7 +130,7 @@ def with_rest_samples(
         if press.usable is not None:
             far &= press.usable[rows, cols]
         rows, cols = rows[far], cols[far]
-        parts.append((press.color_change[rows, cols], cols, rows, press.depths_at(rows, cols)))
+        parts.append((press.color_change[rows, cols], cols, rows, _depths_at(depths_px, k, rows, cols)))
     change, x, y, depth = (np.concatenate([part[i] for part in parts]) for i in range(4))
     return replace(
         samples,

@@ -24,7 +24,6 @@ from gelform.calibration.report.residuals import (
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
 from gelform.calibration.report.where import errors_where
-from gelform.calibration.selection.slope_errors import ZONE
 from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
 
@@ -35,7 +34,7 @@ GAIN_TO_SLOPE, GAIN_PRESSES, GAIN_PIXELS = 0.8, 10, 500
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
     ("normal_free_deg", np.mean),
-    ("normal_inner_deg", np.mean),
+    ("normal_rim_deg", np.mean),
     ("cap_um", np.mean),
     ("cap_free_um", np.mean),
     ("radius_percent", np.median),
@@ -81,8 +80,8 @@ def report_content(
             f"Expected the {len(report.presses)} presses of the report, got {len(names)} others."
         )
     samples: tuple[HeldOutSample, ...] = report.samples
-    zone = float(calibration.settings["zone"]) * calibration.settings.get("followed", 1.0)
-    inner = [one.within(ZONE) for one in samples]
+    ratio = float(calibration.settings["contact_radius_ratio"])
+    inner = [one.within(ratio) for one in samples]
     reconstruct = Reconstructor(calibration, depth_sigma=False)
     sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in inner]
     shape = calibration.image_shape
@@ -93,18 +92,18 @@ def report_content(
         "figures": _figures(report.presses, rng),
         "calibration": _facts(presses, calibration),
         "background": _background(calibration),
-        "coverage": _coverage(report, shape, zone, calibration.known_mm_per_px),
+        "coverage": _coverage(report, shape, ratio, calibration.known_mm_per_px),
         "gain": {
-            "zone": zone,
-            "contact": gain_curve(samples, rng),
-            "training_zone": gain_curve([one.within(zone) for one in samples], rng),
+            "contact_radius_ratio": ratio,
+            "contact": gain_curve(inner, rng),
+            "rim": gain_curve(samples, rng),
         },
-        "where": errors_where(samples, shape),
+        "where": errors_where(samples, shape, ratio),
         "error_map": error_map(samples, shape, square_tiles(shape, ERROR_COLUMNS)),
         "sigma": share_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
         "learning": learning,
     }
-    checks = checks_of(_checked_figures(content), left_early=calibration.settings.get("followed", 1.0) < 1)
+    checks = checks_of(_checked_figures(content))
     return {**content, "checks": checks, "verdict": verdict_of(checks, (learning or {}).get("sentence"))}
 
 
@@ -162,14 +161,14 @@ def _background(calibration: Calibration) -> dict[str, Any]:
 
 
 def _coverage(
-    report: CalibrationReport, shape: tuple[int, int], zone: float, mm_per_px: float
+    report: CalibrationReport, shape: tuple[int, int], ratio: float, mm_per_px: float
 ) -> dict[str, Any]:
     """How many presses show each slope direction in each tile, and where to press next."""
     used = [row for row in report.presses if row.accepted]
     followed = [followed_radius(r.contact_radius_px, r.ball_diameter_mm / 2 / mm_per_px) for r in used]
     circles = [(r.center_x_px, r.center_y_px, radius) for r, radius in zip(used, followed)]
     rows, columns = square_tiles(shape)
-    coverage = coverage_from_circles(circles, shape, tiles=(rows, columns), zone=zone)
+    coverage = coverage_from_circles(circles, shape, tiles=(rows, columns), zone=ratio)
     errors = square_error_by_direction(report.samples, shape, (rows, columns))
     return {
         "rows": rows,
@@ -188,7 +187,7 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     """The figure of each check, in its unit; None where it is not known."""
     rows, facts = content["presses"], content["calibration"]
     used = [row for row in rows if row["accepted"]]
-    gains = [abs(b["gain"] - 1) for b in content["gain"]["training_zone"] if _counts(b)]
+    gains = [abs(b["gain"] - 1) for b in content["gain"]["contact"] if _counts(b)]
     shares = [b["share"] for b in content["sigma"]["by_slope"]]
     shares += [share for share in content["sigma"]["by_place"] if share is not None]
     sigma = facts["mm_per_px_sigma"]

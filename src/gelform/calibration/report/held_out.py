@@ -6,7 +6,7 @@ the run, unsaved; the report's statistics are binned from them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,16 +16,13 @@ from numpy.typing import NDArray
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
-from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.forward import TOTAL_OF_FOLD, forward_from_presses, held_out_noise
+from gelform.calibration.circles.samples import ZONE, PreparedPress
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration.selection.candidates import Candidate
 from gelform.calibration.selection.folds import Fold
-from gelform.calibration.selection.select import Selection
-from gelform.calibration.selection.slope_errors import ZONE, slope_sigma_from_folds
-from gelform.calibration.selection.trials import HeldOutPresses
+from gelform.calibration.selection.select import HeldOutPresses, Selection
+from gelform.calibration.selection.slope_errors import slope_sigma_from_folds
 from gelform.calibration_file import Calibration
-from gelform.color_models._shared.forward import ForwardResponse
 from gelform.confidence import SlopeSigma, solved_factor
 from gelform.metrics import PressErrors, angle_deg, press_errors, score_slopes
 from gelform.progress import Progress, no_progress
@@ -100,14 +97,14 @@ class HeldOut:
     saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
     samples : some pixels of each
     slope_sigma : standard deviation of the slopes of the chosen color model
-    forward_noise : of the forward response, see `held_out_noise`
+    residual_scale : of the forward response
     """
 
     errors: Mapping[int, PressErrors]
     saved_errors: Mapping[int, PressErrors]
     samples: tuple[HeldOutSample, ...]
     slope_sigma: SlopeSigma
-    forward_noise: float
+    residual_scale: float
 
 
 def measure_held_out(
@@ -134,41 +131,26 @@ def measure_held_out(
     slope_errors: list[list[NDArray[np.float64]]] = []
     found, folds, chosen = held_out.found, held_out.folds, selection.chosen
     prepared, mm_per_px = held_out.presses[chosen.change_offset], draft.known_mm_per_px
-    models = [held_out.fit(chosen, fold) for fold in folds]
-    forwards = [_forward_without(fold, prepared, chosen.zone, presses) for fold in folds]
-    forward_noise = held_out_noise(forwards, models, folds, prepared, found)
-    cast = None if draft.forward is None else draft.forward.shadow_noise
-    forwards = [replace(forward, held_out_noise=forward_noise, shadow_noise=cast) for forward in forwards]
+    readers = [held_out.reader(fold, chosen) for fold in folds]
+    sigma, residual_scale = slope_sigma_from_folds(readers, folds, prepared, found)
+    if draft.forward is not None:
+        draft = replace(draft, forward=replace(draft.forward, residual_scale=residual_scale))
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
-        saved = replace(draft, color_model=models[done], forward=forwards[done])
-        own = saved
-        if candidate != chosen:
-            alike = candidate.change_offset == chosen.change_offset  # else it is of other color changes
-            model = held_out.fit(candidate, fold)
-            own = replace(saved, color_model=model, forward=saved.forward if alike else None)
-        for i, circle, result in _reconstructed(own, presses, held_out, candidate, fold):
-            errors[i] = saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
-            samples.append(sample_of(i, presses.presses[i], circle, result, mm_per_px))
-            slope_errors.append(
-                _slope_errors(result, circle, prepared[i].ball_radius_px, prepared[i].followed)
-            )
-        if candidate != chosen:
-            for i, circle, result in _reconstructed(saved, presses, held_out, chosen, fold):
-                saved_errors[i] = errors_of(presses.presses[i], circle, result, mm_per_px)
+        for one, into in ((candidate, errors), (chosen, saved_errors)):
+            if one == chosen and candidate == chosen and into is saved_errors:
+                continue
+            for i, circle, result in _reconstructed(draft, presses, held_out, one, fold):
+                how = presses.presses[i], circle, result, mm_per_px, prepared[i].contact_radius_ratio
+                into[i] = errors_of(*how)
+                if into is errors:
+                    samples.append(sample_of(i, *how))
+                    slope_errors.append(_slope_errors(result, circle, prepared[i]))
+        if candidate == chosen:
+            saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
         progress(done + 1, len(folds), "measuring on held-out presses")
-    sigma = slope_sigma_from_folds(models, folds, prepared, found)
     observed, solved = (np.concatenate(parts) for parts in zip(*slope_errors))
     sigma = replace(sigma, solved_factor=solved_factor(observed, solved))
-    return HeldOut(errors, saved_errors, tuple(samples), sigma, forward_noise)
-
-
-def _forward_without(
-    fold: Fold, prepared: Sequence[PreparedPress], zone: float, presses: Presses
-) -> ForwardResponse:
-    """The forward response of a fold's training presses."""
-    own, scale = [prepared[i] for i in fold.training], presses.mm_per_px
-    how = zone, scale, presses.sensor_name
-    return forward_from_presses(own, fold.contacts, *how, total=TOTAL_OF_FOLD)
+    return HeldOut(errors, saved_errors, tuple(samples), sigma, residual_scale)
 
 
 def _reconstructed(
@@ -180,15 +162,20 @@ def _reconstructed(
 ) -> Iterator[tuple[int, tuple[float, float, float], Reconstruction]]:
     """Index, circle and result of each press of a fold, by a calibration that was fitted without the fold."""
     suited = held_out.presses[candidate.change_offset]
+    ((model, forward),) = held_out.fit(fold, [candidate])
     change = change_settings(presses, candidate.change_offset)
-    reconstruct = Reconstructor(replace(calibration, change=change), depth_sigma=False)
+    if forward is not None and calibration.forward is not None:
+        known = calibration.forward
+        forward = replace(forward, clipped=known.clipped, residual_scale=known.residual_scale)
+    own = replace(calibration, color_model=model, forward=forward, change=change)
+    reconstruct = Reconstructor(own, depth_sigma=False)
     for i in fold.held_out:
         result = reconstruct.from_image(presses.presses[i].image)
-        yield i, _free_circle(suited[i], held_out.found[i], result, candidate.zone), result
+        yield i, _free_circle(suited[i], held_out.found[i], result), result
 
 
 def _slope_errors(
-    result: Reconstruction, circle_px: tuple[float, float, float], ball_radius_px: float, share: float
+    result: Reconstruction, circle_px: tuple[float, float, float], press: PreparedPress
 ) -> list[NDArray[np.float64]]:
     """Errors (N, 2) of the slopes that were read and of those of the solved depth, inside the contact.
 
@@ -197,34 +184,38 @@ def _slope_errors(
     x, y, radius = circle_px
     height, width = result.shape
     rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
-    reach = ZONE * min(share * radius, followed_radius(radius, ball_radius_px))
-    inside = np.hypot(cols - x, rows - y) < reach
+    inside = np.hypot(cols - x, rows - y) < press.contact_radius_ratio * followed_radius(radius, press.ball_radius_px)
     rows, cols = rows[inside], cols[inside]
     assert result.observed_gradients is not None
     maps = result.observed_gradients, result.gradients
-    return [score_slopes(one[rows, cols], cols, rows, (x, y), ball_radius_px).errors for one in maps]
+    return [score_slopes(one[rows, cols], cols, rows, (x, y), press.ball_radius_px).errors for one in maps]
 
 
 def _free_circle(
-    press: PreparedPress, found: ContactCircle, result: Reconstruction, zone: float
+    press: PreparedPress, found: ContactCircle, result: Reconstruction
 ) -> tuple[float, float, float]:
     """The held-out press's circle: found in its own image, its centre that of the solved slopes, its radius not refined."""
-    rows, cols = press.pixels(found, zone, CENTER_PIXELS)
+    rows, cols = press.pixels(found, ZONE, CENTER_PIXELS)
     start = found.x_px, found.y_px
     x, y = ball_center(result.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
     return x, y, found.radius_px
 
 
 def errors_of(
-    press: Press, circle_px: tuple[float, float, float], result: Reconstruction, mm_per_px: float
+    press: Press,
+    circle_px: tuple[float, float, float],
+    result: Reconstruction,
+    mm_per_px: float,
+    contact_radius_ratio: float,
 ) -> PressErrors:
-    """Errors of a reconstructed press whose circle (centre x, centre y, contact radius, px) is known."""
+    """Errors of a reconstructed press whose visible circle (centre x, centre y, radius, px) is known."""
     return press_errors(
         result.depth_mm,
         result.gradients,
         circle_px=circle_px,
         ball_radius_mm=press.ball_diameter_mm / 2,
         mm_per_px=mm_per_px,
+        contact_radius_ratio=contact_radius_ratio,
     )
 
 
@@ -234,17 +225,18 @@ def sample_of(
     circle_px: tuple[float, float, float],
     result: Reconstruction,
     mm_per_px: float,
+    contact_radius_ratio: float,
     *,
     max_pixels: int = MAX_PIXELS,
 ) -> HeldOutSample:
-    """Pixels of a reconstructed press that tell how far off it is.
+    """Pixels of a reconstructed press that tell how far off it is, up to the visible rim.
 
-    The region and the free centres are those of `gelform.metrics.press_errors`.
+    That region and the free centres, fitted inside the contact's edge, are those of `gelform.metrics.press_errors`.
 
     Parameters
     ----------
     index : of the press in its folder
-    press, circle_px, result, mm_per_px : as in `errors_of`
+    press, circle_px, result, mm_per_px, contact_radius_ratio : as in `errors_of`
     max_pixels : how many pixels are kept, about
     """
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
@@ -253,7 +245,7 @@ def sample_of(
     reach = min(followed - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
     y, x = np.mgrid[:height, :width]
     start = circle_px[:2]
-    inside = np.hypot(x - start[0], y - start[1]) < reach
+    inside = np.hypot(x - start[0], y - start[1]) < min(contact_radius_ratio * followed, reach)
     center = ball_center(result.gradients[inside], x[inside], y[inside], start, ball_px)
     rows, cols = _thinned(np.hypot(x - center[0], y - center[1]) < reach, max_pixels)
     return HeldOutSample(

@@ -11,15 +11,22 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from gelform.calibration.circles.alike import groups_alike
-from gelform.calibration.circles.find import ContactCircle, scale_of
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.selection.candidates import Candidate, candidates_for, candidates_from
+from gelform.calibration.reading import SlopeReader
+from gelform.calibration.selection.candidates import (
+    Candidate,
+    candidates_for,
+    candidates_from,
+    fitted_responses,
+    training_samples,
+)
+from gelform.calibration.selection.select import SAMPLES_OF_FOLD, score_of
 from gelform.calibration_file import Calibration
-from gelform.color_models import COLOR_MODELS, ColorModel
-from gelform.metrics import score_slopes
+from gelform.color_models import COLOR_MODELS
 from gelform.progress import Progress, no_progress
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)
@@ -29,7 +36,6 @@ MIN_ACCEPTED = 8
 MORE = 10
 MANY = 30
 WORTH_IT = 0.03
-RIM_PX = 3
 
 
 def learning_curve(
@@ -62,8 +68,8 @@ def learning_curve(
     if len(accepted) < MIN_ACCEPTED:
         return None
     own = presses.subset(accepted)
-    followed = calibration.settings.get("followed", 1.0)
-    to_refine = [replace(press, followed=followed) for press in prepare(own)]
+    ratio = calibration.settings["contact_radius_ratio"]
+    to_refine = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
     offset = COLOR_MODELS[calibration.color_model.name].change_offset
     to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
     found = find_contacts(to_refine)
@@ -74,7 +80,8 @@ def learning_curve(
     for done, size in enumerate(sizes):
         candidates = candidates_of(calibration, size)
         draws = [
-            _one_draw(candidates, *parted(order, size, groups), to_refine, to_fit, found) for order in orders
+            _one_draw(candidates, *parted(order, size, groups), to_refine, to_fit, found, calibration.untouched_change)
+            for order in orders
         ]
         points += _best_point(candidates, size, [draw for draw in draws if draw is not None])
         progress(done + 1, len(sizes), "measuring the learning curve")
@@ -105,15 +112,14 @@ def sizes_for(accepted: int) -> list[int]:
 
 
 def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
-    """The chosen color model with settings that so many presses can carry, simplest first."""
-    zone = calibration.settings["zone"]
-    start = calibration.report.start
+    """The chosen color model with settings that so many presses can carry, and the chosen step."""
+    start, step = calibration.report.start, calibration.settings.get("step_ridge")
     options = (
         candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start)
     )
-    options = [replace(candidate, zone=zone) for candidate in options]
+    options = [replace(candidate, step_ridge=step) for candidate in options]
     own = tuple((key, calibration.settings[key]) for key, _ in options[0].settings)
-    chosen = Candidate(calibration.color_model.name, zone, own, start)
+    chosen = Candidate(calibration.color_model.name, own, start, step)
     if presses >= MANY:
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
@@ -126,27 +132,24 @@ def _one_draw(
     to_refine: Sequence[PreparedPress],
     to_fit: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
+    untouched: float,
 ) -> list[float] | None:
-    """Each candidate's mean normal error on held-out presses, fitted on others."""
+    """Each candidate's mean normal error on held-out presses, inside the contact's edge, fitted on others."""
     start = None if candidates[0].start is None else candidates[0].start.model
     refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
     if len(kept) < 2:
         return None
     used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
-    degrees = []
+    degrees, samples = [], training_samples(used, contacts, total=SAMPLES_OF_FOLD)
     for candidate in candidates:
-        model = candidate.fit(used, contacts)
-        degrees.append(float(np.mean([_normal_deg(to_fit[i], found[i], model) for i in tested])))
+        model, forward = candidate.fit(samples), None
+        if candidate.step_ridge is not None:
+            ridges = [candidate.step_ridge]
+            (forward,) = fitted_responses(model, used, contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
+        reader = SlopeReader(model, forward, used[0], untouched)
+        degrees.append(float(np.mean([score_of(to_fit[i], found[i], reader).normal_deg for i in tested])))
     return degrees
-
-
-def _normal_deg(press: PreparedPress, found: ContactCircle, model: ColorModel) -> float:
-    """Mean angle to the ball's normals, its centre free, 3 px (at 240 rows) inside the rim as everywhere."""
-    zone = max(1 - RIM_PX * scale_of(press.size.shape) / found.radius_px, 0.5)
-    rows, cols = press.pixels(found, zone, 800)
-    gradients = press.gradients(model, rows, cols)
-    return score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).normal_deg
 
 
 def _best_point(

@@ -12,7 +12,7 @@ from gelform.calibration.circles.refine import Refined
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.held_out import HeldOut, HeldOutSample
 from gelform.calibration.selection.candidates import Start
-from gelform.calibration.selection.select import Selection, standard_error
+from gelform.calibration.selection.select import Selection
 from gelform.metrics import PressErrors
 
 
@@ -50,12 +50,13 @@ class CalibrationReport:
     Attributes
     ----------
     presses : every press of the folder
-    candidates : what was tried: name, held-out normal error and its standard error in degrees, chosen or not
+    candidates : what was tried: name, typical (geometric mean) slope error and mean normal error of the slopes that are read
+        on held-out presses, chosen or not
     held_out : errors over the presses, each from a model that has not seen it, of what was chosen without it
         (centre free): what the procedure does on presses that nothing has seen
     seconds : how long it took
     notes : what a reader should know
-    held_out_saved : the same of the saved model's kind, settings and zone, fitted without each press; a little
+    held_out_saved : the same of the saved model's kind and settings, fitted without each press; a little
         flattered, since those were chosen on the same presses; empty in reports from before it was measured
     samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
     start : another unit's model that the run began with, or None; not in `to_dict`, not saved
@@ -91,7 +92,7 @@ def report_of_run(
     """The report of a calibration run, from what its steps gave; `notes` follow its own."""
     return CalibrationReport(
         presses=_press_rows(presses, refined, held_out.errors, circle_sigmas),
-        candidates=_candidate_rows(selection, 1e3 * presses.mm_per_px),
+        candidates=_candidate_rows(selection),
         held_out=summary(list(held_out.errors.values())),
         seconds=seconds,
         notes=(
@@ -129,28 +130,25 @@ def _press_rows(
     return tuple(rows)
 
 
-def _candidate_rows(selection: Selection, um_per_px: float) -> tuple[dict[str, Any], ...]:
-    """What was tried, the smallest held-out normal error first."""
+def _candidate_rows(selection: Selection) -> tuple[dict[str, Any], ...]:
+    """What was tried, the smallest held-out slope error first."""
     rows = [
         {
             "candidate": trial.candidate.describe(),
-            "normal_free_deg": trial.mean_deg(),
-            "standard_error_deg": standard_error([s.normal_deg for s in trial.by_fold.values()]),
-            "normal_free_deg_other_size": trial.mean_deg(by_size=True),
-            "cap_free_um": um_per_px * float(trial.fold_losses().mean()),
-            "cap_free_um_se": um_per_px * standard_error(trial.fold_losses()),
+            "slope_error": float(np.exp(trial.mean_log())),
+            "normal_free_deg": float(np.mean([score.normal_deg for score in trial.scores.values()])),
             "chosen": trial.candidate == selection.chosen,
         }
         for trial in selection.trials
     ]
-    return tuple(sorted(rows, key=lambda row: np.nan_to_num(row["normal_free_deg"], nan=np.inf)))
+    return tuple(sorted(rows, key=lambda row: row["slope_error"]))
 
 
 def _how_held_out(presses: int, selection: Selection) -> str:
     agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
     folds = len(selection.by_fold)
     return (
-        f"Held-out errors: {presses} presses in {folds} folds; circles, model, its kind and its zone were found without a "
+        f"Held-out errors: {presses} presses in {folds} folds; circles and model were found without a "
         f"fold's presses. {agree} of {folds} folds chose what all presses together chose."
     )
 
@@ -166,7 +164,7 @@ def summary(errors: list[PressErrors]) -> dict[str, float]:
         "presses": float(len(errors)),
         "normal_deg": float(np.mean([e.normal_deg for e in errors])),
         "normal_free_deg": float(np.mean([e.normal_free_deg for e in errors])),
-        "normal_inner_deg": float(np.mean([e.normal_inner_deg for e in errors])),
+        "normal_rim_deg": float(np.mean([e.normal_rim_deg for e in errors])),
         "cap_um": float(np.mean([e.cap_um for e in errors])),
         "cap_free_um": float(np.mean([e.cap_free_um for e in errors])),
         "radius_percent": float(np.median(np.abs(radius))),

@@ -9,7 +9,6 @@ import numpy as np
 
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.held_out import HeldOutSample
-from gelform.calibration.selection.slope_errors import ZONE
 from gelform.calibration_file import Calibration
 from gelform.confidence import SlopeSigma, SolvedErrors, with_solved_factors
 from gelform.reconstruct import Reconstructor
@@ -34,12 +33,13 @@ def solved_by_place(
     reconstruct = Reconstructor(replace(draft, slope_sigma=without), depth_sigma=False)
     height, width = draft.image_shape
     parts = []
-    for one in (sample.within(ZONE) for sample in samples):
+    ratio = draft.settings["contact_radius_ratio"]
+    for one in (sample.within(ratio) for sample in samples):
         result = reconstruct.from_image(presses.presses[one.index].image)
         assert result.gradients_sigma is not None
         at = one.y_px.astype(np.intp), one.x_px.astype(np.intp)
         stated = result.gradients_sigma[at][:, 0]
-        beyond = reconstruct.solved_sigma.beyond(result.gradients, result.contact)[at]
+        beyond = reconstruct.solved_sigma.beyond(result.gradients)[at]
         place = (one.x_px + 0.5) / width, (one.y_px + 0.5) / height
         slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
         parts.append((slopes, np.sqrt(seen) * one.errors, stated, beyond, *place, press))

@@ -56,12 +56,6 @@ LIMITS = (
           "Measure mm_per_px on an object of known size and write it with mm_per_px_sigma into sensor.toml."),
 )  # fmt: skip
 HEADLINE = ("normal_free_deg", "radius_percent")
-LEFT_EARLY = (
-    "The gel leaves the ball before the visible rim (see the notes), and this counts the difference. A wrong ball diameter "
-    "or mm per pixel looks the same: check them."
-)
-
-
 def level_of(limit: Limit, value: float | None) -> str:
     """good, fair or poor; what is not known is fair."""
     if value is None or not math.isfinite(value):
@@ -72,18 +66,16 @@ def level_of(limit: Limit, value: float | None) -> str:
     return "fair" if sign * value <= sign * limit.fair else "poor"
 
 
-def checks_of(figures: Mapping[str, float | None], *, left_early: bool = False) -> list[dict[str, Any]]:
+def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
     """Every check with its figure, its level and its limits, causes before their effects.
 
     Parameters
     ----------
     figures : of each check by its name; None where it is not known
-    left_early : the gel leaves the ball well before the visible rim, up to which errors are counted
     """
     return [
         {
             **asdict(limit),
-            "action": LEFT_EARLY if left_early and limit.name in HEADLINE else limit.action,
             "value": figures.get(limit.name),
             "level": level_of(limit, figures.get(limit.name)),
         }

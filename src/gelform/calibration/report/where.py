@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from gelform.calibration.coverage import COARSE, tile_of
 from gelform.calibration.report.held_out import HeldOutSample
 from gelform.calibration.report.residuals import MIN_PIXELS, SLOPE_EDGES
-from gelform.metrics import INNER, angle_deg
-
-PARTS = {"contact": 1.0, "inner": INNER}  # share of the contact radius
+from gelform.metrics import angle_deg
 
 
 def errors_where(
-    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int] = COARSE
+    samples: Sequence[HeldOutSample],
+    shape: tuple[int, int],
+    contact_radius_ratio: float,
+    grid: tuple[int, int] = COARSE,
 ) -> dict[str, Any]:
     """Normal errors of reconstructed presses by slope and by place.
 
@@ -29,21 +30,21 @@ def errors_where(
     ----------
     samples : of presses that the model has not seen
     shape : (H, W) of the images
+    contact_radius_ratio : radius of the contact's edge over that of the visible circle
     grid : rows and columns of cells over the image
 
     Returns
     -------
     where : dict
-        `inner_zone`, the share of the contact radius that `inner` ends at; then `contact`, all of the contact but 3 px
-        (at 240 rows) inside its rim, and `inner`, each with `normal_deg`, the mean angle to the ball's normals;
+        `contact_radius_ratio`; then `contact`, inside the contact's edge, and `rim`, up to 3 px (at 240 rows) inside the
+        visible rim, each with `normal_deg`, the mean angle to the ball's normals;
         `by_slope`, bins of the ball's slope with `slope_from`, `slope_to`, `normal_deg`, `gain` (sum of recovered .
         true over sum of true . true) and `pixels`; and `by_place`, with `rows`, `columns` and, cell by cell,
         `normal_deg` and `pixels`. Bins of under 60 pixels are left out, such cells None.
     """
-    parts = {
-        name: _part([one.within(share) for one in samples], shape, grid) for name, share in PARTS.items()
-    }
-    return {"inner_zone": INNER, **parts}
+    regions = {"contact": [one.within(contact_radius_ratio) for one in samples], "rim": samples}
+    parts = {name: _part(region, shape, grid) for name, region in regions.items()}
+    return {"contact_radius_ratio": contact_radius_ratio, **parts}
 
 
 def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:

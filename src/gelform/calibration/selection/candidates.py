@@ -1,14 +1,15 @@
-"""What calibration tries: color models with their settings, the simplest first.
+"""What calibration fits: a color model with its settings, and the forward response that its slopes get a step by.
 
-Which settings a color model should be tried with, how complex they are and whether `auto` tries them is said by the
-model's own class (`variants` and `slow`); here nothing is listed again.
+Which settings a color model is tried with is said by the model's own class (`variants`); here nothing is listed again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import (
@@ -17,13 +18,14 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
-from gelform.color_models import COLOR_MODELS, ColorModel, HierarchicalModel, Samples
+from gelform.calibration.reading import SlopeReader
+from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse, HierarchicalModel, Samples
 
 AUTO = "auto"
-ZONES = (0.7, 0.75, 0.8, 0.85, 0.9)
-DEFAULT_ZONE = 0.8
-ZONE_JUDGE_PRESSES = 18
-START_RIDGES = (1e-1, 1e-2, 1e-3)
+ENOUGH_FOR_HIERARCHICAL = 12  # presses: of fewer a polynomial of few terms is the better one (7.6 against 10.5 degrees at 5)
+START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
+STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
+LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,83 +36,86 @@ class Start:
     ----------
     model : HierarchicalModel
     digest : of the calibration that it comes from
-    zone : training zone of that calibration
     """
 
     model: HierarchicalModel
     digest: str
-    zone: float
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A color model with its settings, the zone that it trains on, and what it starts from.
+    """A color model with its settings, what it starts from, and the forward response of its step.
 
     Attributes
     ----------
     model : a name in `COLOR_MODELS`
-    zone : part of the contact radius inside which pixels train, 0-1
     settings : keywords of the model's `fit`, as pairs
     start : another unit's model, or None
+    step_ridge : of the forward response; None: slopes stay as the model reads them
     """
 
     model: str
-    zone: float
     settings: tuple[tuple[str, Any], ...] = ()
     start: Start | None = None
+    step_ridge: float | None = None
 
     @property
     def change_offset(self) -> float:
         """Grey levels that are added to the background where its color changes are divided by it."""
         return float(COLOR_MODELS[self.model].change_offset)
 
-    @property
-    def reads_depth(self) -> bool:
-        """Whether it asks for the depth of the pixels that it is fitted on."""
-        return getattr(COLOR_MODELS[self.model], "depth_reader", None) is not None
-
-    def fit(
-        self,
-        presses: Sequence[PreparedPress],
-        contacts: Sequence[ContactCircle],
-        *,
-        total: int = TOTAL_SAMPLES,
-    ) -> ColorModel:
-        """The model, fitted on about `total` pixels of presses whose circles are known."""
-        return self.fit_samples(self.samples(presses, contacts, total=total))
-
-    def fit_samples(self, samples: Samples) -> ColorModel:
-        """The model, fitted on samples."""
+    def fit(self, samples: Samples) -> ColorModel:
+        """The color model, fitted on samples."""
         start = {} if self.start is None else {"start": self.start.model}
         return COLOR_MODELS[self.model].fit(samples, **dict(self.settings), **start)
 
-    def samples(
-        self,
-        presses: Sequence[PreparedPress],
-        contacts: Sequence[ContactCircle],
-        *,
-        total: int = TOTAL_SAMPLES,
-    ) -> Samples:
-        """What it is fitted on: pixels inside the contacts' zones, and untouched ones; with depths for a model that asks."""
-        samples = self._samples(presses, contacts, total)
-        depth_reader = getattr(COLOR_MODELS[self.model], "depth_reader", None)
-        if depth_reader is None:
-            return samples
-        read = depth_reader(samples, **dict(self.settings))
-        measured = [replace(press, depth_px=read(press.color_change)) for press in presses]
-        return self._samples(measured, contacts, total)
-
-    def _samples(
-        self, presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], total: int
-    ) -> Samples:
-        return with_rest_samples(
-            contact_samples(presses, contacts, self.zone, total=total), presses, contacts
-        )
-
     def describe(self) -> str:
-        """Name, settings and zone, short."""
+        """Name and settings, short."""
         said = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
-        return " ".join([self.model, *said]) + f", zone {self.zone:g}"
+        step = [] if self.step_ridge is None else [f"step {self.step_ridge:g}"]
+        return " ".join([self.model, *said, *step])
+
+
+def training_samples(
+    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], *, total: int = TOTAL_SAMPLES
+) -> Samples:
+    """What color models are fitted on: pixels inside the contacts' edges, and untouched ones."""
+    return with_rest_samples(contact_samples(presses, contacts, total=total), presses, contacts)
+
+
+def fitted_responses(
+    model: ColorModel,
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    ridges: Sequence[float],
+    untouched: float,
+    *,
+    total: int = TOTAL_SAMPLES,
+) -> list[ForwardResponse]:
+    """Forward responses of presses, one for each ridge, with the depths that a color model reads there.
+
+    Parameters
+    ----------
+    model : fitted on the presses
+    presses, contacts : prepared, and their circles
+    ridges : of `ForwardResponse.fit_each`
+    untouched : color changes up to it say untouched gel
+    total : how many pixels are used, about
+    """
+    reader = SlopeReader(model, None, presses[0], untouched)
+    depths = [reader.depth_px(press) for press in presses]
+    inside = contact_samples(presses, contacts, total=total, depths_px=depths)
+    samples = with_rest_samples(inside, presses, contacts, depths)
+    return ForwardResponse.fit_each(samples, ridges, step_sigma=step_sigma_of(model, samples))
+
+
+def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
+    """Of a step's prior: how far off a component of the slopes is that a model reads, at rest and per slope."""
+    error = model.gradients_at(samples.color_change, samples.x_px, samples.y_px) - samples.gradients
+    square, slope = np.mean(error**2, axis=1), np.sum(np.square(samples.gradients), axis=1)
+    at_rest, pressed = (float(square[part].mean()) if part.any() else 0.0 for part in (slope == 0, slope > 0))
+    growth = max(pressed - at_rest, 0.0) / float(slope[slope > 0].mean())
+    return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
 
 
 def color_model_names() -> list[str]:
@@ -119,12 +124,12 @@ def color_model_names() -> list[str]:
 
 
 def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried with so many training presses, the simplest first, at the default zone.
+    """What is tried with so many training presses, the simplest first.
 
     Parameters
     ----------
-    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto", for the variants in `auto` of every
-        model that is not slow
+    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto": `hierarchical` at every ridge, and a polynomial
+        of few presses
     presses : number of presses that train
 
     Raises
@@ -134,20 +139,13 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     """
     if color_model not in color_model_names():
         raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
-    if color_model != AUTO:
-        offered = [(color_model, variant) for variant in COLOR_MODELS[color_model].variants(presses)]
-    else:
-        quick = {name: model for name, model in COLOR_MODELS.items() if not model.slow}
-        offered = [(name, v) for name, model in quick.items() for v in model.variants(presses) if v.in_auto]
-        offered.sort(key=lambda one: one[1].complexity)
-    return [Candidate(name, DEFAULT_ZONE, tuple(variant.settings.items())) for name, variant in offered]
+    if color_model == AUTO and presses < ENOUGH_FOR_HIERARCHICAL:
+        variant = [v for v in COLOR_MODELS["polynomial"].variants(presses) if len(v.settings["position_degrees"]) <= 2][-1]
+        return [Candidate("polynomial", tuple(variant.settings.items()))]
+    name = "hierarchical" if color_model == AUTO else color_model
+    return [Candidate(name, tuple(variant.settings.items())) for variant in COLOR_MODELS[name].variants(presses)]
 
 
 def candidates_from(start: Start) -> list[Candidate]:
     """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
-    return [Candidate("hierarchical", start.zone, (("ridge", ridge),), start) for ridge in START_RIDGES]
-
-
-def zone_judge(presses: int) -> Candidate:
-    """What judges the training zone: a polynomial, quick to fit and fine enough to see the rim."""
-    return candidates_for("polynomial", min(presses, ZONE_JUDGE_PRESSES))[-1]
+    return [Candidate("hierarchical", (("ridge", ridge),), start) for ridge in START_RIDGES]

@@ -1,36 +1,64 @@
-"""Choose the training zone and the color model, by the depth error on presses that the model has not seen.
+"""Choose how stiff the color model and the forward response are, by their slopes on presses that they have not seen.
 
-The training zone is chosen first, by errors on presses and, where there are two sizes of ball, on a whole size that
-was left out: slopes near the rim are not the ball's, and which ball it was shows most there.
+What counts is the mean logarithm of each press's slope error inside the contact's edge: one press with a wrong circle moves
+a mean of errors as it likes, and a mean of logarithms by a few per cent.
 
-The color model is chosen by its errors on presses of folds that were left out. A model that fails on the other size of
-ball is out; the simplest within one standard error of the best is chosen, of few presses the best itself. The errors are not
-extrapolated from 4/5 and 3/5 to all of the presses: on a GelSight Mini that foretold 0.275 px of a polynomial that then had
-0.291 on presses it had not seen, the worst of three, and chose what no fold chose.
-
-Choosing on the scores that are then reported flatters them. So the choice is made once more for each fold, without
-its presses (by models that left out two folds: a little pessimistic), and the fold's presses are
-scored by what was chosen then.
+Choosing on the scores that are then reported flatters them. So each fold's presses are reported by what the scores of the
+other folds' presses choose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelform.calibration.selection.candidates import DEFAULT_ZONE, ZONES, Candidate, zone_judge
-from gelform.calibration.selection.trials import HeldOutPresses, Trial
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.reading import SlopeReader
+from gelform.calibration.selection.candidates import Candidate, fitted_responses, training_samples
+from gelform.calibration.selection.folds import Fold
+from gelform.color_models import ColorModel, ForwardResponse
+from gelform.color_models.forward_response import RIDGES
+from gelform.metrics import score_slopes
 from gelform.progress import Progress, no_progress
 
-# Presses, of fewer than which the best is chosen: their standard error covers models that are much worse on presses that
-# none has seen. Of 28 draws of 10 and 15 presses on simulated sensors it changes 8: four are worse, by at most 0.3 degrees,
-# four better, by up to 1.5.
-FEW = 18
-SIZE_FACTOR = 1.5  # a size ratio this many times the least one: the model has learnt the ball, not the light
+SAMPLES_OF_FOLD = 12_000
+SCORED_PIXELS = 1_500  # of a press
+
+
+@dataclass(frozen=True)
+class SlopeScore:
+    """Errors of the slopes that are read on one press, its centre free: labels are off by a pixel.
+
+    Attributes
+    ----------
+    slope_error : root mean square of |slope error|, mm/mm
+    normal_deg : mean angle to the ball's normals, degrees
+    """
+
+    slope_error: float
+    normal_deg: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate's scores on presses that it had not seen.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    scores : press -> score, the press's fold left out
+    """
+
+    candidate: Candidate
+    scores: Mapping[int, SlopeScore]
+
+    def mean_log(self, without: Sequence[int] = ()) -> float:
+        """Mean logarithm of the slope error, without some presses."""
+        errors = [score.slope_error for i, score in self.scores.items() if i not in without]
+        return float(np.mean(np.log(errors))) if errors else float("inf")
 
 
 @dataclass(frozen=True)
@@ -41,141 +69,108 @@ class Selection:
     by_fold: tuple[Candidate, ...]
     trials: tuple[Trial, ...]
 
-    def exchanged(self, trial: Trial, exchange: Callable[[Candidate], Candidate]) -> Selection:
-        """The candidate of a further trial in place of the chosen one, and in folds that chose the same color model."""
-        by_fold = tuple(exchange(one) if one.model == self.chosen.model else one for one in self.by_fold)
-        return Selection(trial.candidate, by_fold, (*self.trials, trial))
+
+@dataclass(frozen=True, eq=False)
+class HeldOutPresses:
+    """The presses, and the ways to leave some of them out.
+
+    Attributes
+    ----------
+    presses : prepared, by the `change_offset` that candidates want
+    found : the circles found in single images, one per press
+    folds : from `make_folds`
+    untouched : color changes up to it say untouched gel, by the offset too
+    """
+
+    presses: Mapping[float, Sequence[PreparedPress]]
+    found: Sequence[ContactCircle]
+    folds: Sequence[Fold]
+    untouched: Mapping[float, float]
+    _fits: dict[tuple[Fold, Candidate], tuple[ColorModel, ForwardResponse | None]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[tuple[ColorModel, ForwardResponse | None]]:
+        """Candidates that differ in their settings alone, fitted on a fold's training presses; remembered."""
+        new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
+        if new:
+            training = [self.presses[new[0].change_offset][i] for i in fold.training]
+            untouched = self.untouched[new[0].change_offset]
+            samples = training_samples(training, fold.contacts, total=SAMPLES_OF_FOLD)
+            models: dict[Candidate, ColorModel] = {}
+            for one in new:
+                plain = replace(one, step_ridge=None)
+                if plain not in models:
+                    models[plain] = self._fits[fold, plain][0] if (fold, plain) in self._fits else one.fit(samples)
+            for plain, model in models.items():
+                stepped = [one for one in new if one.step_ridge is not None and replace(one, step_ridge=None) == plain]
+                ridges = [one.step_ridge for one in stepped if one.step_ridge is not None]
+                made = (
+                    fitted_responses(model, training, fold.contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
+                    if ridges
+                    else []
+                )
+                self._fits[fold, plain] = model, None
+                for one, forward in zip(stepped, made):
+                    self._fits[fold, one] = model, forward
+        return [self._fits[fold, one] for one in candidates]
+
+    def reader(self, fold: Fold, candidate: Candidate) -> SlopeReader:
+        """What reads presses by a candidate that was fitted without the fold."""
+        (fit,) = self.fit(fold, [candidate])
+        offset = candidate.change_offset
+        return SlopeReader(*fit, self.presses[offset][0], self.untouched[offset])
+
+    def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
+        """Fit candidates without each fold; score what was left out."""
+        scores: list[dict[int, SlopeScore]] = [{} for _ in candidates]
+        for fold in self.folds:
+            self.fit(fold, candidates)
+            for candidate, of_presses in zip(candidates, scores):
+                reader, prepared = self.reader(fold, candidate), self.presses[candidate.change_offset]
+                for i in fold.held_out:
+                    of_presses[i] = score_of(prepared[i], self.found[i], reader)
+        return [Trial(candidate, of) for candidate, of in zip(candidates, scores)]
+
+
+def score_of(press: PreparedPress, found: ContactCircle, reader: SlopeReader) -> SlopeScore:
+    """Errors inside the contact's edge."""
+    rows, cols = press.pixels(found, 1.0, SCORED_PIXELS)
+    slopes = reader.frame(press).gradients[rows, cols]
+    score = score_slopes(slopes, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    error = float(np.sqrt(np.mean(np.sum(score.errors**2, axis=1))))
+    return SlopeScore(max(error, 1e-9), score.normal_deg)
 
 
 def select(
-    candidates: Sequence[Candidate],
-    held_out: HeldOutPresses,
-    *,
-    zones: Sequence[float] = ZONES,
-    progress: Progress = no_progress,
+    candidates: Sequence[Candidate], held_out: HeldOutPresses, *, progress: Progress = no_progress
 ) -> Selection:
-    """Choose a zone, judged by a polynomial, and then a candidate: by all presses, and without each fold's.
+    """Choose among candidates of one color model, and then its step: by all presses, and without each fold's.
 
     Parameters
     ----------
-    candidates : simplest first
+    candidates : of one color model, without a step
     held_out : the presses and their folds
-    zones : what to choose the zone among; a single one is taken as it is
     progress : called with (done, total, what)
     """
-    trials = _Trials(held_out, len(zones) + len(candidates), progress)
-    judge = zone_judge(min(len(fold.training) for fold in held_out.folds))
-    zoned = trials.of([replace(judge, zone=zone) for zone in zones]) if len(zones) > 1 else []
+    plain = held_out.try_candidates(candidates)
+    progress(1, 2, f"tried {candidates[0].model}")
+    leaders = dict.fromkeys(_best(plain, fold.held_out) for fold in held_out.folds)
+    leaders[_best(plain)] = None
+    stepped = {
+        leader: held_out.try_candidates([replace(leader, step_ridge=ridge) for ridge in RIDGES]) for leader in leaders
+    }
+    progress(2, 2, "tried the forward response")
 
-    def contenders(without: Sequence[int] = ()) -> list[Trial]:
-        """The candidates at the zone that the other presses choose, but for those far behind, with their pairs."""
-        zone = zone_within_one_error(zoned, without) if zoned else zones[0]
-        tried = trials.of([replace(candidate, zone=zone) for candidate in candidates])
-        return trials.with_pairs_of([trial.candidate for trial in not_out_of_reach(tried, without)])
+    def chosen(without: Sequence[int] = ()) -> Candidate:
+        leader = _best(plain, without)
+        return _best([next(t for t in plain if t.candidate == leader), *stepped[leader]], without)
 
-    running = contenders()
-    losses = [trial.fold_losses() for trial in running]
-    few = losses[0].size < FEW
-    chosen = simplest_within_one_error(running, losses, few=few)
-    by_fold = []
-    for f, fold in enumerate(held_out.folds):
-        running = contenders(without=fold.held_out)
-        losses = [trial.losses_without(f) for trial in running]
-        by_fold.append(simplest_within_one_error(running, losses, f, few=few) if losses[0].size else chosen)
-    return Selection(chosen, tuple(by_fold), trials.made)
+    by_fold = tuple(chosen(fold.held_out) for fold in held_out.folds)
+    trials = (*plain, *(trial for trials in stepped.values() for trial in trials))
+    return Selection(chosen(), by_fold, trials)
 
 
-class _Trials:
-    """Each candidate tried once, however often it is asked for."""
-
-    def __init__(self, held_out: HeldOutPresses, expected: int, progress: Progress) -> None:
-        self._held_out, self._expected, self._progress = held_out, expected, progress
-        self._made: dict[Candidate, Trial] = {}
-
-    @property
-    def made(self) -> tuple[Trial, ...]:
-        """Every trial so far."""
-        return tuple(self._made.values())
-
-    def of(self, candidates: Sequence[Candidate]) -> list[Trial]:
-        """The candidates' trials on folds and sizes."""
-        for alike in _alike(
-            [candidate for candidate in dict.fromkeys(candidates) if candidate not in self._made]
-        ):
-            for trial in self._held_out.try_candidates(alike):
-                self._made[trial.candidate] = trial
-                total = max(self._expected, len(self._made))
-                self._progress(len(self._made), total, f"tried {trial.candidate.describe()}")
-        return [self._made[candidate] for candidate in candidates]
-
-    def with_pairs_of(self, candidates: Sequence[Candidate]) -> list[Trial]:
-        """The candidates' trials with pairs of folds left out, too."""
-        for alike in _alike([trial.candidate for trial in self.of(candidates) if not trial.by_pair]):
-            trials = self._held_out.with_pairs([self._made[candidate] for candidate in alike])
-            self._made |= {trial.candidate: trial for trial in trials}
-        return [self._made[candidate] for candidate in candidates]
-
-
-def _alike(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
-    """Neighbours of one model and zone: what they are fitted on is the same, and part of their fits."""
-    groups = groupby(candidates, key=lambda one: (one.model, one.zone))
-    return [list(group) for _, group in groups]
-
-
-def not_out_of_reach(trials: Sequence[Trial], without: Sequence[int] = ()) -> list[Trial]:
-    """The trials within two standard errors of the best on folds: what pairs of folds are then fitted for."""
-    losses = [trial.fold_losses(without) for trial in trials]
-    best = min(losses, key=lambda loss: float(loss.mean()))
-    return [t for t, loss in zip(trials, losses) if (loss - best).mean() <= 2 * standard_error(loss - best)]
-
-
-def zone_within_one_error(zoned: Sequence[Trial], without: Sequence[int] = ()) -> float:
-    """The zone nearest the usual one whose mean loss is within one standard error of the best's, press by press."""
-    losses = [trial.zone_losses(without) for trial in zoned]
-    best = min(losses, key=lambda loss: float(loss.mean()))
-    within = [
-        trial.candidate.zone
-        for trial, loss in zip(zoned, losses)
-        if (loss - best).mean() <= standard_error(loss - best)
-    ]
-    return min(within, key=lambda zone: abs(zone - DEFAULT_ZONE))
-
-
-def simplest_within_one_error(
-    trials: Sequence[Trial],
-    losses: Sequence[NDArray[np.float64]],
-    without_fold: int | None = None,
-    *,
-    few: bool = False,
-) -> Candidate:
-    """The first candidate whose mean loss is within one standard error of the best's, press by press; of few, the best.
-
-    Those that fail on a size of ball that was left out do not count.
-
-    Parameters
-    ----------
-    trials : simplest first
-    losses : of each trial, one per press
-    without_fold : a fold whose presses must not decide, or None
-    few : whether there are so few presses that the best is chosen
-    """
-    ratios = [trial.size_ratio(without_fold) for trial in trials]
-    fair = [k for k, ratio in enumerate(ratios) if ratio <= SIZE_FACTOR * min(ratios)]
-    lowest = min(fair, key=lambda k: losses[k].mean())
-    if few:
-        return trials[lowest].candidate
-    best = losses[lowest]
-    within = [k for k in fair if (losses[k] - best).mean() <= standard_error(losses[k] - best)]
-    return trials[within[0]].candidate
-
-
-def standard_error(values: Sequence[float] | NDArray[np.float64]) -> float:
-    """Standard error of the mean of values; 0 of a single one."""
-    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
-
-
-def worse_on_balls(trial: Trial, selection: Selection) -> bool:
-    """Whether a trial's depth of balls is more than a standard error worse than that of what was chosen."""
-    before = next(one for one in selection.trials if one.candidate == selection.chosen)
-    more = trial.fold_losses() - before.fold_losses()
-    return bool(more.mean() > standard_error(more))
+def _best(trials: Sequence[Trial], without: Sequence[int] = ()) -> Candidate:
+    """The candidate of the least mean logarithm; the first one where too few presses say."""
+    return min(trials, key=lambda trial: trial.mean_log(without)).candidate

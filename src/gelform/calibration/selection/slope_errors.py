@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
+from gelform.calibration.reading import SlopeReader
 from gelform.calibration.selection.folds import Fold
-from gelform.color_models import ColorModel
 from gelform.confidence import SlopeErrors, SlopeSigma
 from gelform.metrics import score_slopes
 
@@ -19,7 +19,7 @@ LAGS = 24
 PER_PRESS = 2_000
 ROWS = 8  # of untouched gel, whose errors' correlation is looked at
 SHORTEST_PX, LONGEST_PX = 0.3, 6.0  # of it, by noise and blur
-ZONE = 0.85  # part of the contact radius; beyond it the gel has left the ball, and the label is wrong, not the model
+MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84  # of squared residuals of 1 degree of freedom
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,9 @@ class PressResiduals:
 
     Attributes
     ----------
-    slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its inner part
+    slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its edge
+    stated : (N,) standard deviation by the step; 1 where none is taken
+    residual : (N,) squared, of the color change after the step
     rows, cols : (N,) of the pixels of that part, in the image
     untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
     untouched_rows : (rows, W, 2) the same of whole rows of the image, NaN near the contact
@@ -36,6 +38,8 @@ class PressResiduals:
 
     slopes: NDArray[np.float64]
     errors: NDArray[np.float64]
+    stated: NDArray[np.float64]
+    residual: NDArray[np.float64]
     rows: NDArray[np.intp]
     cols: NDArray[np.intp]
     untouched: NDArray[np.float64]
@@ -47,40 +51,47 @@ class PressResiduals:
         rows, cols = self.rows[thin], self.cols[thin]
         at = rows - self.rows.min(), cols - self.cols.min()
         x, y = (cols + 0.5) / shape[1], (rows + 0.5) / shape[0]
-        return np.linalg.norm(self.slopes[at], axis=-1), self.errors[at], x, y, np.full(len(rows), press)
+        slopes = np.linalg.norm(self.slopes[at], axis=-1)
+        return slopes, self.errors[at], x, y, np.full(len(rows), press), self.stated[thin], self.residual[thin]
 
 
 def slope_sigma_from_folds(
-    models: Sequence[ColorModel],
+    readers: Sequence[SlopeReader],
     folds: Sequence[Fold],
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
-) -> SlopeSigma:
-    """Standard deviation and correlation of the slopes, from presses that each fold's model has not seen.
+) -> tuple[SlopeSigma, float]:
+    """Standard deviation and correlation of the slopes, and the residual's scale, from presses that no fold's model has seen.
 
     A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
     the root of the number of presses, the rate at which errors of estimation fall.
+
+    Returns
+    -------
+    sigma : SlopeSigma
+    residual_scale : as `ForwardResponse` has it
     """
     seen = share_seen(folds)
     shape = presses[0].size.shape
     step = max(1, round(scale_of(shape)))
     residuals = {
-        i: press_residuals(presses[i], found[i], model)
-        for model, fold in zip(models, folds)
+        i: press_residuals(presses[i], found[i], reader)
+        for reader, fold in zip(readers, folds)
         for i in fold.held_out
     }
     gains = [gain_of(one.slopes, one.slopes - one.errors) for one in residuals.values()]
     products = [_lag_products(one.errors, step) for one in residuals.values()]
     parts = [one.columns(shape, i) for i, one in residuals.items()]
-    slopes, errors, x, y, press = (np.concatenate(column) for column in zip(*parts))
+    slopes, errors, x, y, press, stated, residual = (np.concatenate(column) for column in zip(*parts))
     untouched = np.concatenate([one.untouched for one in residuals.values()])
-    held_out = SlopeErrors(slopes, np.sqrt(seen) * errors, x, y, press, untouched)
+    held_out = SlopeErrors(slopes, np.sqrt(seen) * errors, x, y, press, untouched, stated)
     gain_sigma = float(np.sqrt(seen * np.mean((np.array(gains) - 1) ** 2)))
     length, share = correlation_from_products(np.mean(products, axis=0), step)
     fitted = SlopeSigma.fit(held_out, length, share, gain_sigma)
     at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
     rest_length, rest_share = rest_correlation(at_rest, length)
-    return replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_share)
+    fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_share)
+    return fitted, max(float(np.quantile(residual, MOST)) / CHI_SQUARE_AT_MOST, 1.0)
 
 
 def share_seen(folds: Sequence[Fold]) -> float:
@@ -141,45 +152,38 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     return best[1], best[2]
 
 
-def press_residuals(press: PreparedPress, found: ContactCircle, model: ColorModel) -> PressResiduals:
-    """What a model reads on a press and how far off it is; the centre is free, since labels are off by a pixel."""
-    rows, cols = press.pixels(found, ZONE)
-    gradients = press.gradients(model, rows, cols)
+def press_residuals(press: PreparedPress, found: ContactCircle, reader: SlopeReader) -> PressResiduals:
+    """What is read on a press that was left out and how far off it is; the centre is free, since labels are off by a pixel."""
+    rows, cols = press.pixels(found, 1.0)
+    frame = reader.frame(press)
+    gradients = frame.gradients[rows, cols].astype(np.float64)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
     box = (int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2)
     maps = np.full((2, *box), np.nan)
     for values, into in zip((gradients, error), maps):
         into[rows - rows.min(), cols - cols.min()] = values
-    return PressResiduals(maps[0], maps[1], rows, cols, *_untouched_slopes(press, found, model))
+    stated, residual = np.sqrt(frame.variance[rows, cols]), frame.residual[rows, cols]
+    untouched = _untouched_slopes(press, found, frame.gradients)
+    return PressResiduals(maps[0], maps[1], stated, residual, rows, cols, *untouched)
 
 
 def _untouched_slopes(
-    press: PreparedPress, found: ContactCircle, model: ColorModel
+    press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does; and (rows, W, 2) of rows."""
     height, width = press.size.shape
     step = max(1, int(np.sqrt(height * width / PER_PRESS)))
     apart = max(1, height // ROWS)
-    slopes, bias = _far_slopes(press, found, model, np.mgrid[:height:step, :width:step]), np.zeros(2)
-    known = slopes[np.isfinite(slopes[..., 0])]
+    y, x = np.ogrid[:height, :width]
+    far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
+    if press.usable is not None:
+        far &= press.usable
+    slopes = np.where(far[..., None], gradients, np.nan).astype(np.float64)
+    some, bias = slopes[::step, ::step], np.zeros(2)
+    known = some[np.isfinite(some[..., 0])]
     if len(known):
         bias = np.median(known, axis=0)
-    rows = _far_slopes(press, found, model, np.mgrid[apart // 2 : height : apart, :width])
-    return known - bias, rows - bias
-
-
-def _far_slopes(
-    press: PreparedPress, found: ContactCircle, model: ColorModel, places: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Slopes (h, w, 2) at rows and columns (2, h, w) of the image, NaN near the contact and where nothing is usable."""
-    rows, cols = places
-    far = np.hypot(cols - found.x_px, rows - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
-    if press.usable is not None:
-        far &= press.usable[rows, cols]
-    slopes = np.full((*rows.shape, 2), np.nan)
-    if far.any():
-        slopes[far] = press.gradients(model, rows[far], cols[far])
-    return slopes
+    return known - bias, slopes[apart // 2 :: apart] - bias
 
 
 def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
-from weakref import finalize, ref
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import (
-    HUBER_SLOPE,
     Normal,
     monomial_products,
-    monomials,
     normal_equations,
     penalised_huber,
     position_powers,
@@ -23,111 +21,105 @@ from gelform.color_models._shared.least_squares import (
 from gelform.color_models.seam import Samples
 
 NODE_PX = 16
-LIGHT_BLUR_PX = 8.0
-PLACE_GROWTH = 4.0
-COLOR_GROWTH = 3.0
-LIGHT_RIDGE = (3.0, 10.0)
-DARKEST = 1.0
+LIGHT_BLUR_PX = 8.0  # of the untouched image: lamps are broad
+PLACE_GROWTH = 4.0  # of the ridge, per degree in place
+ORDER_GROWTH = 3.0  # of the ridge, per degree of the term
+LIGHT_RIDGE = 4.0  # of the untouched image's logarithm, which only terms of the first two orders vary with
+LIGHT_ORDERS = 2
+DARKEST = 1.0  # grey level
 MAX_SAMPLES = 20_000
 
 
-def fitted_nodes(
-    samples: Samples,
-    position_degrees: tuple[int, ...],
-    ridge: float,
-    beside: NDArray[Any] | None = None,
-    beside_penalties: NDArray[Any] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The regression of `HierarchicalModel.fit`, where wanted with columns (N, K) of another kind beside its own.
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A column of a regression whose coefficient varies over the image.
 
-    Returns
-    -------
-    nodes : (rows, columns, terms, 2), as `HierarchicalModel.nodes`
-    coefficients : (K, 2), of the columns beside; their ridge is `ridge` times `beside_penalties` (K,)
+    Attributes
+    ----------
+    values : (N,)
+    place_degree : of the Legendre polynomials of the place that its coefficient is a sum of
+    ridge : of a coefficient that is the same everywhere, relative to the regression's
+    varies_with_light : whether the coefficient is a sum of the untouched image's logarithm too
     """
-    step = max(1, round(len(samples.x_px) / MAX_SAMPLES))  # neighbours in a press are copies of each other
-    own = _columns_of(samples, position_degrees, step)
-    columns, penalties, whole = own.columns, own.penalties, None
-    weight, target = samples.weight[::step], samples.gradients[::step]
-    if beside is not None and beside_penalties is not None:
-        columns = np.concatenate([columns, beside[::step].astype(np.float32)], axis=1)
-        penalties = np.concatenate([penalties, beside_penalties])
-    else:
-        whole = own.normal_equations(samples.gradients, step, weight)
-    found = penalised_huber(columns, target, weight, ridge * penalties, huber=HUBER_SLOPE, whole=whole)
-    *split, others = np.split(found, own.ends)
-    nodes = [place @ part / scale for place, part, scale in zip(own.places, split, own.scales)]
-    return np.stack(nodes, axis=2), others
+
+    values: NDArray[Any]
+    place_degree: int
+    ridge: float
+    varies_with_light: bool = False
+
+
+def terms_of_orders(products: Sequence[NDArray[Any]], orders: Sequence[int], place_degrees: Sequence[int]) -> list[Term]:
+    """Terms of products (N,) of so many factors, the stiffer the higher their order; `place_degrees` by order."""
+    return [
+        Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= LIGHT_ORDERS)
+        for product, order in zip(products, orders)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
-class _Columns:
-    """The columns of a regression: of each colour term, times each function of the place.
+class VaryingRegression:
+    """Penalised Huber regression on terms whose coefficients vary over the image; one set of columns, any ridge.
 
     Attributes
     ----------
     columns : (N, columns) float32
+    target : (N, K) float64
+    weight : (N,)
     penalties : (columns,), of their ridges
     ends : where each term's columns end
-    places, scales : of each term: its functions at the nodes, and what its colours were divided by
-    solved : the normal equations of the last gradients (N, 2), and those
+    places : of each term: its functions at the nodes, (rows, columns, functions)
+    huber : residual from which a sample counts less
     """
 
     columns: NDArray[np.float32]
+    target: NDArray[np.float64]
+    weight: NDArray[np.float64]
     penalties: NDArray[np.float64]
     ends: NDArray[np.intp]
     places: tuple[NDArray[np.float64], ...]
-    scales: tuple[float, ...]
-    solved: list[Any] = field(default_factory=list)
+    huber: float
 
-    def normal_equations(
-        self, gradients: NDArray[np.float64], step: int, weight: NDArray[np.float64]
-    ) -> Normal:
-        """Of every `step`-th of some gradients; remembered for the next ridge."""
-        if not (self.solved and self.solved[0] is gradients):
-            self.solved[:] = gradients, normal_equations(self.columns, gradients[::step], weight)
-        normal: Normal = self.solved[1]
-        return normal
+    @classmethod
+    def of(
+        cls, terms: Sequence[Term], target: NDArray[Any], samples: Samples, *, huber: float
+    ) -> VaryingRegression:
+        """Terms (N,) and target (N, K) of samples; at most some 20,000 of them: neighbours in a press are copies."""
+        step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
+        light = None if samples.background is None else light_at_nodes(samples.background)
+        at = interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
+        made: dict[Any, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = {}
+        for term in terms:
+            kind = term.place_degree, term.varies_with_light
+            if kind not in made:
+                functions, growth = _places(*kind, samples.shape, light)
+                made[kind] = functions, growth, at_pixels(functions, *at)
+        kinds = [made[term.place_degree, term.varies_with_light] for term in terms]
+        ends = np.cumsum([len(growth) for _, growth, _ in kinds])
+        columns = np.empty((len(samples.x_px[::step]), ends[-1]), dtype=np.float32)
+        for term, (_, _, there), part in zip(terms, kinds, np.split(columns, ends[:-1], axis=1)):
+            np.multiply(there, np.asarray(term.values)[::step, None], out=part, casting="same_kind")
+        penalties = np.concatenate([term.ridge * growth for term, (_, growth, _) in zip(terms, kinds)])
+        own_target, weight = np.asarray(target, dtype=np.float64)[::step], samples.weight[::step]
+        return cls(columns, own_target, weight, penalties, ends, tuple(kind[0] for kind in kinds), huber)
 
+    @cached_property
+    def _normal(self) -> Normal:
+        return normal_equations(self.columns, self.target, self.weight)
 
-_kept: dict[str, Any] = {}  # the last columns, until the samples that they are of are gone
+    def coefficients(self, ridge: float) -> NDArray[np.float64]:
+        """Coefficients (columns, K) that a ridge finds."""
+        return penalised_huber(
+            self.columns, self.target, self.weight, ridge * self.penalties, huber=self.huber, whole=self._normal
+        )
 
+    def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The terms' coefficients at the nodes, (rows, columns, terms, K)."""
+        split = np.split(coefficients, self.ends[:-1])
+        return np.stack([place @ part for place, part in zip(self.places, split)], axis=2)
 
-def _columns_of(samples: Samples, position_degrees: tuple[int, ...], step: int) -> _Columns:
-    """Those of every `step`-th sample; the last are kept: calibration fits them with one ridge after the other."""
-    made = _remembered(samples, position_degrees, step)
-    if made is not None:
-        return made
-    change, weight = np.asarray(samples.color_change[::step], dtype=np.float64), samples.weight[::step]
-    terms = monomials(3, len(position_degrees))
-    light = None if samples.background is None else light_at_nodes(samples.background)
-    orders = [_places(n, position_degrees, samples.shape, light) for n in range(1, len(position_degrees) + 1)]
-    places, penalties = zip(*(orders[len(term) - 1] for term in terms))
-    scale = float(np.sqrt(np.average(np.mean(change**2, axis=1), weights=weight))) + 1e-12
-    at = interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
-    there = [at_pixels(place, *at) for place, _ in orders]
-    ends = np.cumsum([len(p) for p in penalties])
-    columns = np.empty((len(change), ends[-1]), dtype=np.float32)
-    for term, product, part in zip(
-        terms, colour_products(change / scale, terms), np.split(columns, ends[:-1], axis=1)
-    ):
-        np.multiply(there[len(term) - 1], product[:, None], out=part, casting="same_kind")
-    scales = tuple(scale ** len(term) for term in terms)
-    made = _Columns(columns, np.concatenate(penalties), ends, places, scales)
-    _kept["last"] = ref(samples.color_change), _beside(samples), (position_degrees, step), made
-    finalize(samples.color_change, _kept.clear)
-    return made
-
-
-def _beside(samples: Samples) -> tuple[Any, ...]:
-    return samples.x_px, samples.y_px, samples.weight, samples.background
-
-
-def _remembered(samples: Samples, position_degrees: tuple[int, ...], step: int) -> _Columns | None:
-    """The last columns, where they are of the very same arrays and degrees."""
-    change, beside, settings, made = _kept.get("last", (lambda: None, (), None, None))
-    same = change() is samples.color_change and settings == (position_degrees, step)
-    return made if same and all(a is b for a, b in zip(beside, _beside(samples))) else None
+    def residual(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Target minus what the coefficients give, (N, K)."""
+        return np.asarray(self.target - self.columns @ coefficients.astype(np.float32), dtype=np.float64)
 
 
 def node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -137,10 +129,9 @@ def node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _places(
-    order: int, position_degrees: tuple[int, ...], shape: tuple[int, int], light: NDArray[Any] | None
+    degree: int, with_light: bool, shape: tuple[int, int], light: NDArray[Any] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What a coefficient of a colour term of an order is a sum of, (rows, columns, functions), and their penalties."""
-    degree = position_degrees[order - 1]
+    """What a coefficient is a sum of at the nodes, (rows, columns, functions), and by how much each is penalised."""
     unit = [
         2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in zip(node_positions(shape), shape)
     ]
@@ -148,11 +139,11 @@ def _places(
     along_y, along_x = (np.polynomial.legendre.legvander(u, degree) * size for u in unit)
     powers = position_powers(degree)
     functions = [along_y[:, None, j] * along_x[None, :, i] for i, j in powers]
-    penalties = [COLOR_GROWTH ** (order - 1) * PLACE_GROWTH ** (i + j) for i, j in powers]
-    if light is not None and order <= len(LIGHT_RIDGE):
+    growth = [PLACE_GROWTH ** (i + j) for i, j in powers]
+    if with_light and light is not None:
         functions += list(light)
-        penalties += [LIGHT_RIDGE[order - 1]] * 3
-    return np.stack(functions, axis=-1), np.array(penalties)
+        growth += [LIGHT_RIDGE] * 3
+    return np.stack(functions, axis=-1), np.array(growth)
 
 
 def light_at_nodes(background: NDArray[Any]) -> NDArray[np.float64]:

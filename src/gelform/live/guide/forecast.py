@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelform.calibration.circles.find import ContactCircle, scale_of
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.learning import RIM_PX, floor_and_slope
-from gelform.calibration.selection.candidates import Candidate, candidates_for
+from gelform.calibration.report.learning import floor_and_slope
+from gelform.calibration.selection.candidates import Candidate, candidates_for, training_samples
 from gelform.metrics import score_slopes
 
 LEAST, HELD_OUT_EVERY, MORE = 6, 4, 5
@@ -73,12 +73,11 @@ def _error_deg(
     prepared: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
 ) -> float:
-    model = candidate.fit([prepared[k] for k in training], [found[k] for k in training])
+    model = candidate.fit(training_samples([prepared[k] for k in training], [found[k] for k in training]))
     degrees = []
     for k in tested:
         press, circle = prepared[k], found[k]
-        zone = max(1 - RIM_PX * scale_of(press.size.shape) / circle.radius_px, 0.5)
-        rows, columns = press.pixels(circle, zone, SAMPLES)
+        rows, columns = press.pixels(circle, 1.0, SAMPLES)
         slopes = press.gradients(model, rows, columns)
         score = score_slopes(slopes, columns, rows, (circle.x_px, circle.y_px), press.ball_radius_px)
         degrees.append(score.normal_deg)

@@ -46,10 +46,15 @@ def test_a_gain_below_one_is_drawn_below_the_line():
         {"slope_from": 0.1 * k, "slope_to": 0.1 * k + 0.1, "gain": 1.1 - 0.1 * k, "interval": [0.5, 1.3]}
         for k in range(3)
     ]
-    dots = circles(gain_chart({"training_zone": bins, "contact": []}), "dot-first")
+    dots = circles(gain_chart({"contact": bins, "rim": []}), "dot-first")
     assert [x for x, _ in dots] == sorted(x for x, _ in dots)
     assert dots[0][1] < dots[1][1] < dots[2][1]
-    assert gain_chart({"training_zone": [], "contact": []}) == ""
+    assert gain_chart({"contact": [], "rim": []}) == ""
+    beyond = [{**one, "gain": one["gain"] - 0.3} for one in bins]
+    both = gain_chart({"contact": bins, "rim": beyond})
+    for first, second in zip(circles(both, "dot-first"), circles(both, "dot-second")):
+        assert first[0] == second[0]
+        assert first[1] < second[1], "up to the rim slopes are read too flat"
 
 
 def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
@@ -78,7 +83,7 @@ def test_markers_lie_between_their_limits():
 
 
 def test_ranges_share_a_scale():
-    one, two = ({"normal_free_deg": v, "standard_error_deg": 0.1, "chosen": False} for v in (2.0, 4.0))
+    one, two = ({"normal_free_deg": v, "chosen": False} for v in (2.0, 4.0))
     assert circles(range_bar(two, 5), "dot-first")[0][0] == pytest.approx(
         2 * circles(range_bar(one, 5), "dot-first")[0][0]
     )

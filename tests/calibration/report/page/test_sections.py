@@ -32,20 +32,17 @@ def test_a_figure_that_does_not_exist_is_a_dash(content):
 
 def test_every_figure_of_a_candidate_is_rendered():
     rows = [
-        {"candidate": "a <1>", "normal_free_deg": 2.0, "standard_error_deg": 0.1, "chosen": False},
-        {"candidate": "b", "normal_free_deg": 1.5, "standard_error_deg": 0.1, "chosen": True}
-        | {"cap_free_um": 12.0, "cap_free_um_se": 1.0, "new_figure": 7.0, "radius_percent": float("nan")},
+        {"candidate": "b step 3e-05", "slope_error": 0.0213, "normal_free_deg": 1.5, "chosen": True}
+        | {"new_figure": 7.0, "new_figure_se": 0.5, "other": float("nan")},
+        {"candidate": "a <1>", "slope_error": 0.0345, "normal_free_deg": 2.0, "chosen": False},
     ]
     drawn = models_section({"candidates": rows})
     assert "a &lt;1&gt;" in drawn
-    for text in ("1.5 ± 0.1", "12 ± 1", "depth in contact, µm", "new figure", "smallest held-out error"):
+    for text in ("typical slope error", "0.0213", "0.0345", "7 ± 0.5", "new figure", "smallest typical slope error"):
         assert text in drawn
-    assert re.search(r'<tr class="chosen"><td>b ← chosen', drawn)
-    rows[0]["chosen"], rows[1]["chosen"] = True, False
-    assert "the simpler" in models_section({"candidates": rows})
-    rows[0]["cap_free_um"], rows[1]["cap_free_um"] = 14.0, None
-    assert "The simplest one was chosen" in models_section({"candidates": rows})
+    assert re.search(r'<tr class="chosen"><td>b step 3e-05 ← chosen', drawn)
     assert "Only one was tried" in models_section({"candidates": rows[:1]})
+    assert "decides" not in models_section({"candidates": rows[:1]})
 
 
 def test_places_are_said_in_words():

@@ -86,8 +86,8 @@ def svg(body: str, width: float, height: float, title: str, kind: str = "chart")
 
 
 def gain_chart(gain: dict[str, Any]) -> str:
-    """Recovered over true slope by slope, the training zone and the whole contact; 1 is right."""
-    both = gain["training_zone"] + gain["contact"]
+    """Recovered over true slope by slope, inside the contact's edge and up to the visible rim; 1 is right."""
+    both = gain["contact"] + gain["rim"]
     if not both:
         return ""
     lowest = min([b["gain"] for b in both] + [0.8])
@@ -100,7 +100,7 @@ def gain_chart(gain: dict[str, Any]) -> str:
     x_ticks = np.round(np.arange(0, axes.x_range[1] + 0.01, 0.2), 1)
     parts.append(axes.frame(x_ticks, ticks, "true slope, mm/mm", "recovered / true slope"))
     parts.append(axes.line(axes.x_range, (1, 1), "one"))
-    for name, kind in (("contact", "second"), ("training_zone", "first")):
+    for name, kind in (("rim", "second"), ("contact", "first")):
         xs = [(b["slope_from"] + b["slope_to"]) / 2 for b in gain[name]]
         intervals = [b["interval"] for b in gain[name]]
         parts.append(axes.band(xs, [i[0] for i in intervals], [i[1] for i in intervals], f"fill-{kind}"))

@@ -76,7 +76,7 @@ def _saved_section(report: Any) -> str:
         for name, saved in report.held_out_saved.items()
     )
     return (
-        '<section id="saved"><h2>Which figure is whose</h2><p class="lead">The saved model: its kind, settings and zone, '
+        '<section id="saved"><h2>Which figure is whose</h2><p class="lead">The saved model: its kind and settings, '
         "fitted without each press and read on it. Choice and fit: the model is chosen anew without each press too, as "
         "above; a little worse, because a choice among models was made.</p>"
         '<div class="scroll"><table><thead><tr><th>held-out figure</th><th>saved model</th><th>choice and fit</th></tr>'

@@ -20,7 +20,6 @@ from gelform.calibration.report.page.images import jpeg_url
 from gelform.calibration.report.page.maps import coverage_map, scale_of_errors, share_map, slope_error_map
 from gelform.calibration.report.page.words import digits, place_in_words, setting_in_words
 from gelform.calibration.report.verdict import shown
-from gelform.calibration.selection.slope_errors import ZONE
 
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
@@ -30,10 +29,7 @@ CARDS = (
 )
 COLUMNS = {
     "normal_free_deg": ("normals", "°"),
-    "normal_free_deg_other_size": ("normals, other ball size", "°"),
-    "cap_free_um": ("depth in contact", "µm"),
-    "radius_percent": ("radius", "%"),
-    "off_contact_um": ("off contact", "µm"),
+    "slope_error": ("typical slope error", "mm/mm"),
 }
 ERRORS_OF = {"normal_free_deg": ("normal_free_deg_se", "standard_error_deg")}
 CHOSEN = ' class="chosen"'
@@ -109,7 +105,7 @@ def models_section(content: dict[str, Any]) -> str:
     tried = {key for row in rows for key in row if key not in NOT_FIGURES and not key.endswith("_se")}
     keys = [key for key in COLUMNS if key in tried] + sorted(tried - COLUMNS.keys())
     head = "".join(f"<th>{_column(key)}</th>" for key in keys)
-    end = 1.1 * max(row["normal_free_deg"] + row.get("standard_error_deg", 0) for row in rows)
+    end = 1.1 * max(row["normal_free_deg"] for row in rows)
     body = "".join(
         f"<tr{CHOSEN if row['chosen'] else ''}><td>{escape(row['candidate'])}{' ← chosen' if row['chosen'] else ''}"
         f"</td>{''.join(f'<td>{_with_error(row, key)}</td>' for key in keys)}<td>{range_bar(row, end)}</td></tr>"
@@ -118,7 +114,7 @@ def models_section(content: dict[str, Any]) -> str:
     return (
         '<section id="models"><h2>The color models that were tried</h2>'
         f"<p class='lead'>{_how_chosen(rows)}</p>"
-        f'<div class="scroll"><table class="tight"><thead><tr><th>model, training zone</th>{head}'
+        f'<div class="scroll"><table class="tight"><thead><tr><th>model</th>{head}'
         '<th class="text">normals, from 0°</th></tr></thead>'
         f"<tbody>{body}</tbody></table></div></section>"
     )
@@ -126,26 +122,15 @@ def models_section(content: dict[str, Any]) -> str:
 
 def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
     said = (
-        "The presses are dealt into folds; each model is fitted on the other folds, their circles refined with them, "
-        "and read on presses that it has not seen. ± is one standard error over presses. The zone is the share of the "
-        "contact radius that trains: near the visible rim the gel has already left the ball. "
+        "The presses are dealt into folds; each model is fitted on the other folds, their circles refined with them, and its "
+        "slopes are compared with the ball's on presses that it has not seen, inside the edge of the contact. A step is a "
+        "correction of the slopes by the forward response: the color that a slope gives at a place and a depth. "
     )
     if len(rows) < 2:
-        return said + "Only one was tried, as asked for."
-    figures = [row["normal_free_deg"] for row in rows]
-    chosen = next(row for row in rows if row["chosen"])
-    if chosen.get("cap_free_um") is not None and any(
-        "cap_free_um" in row for row in rows if row is not chosen
-    ):
-        return said + (
-            "The simplest one was chosen whose depth error in the contact, as expected of it with all presses, is "
-            "within one standard error of the smallest; of fewer than 18 presses, the one with the smallest."
-        )
-    if chosen["normal_free_deg"] <= min(figures):
-        return said + "The one with the smallest held-out error was chosen."
-    return (
-        said
-        + "Where several are as good within the errors, the simpler or the one with the better depth was chosen."
+        return said + "Only one was tried."
+    return said + (
+        "The smallest typical slope error (geometric mean over presses) decides, among the settings of one color model; its "
+        "step is chosen then, in the same way."
     )
 
 
@@ -188,19 +173,19 @@ def gain_section(content: dict[str, Any]) -> str:
     gain = content["gain"]
     return (
         '<section id="gain"><h2>Are slopes read at their full size?</h2><div class="two">'
-        f"<div>{gain_chart(gain)}{_lines_key(gain['zone'])}</div>"
+        f"<div>{gain_chart(gain)}{_lines_key(gain['contact_radius_ratio'])}</div>"
         "<div><p>Recovered over true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1 slopes are read "
         "too flat (noise pulls them to the mean, or such slopes were never pressed), above 1 too steep. Bands are 95 % "
-        "intervals over presses.</p><p>The dashed line has the whole contact up to its visible rim in it. Near the rim "
-        "the gel has already left the ball, so the ball is steeper than the gel: that this line falls is expected, and "
-        "it is not an error of the color model alone.</p></div></div></section>"
+        "intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel has "
+        "already left the ball, so the ball is steeper than the gel: that this line falls is expected, and it is not an "
+        "error of the color model alone.</p></div></div></section>"
     )
 
 
 def _lines_key(zone: float) -> str:
     return (
-        f'<ul class="key"><li><i style="background:var(--accent);height:3px"></i>inside {zone:g} of the radius, which trains'
-        '</li><li><i style="background:var(--second);height:3px"></i>the whole contact</li></ul>'
+        f'<ul class="key"><li><i style="background:var(--accent);height:3px"></i>inside the edge of the contact, {zone:.2f} of the visible radius'
+        '</li><li><i style="background:var(--second);height:3px"></i>up to the visible rim</li></ul>'
     )
 
 
@@ -238,7 +223,7 @@ def sigma_section(content: dict[str, Any]) -> str:
         '<section id="sigma"><h2>Is the stated uncertainty right?</h2>'
         "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
         "60–76 % is good. Less means that the calibration promises too much there, more that it is too careful. "
-        f"Overall {100 * sigma['all']:.0f} %. Beyond {ZONE:g} of the contact radius the gel has left the ball, and nothing "
+        f"Overall {100 * sigma['all']:.0f} %. Outside the edge of the contact the gel has left the ball, and nothing "
         "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
         "worse.</p>"
         f'<div class="two"><div>{sigma_chart(sigma)}</div><div>{share_map(sigma, shape)}'

@@ -103,28 +103,28 @@ def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str
 
 
 def _show_where(where: dict[str, Any], quiet: bool) -> None:
-    """Normal errors by the ball's slope, and by place: the whole contact and its inner part."""
-    inner = {b["slope_from"]: b for b in where["inner"]["by_slope"]}
-    title, inside = "Normal error, degrees, by the ball's slope", f"inner {where['inner_zone']:g}"
+    """Normal errors by the ball's slope, and by place: inside the contact's edge and up to the visible rim."""
+    to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
+    title = f"Normal error, degrees, by the ball's slope (edge at {where['contact_radius_ratio']:.2f} of the visible radius)"
     rows = [
         (
             f"{b['slope_from']:g}-{b['slope_to']:g}",
             figure(b["normal_deg"]),
             figure(b["gain"]),
-            figure(inner[b["slope_from"]]["normal_deg"]) if b["slope_from"] in inner else "-",
+            figure(to_rim[b["slope_from"]]["normal_deg"]) if b["slope_from"] in to_rim else "-",
             str(b["pixels"]),
         )
         for b in where["contact"]["by_slope"]
     ]
-    show_table(title, ("slope", "contact", "gain", inside, "pixels"), rows, quiet=quiet)
+    show_table(title, ("slope", "contact", "gain", "up to the rim", "pixels"), rows, quiet=quiet)
     places = where["contact"]["by_place"]
     cells = [
         f"{_degrees(whole)} / {_degrees(part)}"
-        for whole, part in zip(places["normal_deg"], where["inner"]["by_place"]["normal_deg"])
+        for whole, part in zip(places["normal_deg"], where["rim"]["by_place"]["normal_deg"])
     ]
     columns = places["columns"]
     grid = [tuple(cells[k : k + columns]) for k in range(0, len(cells), columns)]
-    title = f"Normal error, degrees, by place in the image: contact / {inside}"
+    title = "Normal error, degrees, by place in the image: contact / up to the rim"
     show_table(title, tuple(f"column {k + 1}" for k in range(columns)), grid, quiet=quiet)
 
 

@@ -1,0 +1,88 @@
+"""Where the gel leaves the ball: the ratio of the contact's radius to that of the visible circle, measured.
+
+What the eye calls a press's rim lies outside the contact, by a tenth on most sensors and by a half on some: beyond the
+contact the gel is less steep than the ball, and the ball's slopes are wrong labels. A model that has learnt from the inner
+half alone, which the gel certainly follows, reads on presses that it has not seen where that begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.samples import USUAL_EDGE, PreparedPress, contact_samples, with_rest_samples
+from gelform.color_models import ColorModel, HierarchicalModel
+
+LEAST_PRESSES = 12  # fewer do not know the light at every place
+GROUPS = 5  # that are left out in turn
+INNER = 0.5  # of the visible radius: what trains
+RINGS = np.arange(0.05, 1.001, 0.05)
+REFERENCE = (0.1, 0.4)  # of the visible radius: what is read there is taken for right
+LEAST_GAIN = 0.8  # of what is read there, over the ball's slope: below it the gel has left the ball
+SAMPLES, PIXELS_OF_PRESS = 12_000, 3_000
+
+
+def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
+    """Where the median press begins to be read less than 0.8 times as steep as its ball, relative to what is read further in.
+
+    In rings of 0.05 visible radii, of which two have to be below; `USUAL_EDGE` for fewer than 12 presses.
+
+    Parameters
+    ----------
+    presses, contacts : that fit, and their circles
+    """
+    if len(presses) < LEAST_PRESSES:
+        return USUAL_EDGE
+    visible = [replace(press, contact_radius_ratio=1.0) for press in presses]
+    gains = []
+    for group in range(GROUPS):
+        others = [i for i in range(len(visible)) if i % GROUPS != group]
+        model = _of_inner_half([visible[i] for i in others], [contacts[i] for i in others])
+        gains += [_gains(visible[i], contacts[i], model) for i in range(group, len(visible), GROUPS)]
+    return edge_of_gains(np.array(gains))
+
+
+def edge_of_gains(gains: NDArray[np.float64]) -> float:
+    """The edge by gains (presses, rings), read slopes over the ball's; NaN where a press shows nothing of a ring."""
+    known = np.isfinite(gains).any(axis=0)
+    median = np.full(gains.shape[1], np.nan)
+    median[known] = np.nanmedian(gains[:, known], axis=0)
+    middles = (RINGS[:-1] + RINGS[1:]) / 2
+    inner = (REFERENCE[0] <= RINGS[:-1]) & (RINGS[1:] <= REFERENCE[1] + 1e-9)
+    relative = median / np.nanmean(median[inner])
+    below = relative < LEAST_GAIN
+    both = np.flatnonzero(below & np.append(below[1:], True))
+    if not both.size:
+        return float(RINGS[-1])
+    last = max(int(both[0]), 1)
+    part = (relative[last - 1] - LEAST_GAIN) / max(relative[last - 1] - relative[last], 1e-12)
+    return float(np.interp(np.clip(part, 0, 1), (0, 1), middles[last - 1 : last + 1]))
+
+
+def _of_inner_half(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> ColorModel:
+    samples = contact_samples(presses, contacts, INNER, total=SAMPLES)
+    return HierarchicalModel.fit(with_rest_samples(samples, presses, contacts))
+
+
+def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> NDArray[np.float64]:
+    """Of each ring, read slopes over the ball's by least squares; its centre is that of the inner half."""
+    rows, cols = press.pixels(contact, 1.0, PIXELS_OF_PRESS)
+    read, radius = press.gradients(model, rows, cols), press.contact_radius(contact)
+    start = contact.x_px, contact.y_px
+    inner = np.hypot(cols - start[0], rows - start[1]) < INNER * radius
+    center = ball_center(read[inner], cols[inner], rows[inner], start, press.ball_radius_px)
+    ball = ball_gradients(cols, rows, center, press.ball_radius_px)
+    away = np.hypot(cols - center[0], rows - center[1])
+    ring = np.digitize(away / radius, RINGS) - 1
+    ring[away > STEEPEST_FRACTION * press.ball_radius_px] = -1
+    seen = ring[(ring >= 0) & (ring < len(RINGS) - 1)]
+    members = (ring >= 0) & (ring < len(RINGS) - 1)
+    along, square = (
+        np.bincount(seen, np.sum(values[members] * ball[members], axis=1), len(RINGS) - 1) for values in (read, ball)
+    )
+    return np.where(square > 0, along / np.maximum(square, 1e-12), np.nan)

@@ -1,0 +1,280 @@
+"""The forward response: which colour change a slope gives at a place and a depth, and one step back from it.
+
+    f(g; x, y, z) = sum over 1 <= i + j <= 4 of B_ij(x, y) vx^i vy^j  +  z a(x, y)  +  z (bx vx + by vy)      (3 channels)
+
+v is the normal's first two components over 0.3, z the depth of the frame over 10 px. A pressed gel is nearer to the lamps
+than an untouched one: it changes its colour where it is level too, which no map from colour to slope can say. So the slopes
+that a color model read get one Gauss-Newton step towards those whose colour was seen, with the step's prior: the color
+model's own error. Its covariance and what it leaves unexplained come with it (C. M. Bishop, Pattern Recognition and Machine
+Learning, 2006, section 4.4, Laplace's approximation; Huber weights as in P. J. Huber, Robust Statistics, 1981).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform._native import Kernel
+from gelform.checks import check_values, check_within
+from gelform.color_models._shared.least_squares import monomial_products, monomials
+from gelform.color_models._shared.nodes import (
+    Term,
+    VaryingRegression,
+    at_pixels,
+    interpolation,
+    terms_of_orders,
+)
+from gelform.color_models.seam import Samples
+
+NORMAL_UNIT = 0.3  # of the normal's first two components: about the root mean square in contacts
+DEPTH_UNIT_PX = 10.0
+PLACE_DEGREES = (5, 4, 3, 2)  # of terms of order 1 to 4 in the normal
+DEPTH_PLACE_DEGREE = 4
+DEPTH_RIDGE, DEPTH_SLOPE_RIDGE = 3.0, 9.0  # of z, and of z times the normal
+HUBER_CHANGE = 0.03  # of color change: about twice the usual residual
+LONGEST_STEP = 0.3  # mm/mm: beyond it the response is not linear
+RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # what calibration tries, the stiffest first
+# Standard deviation of a slope of which one channel of three says nothing: the prior of its steps, of which it takes two.
+CLIPPED_STEP_SIGMA = 0.3
+
+_POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
+TERMS = len(_POWERS) + 3
+
+_forward_step = Kernel(
+    "forward_step",
+    "f32[h,w,3] change, f32[h,w,2] read, f32[dh,dw] depth, u8[h,w,3]? clipped, f32[r,c,17,3] nodes, f32[4,3,3] roots, "
+    "out f32[n] work, out f32[h,w,2] gradients, out f32[h,w] variance, out f32[h,w] residual, f32 at_rest, "
+    "f32 per_slope, f32 clipped_prior, f32 longest",
+)
+
+
+class Step(NamedTuple):
+    """Slopes after one step, and what the step says of them.
+
+    Attributes
+    ----------
+    gradients : (..., 2), mm/mm
+    variance : (...), mean of both components' variances
+    residual : (...) >= 0, squared, of the color change after the step, in units of its covariance: 1 degree of freedom
+    """
+
+    gradients: NDArray[Any]
+    variance: NDArray[Any]
+    residual: NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardResponse:
+    """Color change as a polynomial in the normal and the depth, its coefficients varying over the image.
+
+    Attributes
+    ----------
+    nodes : (rows, columns, 17, 3) float64, coefficients at every 16th pixel, bilinear between: 14 monomials of the
+        normal, the depth, and the depth times the normal
+    covariance : (3, 3), of the color change about it on the presses it was fitted to
+    shape : (H, W)
+    step_sigma : (at rest, per slope), the prior of a step: slopes g that the color model reads are off by a standard deviation
+        of hypot(at rest, per slope |g|), mm/mm; None where no step is taken, because held-out presses were not read better
+        by it, or the response is of an older calibration
+    residual_scale : of squared residuals on presses that were held out over those that the covariance says, at the 95 %
+        that usual pixels stay under; what is an outlier is told in that unit
+    clipped : (2, 3) bool, whether presses of training show red, green, blue at the camera's lower and upper end: what was
+        learnt holds for such pixels too
+    """
+
+    nodes: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    shape: tuple[int, int]
+    step_sigma: tuple[float, float] | None = None
+    residual_scale: float = 1.0
+    clipped: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self.nodes, "forward_nodes", (3,))
+        covariance = check_values(self.covariance, "forward_covariance", (3,))
+        if np.shape(self.nodes)[2:] != (TERMS, 3) or covariance.shape != (3, 3) or np.linalg.eigvalsh(covariance)[0] <= 0:
+            raise ValueError(f"Expected forward nodes (rows, columns, {TERMS}, 3) and a covariance (3, 3), got others.")
+        if self.step_sigma is not None:
+            for value, least in zip(self.step_sigma, (1e-6, 0)):
+                check_within(value, "step_sigma", least, 1e3)
+        check_within(self.residual_scale, "residual_scale", 1e-6, 1e12)
+
+    @classmethod
+    def fit_each(
+        cls, samples: Samples, ridges: Sequence[float] = RIDGES, *, step_sigma: tuple[float, float] | None = None
+    ) -> list[ForwardResponse]:
+        """One response for each ridge, by penalised Huber regression of the color change.
+
+        Parameters
+        ----------
+        samples : with `depth_px`, the depth of the frame that the color model reads there
+        ridges : > 0, of a coefficient that is the same everywhere, relative to the samples' weight
+        step_sigma : of the response
+        """
+        assert samples.depth_px is not None
+        regression = VaryingRegression.of(
+            _terms(samples.gradients, samples.depth_px), samples.color_change, samples, huber=HUBER_CHANGE
+        )
+        pressed = np.any(samples.gradients != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
+        found = []
+        for ridge in ridges:
+            coefficients = regression.coefficients(ridge)
+            left = regression.residual(coefficients)[pressed]
+            covariance = np.cov(left.T) + 1e-12 * np.eye(3)
+            found.append(cls(regression.nodes(coefficients), covariance, samples.shape, step_sigma))
+        return found
+
+    def color_from_gradients(
+        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any], *, depth_px: NDArray[Any] | float = 0.0
+    ) -> NDArray[np.float64]:
+        """Expected color change (N, 3) of gradients (N, 2), and depths (N,), at pixel positions (N,)."""
+        return self._value_and_jacobian(gradients, x_px, y_px, depth_px)[0]
+
+    def step(
+        self,
+        color_change: NDArray[Any],
+        gradients: NDArray[Any],
+        x_px: NDArray[Any],
+        y_px: NDArray[Any],
+        depth_px: NDArray[Any] | float = 0.0,
+    ) -> Step:
+        """One step at scattered pixels (N,), from gradients (N, 2): what a `PreparedStep` does for whole frames."""
+        assert self.step_sigma is not None
+        value, jacobian = self._value_and_jacobian(gradients, x_px, y_px, depth_px)
+        inverse = np.linalg.inv(self.covariance)
+        weighted = np.einsum("ncm,ck->nmk", jacobian, inverse)
+        at_rest, per_slope = self.step_sigma
+        prior = 1 / (at_rest**2 + per_slope**2 * np.sum(np.square(gradients), axis=-1))
+        information = np.einsum("nmk,nkl->nml", weighted, jacobian) + np.eye(2) * prior[:, None, None]
+        step = np.linalg.solve(information, np.einsum("nmk,nk->nm", weighted, color_change - value)[..., None])[..., 0]
+        step *= np.minimum(1, LONGEST_STEP / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
+        left = color_change - value - np.einsum("ncm,nm->nc", jacobian, step)
+        variance = np.trace(np.linalg.inv(information), axis1=1, axis2=2) / 2
+        return Step(gradients + step, variance, np.einsum("nc,ck,nk->n", left, inverse, left))
+
+    def _value_and_jacobian(
+        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any], depth_px: NDArray[Any] | float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """f (N, 3), and its derivative by the slopes (N, 3, 2)."""
+        slopes = np.asarray(gradients, dtype=np.float64)
+        v, z = normal_terms(slopes), np.broadcast_to(np.asarray(depth_px) / DEPTH_UNIT_PX, len(slopes))
+        coefficients = at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
+        products = np.stack([*monomial_products(v.T, _POWERS), z, z * v[:, 0], z * v[:, 1]])
+        by_v = np.zeros((2, TERMS, len(slopes)))
+        for t, term in enumerate(_POWERS):
+            for axis in (0, 1):
+                count = term.count(axis)
+                rest = list(term)
+                if count:
+                    rest.remove(axis)
+                    by_v[axis, t] = count * np.prod(v[:, rest], axis=1)
+        by_v[0, -2] = by_v[1, -1] = z
+        along_v = np.einsum("atn,ntc->nca", by_v, coefficients)
+        return np.einsum("tn,ntc->nc", products, coefficients), np.einsum("nca,nab->ncb", along_v, _normal_jacobian(slopes))
+
+    def prepare(self) -> PreparedStep:
+        """What steps whole frames."""
+        return PreparedStep(self)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and settings that `from_arrays` makes it of."""
+        arrays: dict[str, NDArray[Any]] = {"nodes": self.nodes, "covariance": self.covariance}
+        if self.clipped is not None:
+            arrays["clipped"] = self.clipped
+        return arrays, {"step_sigma": self.step_sigma, "residual_scale": self.residual_scale}
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any], shape: tuple[int, int]
+    ) -> ForwardResponse:
+        """The response of `to_arrays`."""
+        sigma, scale = settings["step_sigma"], settings["residual_scale"]
+        step_sigma = None if sigma is None else (sigma[0], sigma[1])
+        return cls(arrays["nodes"], arrays["covariance"], shape, step_sigma, scale, arrays.get("clipped"))
+
+    @cached_property
+    def slope_per_change(self) -> float:
+        """Slope that a color change of 1 is worth, mm/mm: the median over the image, of gel at rest."""
+        along = np.moveaxis(self.nodes[:, :, :2], 2, 3) / NORMAL_UNIT
+        information = np.einsum("rcka,rckb->rcab", along, along) + 1e-12 * np.eye(2)
+        variance = np.trace(np.linalg.inv(information), axis1=2, axis2=3) / 2
+        return float(np.sqrt(np.median(variance)))
+
+    @cached_property
+    def roots(self) -> NDArray[np.float32]:
+        """(4, 3, 3): lower factors L of the inverse covariance L L^T of all channels, and without red, green, blue."""
+        found = np.zeros((4, 3, 3))
+        found[0] = np.linalg.cholesky(np.linalg.inv(self.covariance))
+        for channel in range(3):
+            kept = [c for c in range(3) if c != channel]
+            inverse = np.linalg.inv(self.covariance[np.ix_(kept, kept)])
+            found[1 + channel][np.ix_(kept, [0, 1])] = np.linalg.cholesky(inverse)
+        return found.astype(np.float32)
+
+
+class PreparedStep:
+    """Steps of whole frames by one forward response; immutable, shared by threads."""
+
+    def __init__(self, forward: ForwardResponse) -> None:
+        assert forward.step_sigma is not None
+        self._nodes = np.ascontiguousarray(forward.nodes, dtype=np.float32)
+        self._roots = forward.roots
+        self._priors = *(sigma**2 for sigma in forward.step_sigma), 1 / CLIPPED_STEP_SIGMA**2
+        columns = self._nodes.shape[1]
+        padded = -(-forward.shape[1] // 16) * 16
+        self._work_size = 2 * columns * TERMS * 3 + 4 * TERMS * 3 + 12 * padded
+
+    def __call__(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        depth_px: NDArray[np.float32],
+        clipped: NDArray[np.uint8] | None = None,
+    ) -> Step:
+        """The step at every pixel.
+
+        Parameters
+        ----------
+        color_change : (H, W, 3)
+        gradients : (H, W, 2), as the color model read them
+        depth_px : (rows, columns) over the same frame, px, coarser
+        clipped : (H, W, 3), not 0 where a channel says nothing: two steps of the other two, with a prior of 0.3; None: nowhere
+        """
+        stepped = np.empty_like(gradients)
+        variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
+        work = np.empty(self._work_size, np.float32)
+        frame = color_change, gradients, depth_px, clipped
+        _forward_step(
+            *frame, self._nodes, self._roots, work, stepped, variance, residual, *self._priors, LONGEST_STEP
+        )
+        return Step(stepped, variance, residual)
+
+
+def normal_terms(gradients: NDArray[Any]) -> NDArray[np.float64]:
+    """The normal's first two components (N, 2), their sign that of the slopes, in the response's unit."""
+    slopes = np.asarray(gradients, dtype=np.float64)
+    length = np.sqrt(1 + np.sum(slopes**2, axis=-1, keepdims=True))
+    return np.asarray(slopes / (NORMAL_UNIT * length))
+
+
+def _normal_jacobian(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivative (N, 2, 2) of `normal_terms` by the slopes."""
+    p, q = slopes.T
+    jacobian = np.stack([np.stack([1 + q * q, -p * q], 1), np.stack([-p * q, 1 + p * p], 1)], 1)
+    scale = (1 + p * p + q * q) ** -1.5 / NORMAL_UNIT
+    return np.asarray(jacobian * scale[:, None, None])
+
+
+def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
+    v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
+    of_normal = terms_of_orders(monomial_products(v.T, _POWERS), [len(term) for term in _POWERS], PLACE_DEGREES)
+    return [
+        *of_normal,
+        Term(z, DEPTH_PLACE_DEGREE, DEPTH_RIDGE),
+        *(Term(z * one, 0, DEPTH_SLOPE_RIDGE) for one in v.T),
+    ]

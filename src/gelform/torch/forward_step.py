@@ -1,0 +1,76 @@
+"""One step from slopes that were read to those whose colour was seen: `PreparedStep` of numpy, a batch at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gelform.color_models import ForwardResponse
+from gelform.color_models._shared.least_squares import monomials
+from gelform.color_models._shared.nodes import at_pixels, interpolation
+from gelform.color_models.forward_response import (
+    DEPTH_UNIT_PX,
+    LONGEST_STEP,
+    NORMAL_UNIT,
+    PLACE_DEGREES,
+)
+from gelform.torch.frame_depth import FrameDepth
+
+
+class ForwardStep(nn.Module):
+    """Gradients (N, 2, H, W) after one step from those that a color model read.
+
+    Parameters
+    ----------
+    forward : with a `step_sigma`
+    untouched : color changes up to it say untouched gel
+    """
+
+    def __init__(self, forward: ForwardResponse, untouched: float) -> None:
+        super().__init__()
+        assert forward.step_sigma is not None
+        height, width = forward.shape
+        y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+        maps = at_pixels(forward.nodes @ forward.roots[0], *interpolation(x, y, forward.shape))
+        maps = np.moveaxis(maps.reshape(height, width, -1, 3), (2, 3), (0, 1))
+        self.register_buffer("coefficients", torch.from_numpy(np.ascontiguousarray(maps, dtype=np.float32)))
+        self.register_buffer("root", torch.from_numpy(forward.roots[0]))
+        self.at_rest, self.per_slope = (sigma**2 for sigma in forward.step_sigma)
+        self.depth = FrameDepth(forward.shape, untouched)
+
+    def forward(self, color_change: Tensor, gradients: Tensor) -> Tensor:
+        """The step, of a color change (N, 3, H, W) and gradients (N, 2, H, W)."""
+        depth = self.depth(gradients, self.depth.rest(color_change))
+        z = self.depth.in_full(depth)[:, 0] / DEPTH_UNIT_PX
+        p, q = gradients.unbind(1)
+        short = (1 + p * p + q * q).rsqrt()
+        x, y, cube = p * short / NORMAL_UNIT, q * short / NORMAL_UNIT, short**3 / NORMAL_UNIT
+        value, by_x, by_y = self._value(x, y, z)
+        change = torch.einsum("ck,nchw->nkhw", self.root, color_change)
+        cross = (-p * q * cube)[:, None]
+        along_p = by_x * ((1 + q * q) * cube)[:, None] + by_y * cross
+        along_q = by_x * cross + by_y * ((1 + p * p) * cube)[:, None]
+        left = change - value
+        prior = 1 / (self.at_rest + self.per_slope * (p * p + q * q))
+        h11, h22 = (along_p**2).sum(1) + prior, (along_q**2).sum(1) + prior
+        h12, b1, b2 = ((one * other).sum(1) for one, other in ((along_p, along_q), (along_p, left), (along_q, left)))
+        step = torch.stack([h22 * b1 - h12 * b2, h11 * b2 - h12 * b1], 1) / (h11 * h22 - h12 * h12)[:, None]
+        length = ((step**2).sum(1, keepdim=True) + 1e-18).sqrt()
+        return gradients + step * (LONGEST_STEP / length).clamp(max=1)
+
+    def _value(self, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The whitened color change (N, 3, H, W) that normal and depth give, and its derivatives by the normal's terms."""
+        xs, ys = ([torch.ones_like(v), v, v * v, v**3, v**4] for v in (x, y))
+        *of_normal, by_depth, by_depth_x, by_depth_y = self.coefficients
+        value = z[:, None] * by_depth
+        by_x, by_y = z[:, None] * by_depth_x, z[:, None] * by_depth_y
+        value = value + by_x * x[:, None] + by_y * y[:, None]
+        for term, k in zip(monomials(2, len(PLACE_DEGREES)), of_normal):
+            a, b = term.count(0), term.count(1)
+            value = value + k * (xs[a] * ys[b])[:, None]
+            if a:
+                by_x = by_x + k * (a * xs[a - 1] * ys[b])[:, None]
+            if b:
+                by_y = by_y + k * (b * xs[a] * ys[b - 1])[:, None]
+        return value, by_x, by_y
