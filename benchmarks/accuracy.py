@@ -2,7 +2,7 @@
 
     python benchmarks/accuracy.py            # all (about 45 minutes); writes results/accuracy.json after each part
     python benchmarks/accuracy.py anchor sigma
-    python benchmarks/accuracy.py --quick    # whether the parts run; `integrators`, `real` and `simulated` have no such mode
+    python benchmarks/accuracy.py --quick    # whether the parts run; `integrators` and `simulated` have no such mode
 
 The real presses are read from GELFORM_DATA (default ../shared/data); that part is left out, and says so, where
 the folder is absent.
@@ -10,13 +10,11 @@ the folder is absent.
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,13 +22,13 @@ from typing import Any
 import numpy as np
 
 import gelform
+from accuracy_heights import heights, heights_drawn, walls_drawn
 from accuracy_objects import anchor, deep, objects, walls
-from accuracy_presses import few, real_deep, sigma
-from accuracy_punches import lights, lights_drawn, punches, punches_drawn, walls_drawn
+from accuracy_presses import few, sigma
+from accuracy_real import calibrated, mini_ball, real
 from accuracy_walls import at_least
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
-from gelform.calibration.presses.folder import Presses
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
 from report import RESULTS, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene
@@ -100,87 +98,31 @@ def _rmse_by_offset(truth: Any) -> dict[str, float]:
     return errors
 
 
-def real() -> dict[str, Any]:
-    """mini-ball: half calibrates and half tests, one ball to the other, and all 67 presses end to end."""
-    presses = gelform.read_presses(DATA / "mini-ball")
-    reference = _reference_circles()
-    labelled = replace(presses, presses=tuple(replace(p, label=reference[p.name]) for p in presses.presses))
-    figures: dict[str, Any] = {"circles": _circles(), "splits": {}}
-    order = sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
-    by_ball = [[i for i in order if presses.presses[i].ball_diameter_mm == d] for d in (6.31, 9.5)]
-    splits = {
-        "every second press calibrates, the others test": (
-            [i for ball_ in by_ball for i in ball_[0::2]],
-            [i for ball_ in by_ball for i in ball_[1::2]],
-        ),
-        "the others calibrate, every second press tests": (
-            [i for ball_ in by_ball for i in ball_[1::2]],
-            [i for ball_ in by_ball for i in ball_[0::2]],
-        ),
-        "6.31 mm calibrates, 9.50 mm tests": (by_ball[0], by_ball[1]),
-        "9.50 mm calibrates, 6.31 mm tests": (by_ball[1], by_ball[0]),
-        "every sixth press calibrates (12), the others test": (order[0::6], _without(order, order[0::6])),
-        "every third press calibrates (23), the others test": (order[0::3], _without(order, order[0::3])),
-    }
-    for name, (training, test) in splits.items():
-        calibration = gelform.calibrate(presses.subset(training))
-        evaluation = gelform.evaluate(calibration, labelled.subset(test))
-        assert evaluation.seen == 0
-        figures["splits"][name] = {
-            **evaluation.summary,
-            "where": evaluation.where,
-            "settings": calibration.settings,
-        }
-    keys = [
-        "normal_deg",
-        "normal_free_deg",
-        "normal_inner_deg",
-        "radius_percent",
-        "cap_um",
-        "cap_free_um",
-        "off_contact_um",
-    ]
-    rows = [[name, *(figures["splits"][name][k] for k in keys)] for name in splits]
-    for name, values in PEERS["real_presses"].items():
-        rows.append([name, *(float(values[k]) if k in values else "" for k in keys)])
-    print("\n" + table(["mini-ball", *keys], rows))
-    figures["all presses"] = _whole(presses, reference)
-    digit = gelform.calibrate(gelform.read_presses(DATA / "digit-ball"))
-    figures["digit-ball, held out"] = digit.held_out
-    print("\ndigit-ball (cast shadows; scale not verified), held out: " + json.dumps(digit.held_out))
-    return figures
-
-
-def _without(order: list[int], some: list[int]) -> list[int]:
-    return [i for i in order if i not in set(some)]
-
-
-def _whole(presses: Presses, reference: dict[str, tuple[float, float, float]]) -> dict[str, Any]:
-    start = time.perf_counter()
-    calibration = gelform.calibrate(presses)
-    seconds = time.perf_counter() - start
+def whole(data: Path, quick: bool) -> dict[str, Any]:
+    """All 67 presses of mini-ball end to end, and circles found in single images."""
+    presses, _ = mini_ball(data)
+    calibration, seconds = calibrated(presses)
     distance = [
-        np.hypot(row.center_x_px - reference[row.name][0], row.center_y_px - reference[row.name][1])
-        for row in calibration.report.presses
+        np.hypot(row.center_x_px - press.label[0], row.center_y_px - press.label[1])
+        for row, press in zip(calibration.report.presses, presses.presses)
     ]
-    whole = {
-        "seconds": seconds,
+    found = {
+        "cpu_s": seconds,
         "accepted": sum(row.accepted for row in calibration.report.presses),
         "circles within 3 px of the reference": int(np.sum(np.array(distance) <= 3)),
         "largest distance, px": float(max(distance)),
         "held_out": calibration.held_out,
     }
-    print("\nAll 67 presses: " + json.dumps(whole, default=float))
-    return whole
+    print("\nAll 67 presses: " + json.dumps(found, default=float))
+    return {"all presses": found, "circles": _circles()}
 
 
 def _circles() -> dict[str, Any]:
     """Circles found in single images, unchanged on every data set; a gross failure is more than 10 px off."""
     rows = []
-    sets = {"mini-ball": _reference_circles(), "gelsight-ball-deep": None, "digit-ball": None}
-    for name, labels in sets.items():
-        presses = gelform.read_presses(DATA / name)
-        wanted = [labels[p.name] if labels else p.label for p in presses.presses]
+    for name in ("mini-ball", "gelsight-ball-deep", "digit-ball"):
+        presses = mini_ball(DATA)[0] if name == "mini-ball" else gelform.read_presses(DATA / name)
+        wanted = [p.label for p in presses.presses]
         rows.append([name, *_against(presses.background, [p.image for p in presses.presses], wanted)])
     pack = np.load(DATA / "taxim-ball-lowres" / "dataPack.npz")
     wanted = [(*c, r) for c, r in zip(pack["touch_center"], pack["touch_radius"])]
@@ -222,18 +164,6 @@ def _against(background: np.ndarray, images: list[Any], wanted: list[Any]) -> li
         int(np.sum(scatter > 10)),
         f"({middle[0]:.1f}, {middle[1]:.1f})",
     ]
-
-
-def _reference_circles() -> dict[str, tuple[float, float, float]]:
-    with (DATA / "mini-ball" / "reference_circles.csv").open() as file:
-        return {
-            row["image"]: (
-                float(row["center_x_px"]),
-                float(row["center_y_px"]),
-                float(row["contact_radius_px"]),
-            )
-            for row in csv.DictReader(file)
-        }
 
 
 def simulated() -> dict[str, Any]:
@@ -289,10 +219,10 @@ def simulated() -> dict[str, Any]:
 
 PARTS: dict[str, Any] = {
     "integrators": lambda quick: integrators(),
-    "real": lambda quick: real(),
+    "real": partial(real, DATA),
+    "whole": partial(whole, DATA),
     "sigma": partial(sigma, DATA),
     "few": partial(few, DATA),
-    "real_deep": partial(real_deep, DATA),
     "simulated": lambda quick: simulated(),
     "anchor": anchor,
     "deep": deep,
@@ -300,12 +230,10 @@ PARTS: dict[str, Any] = {
     "walls": walls,
     "walls_drawn": walls_drawn,
     "at_least": partial(at_least, DATA),
-    "lights": lights,
-    "lights_drawn": lights_drawn,
-    "punches": punches,
-    "punches_drawn": punches_drawn,
+    "heights": heights,
+    "heights_drawn": heights_drawn,
 }
-NEEDS_DATA = ("real", "sigma", "few", "real_deep", "at_least")
+NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least")
 
 
 def main() -> None:

@@ -5,7 +5,6 @@ Every press that is judged was not there when the calibration was made. `quick` 
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import gelform
+from accuracy_real import EDGES, calibrated, mini_ball, scored, summary, with_results
 from gelform.ball import ball_center
 from gelform.calibration.coverage import COARSE, tile_of
 from gelform.metrics import score_slopes
@@ -25,7 +25,7 @@ DRAWS = 10
 
 def sigma(data: Path, quick: bool) -> dict[str, Any]:
     """Share of slopes, and of depth minus its mean over the contact, within the stated deviations: either half judges."""
-    presses, order = _mini_ball(data)
+    presses, order = mini_ball(data)
     even, odd = order[0 : None if not quick else 24 : 2], order[1::2]
     figures = _within(presses, even, odd[:: 5 if quick else 1])
     if not quick:
@@ -121,41 +121,23 @@ def _mean(rows: list[list[float]], start: int, stop: int) -> list[float]:
 
 def few(data: Path, quick: bool) -> dict[str, Any]:
     """Errors of the other presses, calibrated on 10 and on 20: the mean of ten random draws."""
-    presses, order = _mini_ball(data)
+    presses, order = mini_ball(data)
     figures = {}
     for count in (10, 20):
         rows = []
         for seed in range(1 if quick else DRAWS):
             drawn = sorted(np.random.default_rng(seed).permutation(len(order))[:count])
-            calibration = gelform.calibrate(_unlabelled(presses, [order[k] for k in drawn]))
-            test = [i for k, i in enumerate(order) if k not in set(drawn)]
-            rows.append(gelform.evaluate(calibration, presses.subset(test[:: 5 if quick else 1])).summary)
-        keys = ("normal_free_deg", "normal_inner_deg", "radius_percent", "cap_free_um", "off_contact_um")
-        figures[str(count)] = {key: float(np.mean([row[key] for row in rows])) for key in keys}
+            calibration, _ = calibrated(presses.subset([order[k] for k in drawn]))
+            test = presses.subset(
+                [i for k, i in enumerate(order) if k not in set(drawn)][:: 5 if quick else 1]
+            )
+            pitch, edge = calibration.known_mm_per_px, EDGES["mini-ball"]
+            rows.append(
+                summary([scored(one, one[0].label, pitch, edge) for one in with_results(calibration, test)])
+            )
+        figures[str(count)] = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         print(f"\n{count} presses, mean of {len(rows)} draws: {figures[str(count)]}")
     return figures
-
-
-def real_deep(data: Path, quick: bool) -> dict[str, Any]:
-    """gelsight-ball-deep, circles as wide as the ball: presses used and held-out errors, slopes up to 0.75 as `inner`."""
-    presses = gelform.read_presses(data / "gelsight-ball-deep")
-    if quick:
-        presses = presses.subset(range(0, len(presses.presses), 4))
-    report = gelform.calibrate(presses).report
-    used = sum(row.accepted for row in report.presses)
-    figures = {"used": used, "of": len(report.presses), **report.held_out}
-    print(f"\ngelsight-ball-deep: {figures}")
-    return figures
-
-
-def _mini_ball(data: Path) -> tuple[gelform.Presses, list[int]]:
-    """The presses with the circles that score them, and their order by name."""
-    presses = gelform.read_presses(data / "mini-ball")
-    with (data / "mini-ball" / "reference_circles.csv").open() as file:
-        names = ("center_x_px", "center_y_px", "contact_radius_px")
-        circles = {row["image"]: tuple(float(row[k]) for k in names) for row in csv.DictReader(file)}
-    labelled = tuple(replace(p, label=circles[p.name]) for p in presses.presses)
-    return replace(presses, presses=labelled), sorted(range(len(labelled)), key=lambda i: labelled[i].name)
 
 
 def _unlabelled(presses: gelform.Presses, indices: list[int]) -> gelform.Presses:

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from accuracy_punches import WALLS_DRAWN, drawn_sensor
 
 import gelform
 from accuracy_objects import FACE, OBJECTS, SEED, presses_of, usual_presses
 from accuracy_presses import _mini_ball, _unlabelled
-from accuracy_punches import WALLS_DRAWN, drawn_sensor
 from gelform.metrics import press_errors
 from gelform.simulate import SimulatedSensor, simulate_press
 from report import table

@@ -14,7 +14,6 @@ import json
 import os
 import sys
 import time
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,17 +28,16 @@ from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.draft import untouched_change
 from gelform.calibration.report.record import summary
-from gelform.calibration.selection.candidates import Candidate, candidates_for
+from gelform.calibration.selection.candidates import Candidate, candidates_for, training_samples
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from report import RESULTS, dct_pair, median_ms, table, write
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
-ZONE = 0.8
 PRESSES = 60  # what is tried with so many
 TRAINED_WITH = {"mlp": "torch"}  # left out where it is not installed
 MODELS = {
-    candidate.describe().removesuffix(f", zone {ZONE:g}"): replace(candidate, zone=ZONE)
+    candidate.describe(): candidate
     for name in COLOR_MODELS
     if name not in TRAINED_WITH or find_spec(TRAINED_WITH[name])
     for candidate in candidates_for(name, PRESSES)
@@ -95,7 +93,7 @@ class Bench:
         prepared = self.prepared[candidate.change_offset]
         used = [prepared[i] for i in training]
         start = time.perf_counter()
-        model = candidate.fit(used, contacts)
+        model = candidate.fit(training_samples(used, contacts))
         seconds = time.perf_counter() - start
         ready = model.prepare(self.presses.background, self.presses.image_shape)
         threshold = untouched_change(used, contacts)
@@ -121,7 +119,7 @@ class Bench:
         names = [name for name in MODELS if name not in SLOW]
         for name in names:
             prepared = self.prepared[MODELS[name].change_offset]
-            fitted = MODELS[name].fit([prepared[i] for i in training], contacts)
+            fitted = MODELS[name].fit(training_samples([prepared[i] for i in training], contacts))
             ready = fitted.prepare(self.presses.background, shape)
             calls.append(lambda r=ready, c=prepared[0].color_change: r.gradients_from_color(c))
         times = median_ms(calls)
@@ -162,11 +160,11 @@ def main() -> None:
             [name, *(e[key] for key in FIGURES), e["fit_s"]] for name, e in content["splits"][split].items()
         ]
         print("\n" + table([f"{split} ({len(used)} used)", *FIGURES, "fit_s"], rows), flush=True)
-        write("calibration", {**content, "zone": ZONE})
+        write("calibration", content)
     if not wanted:
         content["frame_in_dct_pairs"] = bench.speed()
         print("\n" + table(["a frame", "D"], list(content["frame_in_dct_pairs"].items())))
-        write("calibration", {**content, "zone": ZONE})
+        write("calibration", content)
     if all(f"{count} presses" in content["splits"] for count in COUNTS):
         picture(content["splits"])
 

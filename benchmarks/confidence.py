@@ -27,11 +27,8 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-import cast_shadows
 import faults
 import gelform
-import shadow_limits
-import shadow_recognition
 from gelform.ball import fit_sphere
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
@@ -172,25 +169,7 @@ def digit(run: Run) -> dict[str, Any]:
         "sphere_ratio": float(mean[0, 0] / mean[1, 0]),
         "off_contact_um": mean[:, 1].tolist(),
         "off_contact_ratio": float(mean[0, 1] / mean[1, 1]),
-        "shadows_taken_back": cast_shadows.real(calibration, test),
     }
-
-
-def shadows(run: Run) -> dict[str, Any]:
-    """RMS depth error in contacts, um, on simulated DIGITs whose presses cast shadows: taken back, without, the ratio."""
-    seeds = cast_shadows.SEEDS[:1] if run.quick else cast_shadows.SEEDS
-    return cast_shadows.simulated(run.frames(30), run.calibrations, seeds)
-
-
-def recognised(run: Run) -> dict[str, Any]:
-    """Whether 18, 15 and 12 presses are said to cast shadows: subsets that are, of how many."""
-    return shadow_recognition.recognised(DATA, run.quick)
-
-
-def limits_of_shadows(run: Run) -> dict[str, Any]:
-    """RMS depth error in contacts, um, of simulated DIGITs: what of it is the shadows', by what the simulator knows."""
-    seeds = shadow_limits.SEEDS[:1] if run.quick else shadow_limits.SEEDS
-    return shadow_limits.limits(run.frames(10), run.calibrations, seeds)
 
 
 def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tuple[float, float]:
@@ -359,11 +338,13 @@ def _named(calibration: gelform.Calibration, images: list[np.ndarray]) -> dict[s
 
 
 def few(run: Run) -> dict[str, Any]:
-    """Normal error, degrees, in contacts by a calibration of five presses: by held-out noise, that of training, neither."""
+    """Normal error, degrees, in contacts by a calibration of five presses: outliers told by held-out residuals, by those of
+    training, or not at all."""
     name, rng = REPORTED[0], np.random.default_rng(SEED + 6)
     calibration = gelform.calibrate(_simulated_presses(name, 5), color_model="hierarchical")
     forward = calibration.forward
-    kinds = {"held_out": forward, "training": replace(forward, held_out_noise=None), "not_asked": None}
+    never = replace(forward, residual_scale=1e12)
+    kinds = {"held_out": forward, "training": replace(forward, residual_scale=1.0), "not_asked": never}
     truths = [press(name, rng) for _ in range(run.frames(30))]
     found: dict[str, Any] = {}
     for kind, own in kinds.items():
@@ -380,19 +361,8 @@ def _normal_deg(reconstruct: gelform.Reconstructor, truth: SimulatedPress) -> fl
 def cost(run: Run) -> dict[str, Any]:
     """CPU time of a whole default frame with its contacts over that without causes, contact, contacts and health."""
     rng, count = np.random.default_rng(SEED + 5), run.frames(200)
-    kept, digit_seed = run.calibrations / "digit-201.npz", cast_shadows.SEEDS[0]
-    sensor = cast_shadows.drawn_digit(digit_seed)
-    if not kept.is_file():
-        cast_shadows.calibrated(sensor, digit_seed).save(kept)
     name = REPORTED[0]
-    return {
-        name: _cost(run.calibration(name), [press(name, rng).image for _ in range(4)], count),
-        "digit": _cost(
-            gelform.load_calibration(kept),
-            [cast_shadows.object_on(sensor, rng)[1].image for _ in range(4)],
-            count,
-        ),
-    }
+    return {name: _cost(run.calibration(name), [press(name, rng).image for _ in range(4)], count)}
 
 
 def _cost(calibration: gelform.Calibration, images: list[np.ndarray], count: int) -> dict[str, float]:
@@ -418,7 +388,7 @@ def _leave_out(stack: ExitStack, reconstruct: gelform.Reconstructor) -> None:
     nowhere = np.zeros(reconstruct.calibration.image_shape, dtype=bool)
 
     def confidence(
-        image: Any, change: Any, gradients: Any, reference: Any, hidden: Any, sigma: Any, came: Any
+        gradients: Any, sigma: Any, unseen: Any, image: Any, step: Any = None, maps: Any = None
     ) -> Any:
         return np.minimum(np.square(clean / sigma), 1)
 
@@ -431,9 +401,6 @@ PARTS = {
     "coverage": coverage,
     "weights": weights,
     "digit": digit,
-    "shadows": shadows,
-    "recognised": recognised,
-    "limits_of_shadows": limits_of_shadows,
     "limit": limit,
     "masks": masks,
     "causes": causes,

@@ -33,7 +33,8 @@ from gelform.background.change import PreparedBackground
 from gelform.background.untouched import reference_from_color_change
 from gelform.calibration.presses.folder import Press, Presses
 from gelform.color_models.seam import gradients_from_pending
-from gelform.confidence import PreparedSigma, SolvedSigma, prepared_causes
+from gelform.color_models.stepped import SteppedSlopes
+from gelform.confidence import PreparedCauses, PreparedSigma, SolvedSigma
 from gelform.contact import contact_from_depth, contacts_from_mask
 from gelform.depth_sigma.sigma import DepthSigma
 from gelform.gradients import slopes_of_solution
@@ -81,20 +82,20 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     gradients, _ = gradients_from_pending(model, prepared.pending(image, exposure), change)
     threshold, pitch = calibration.untouched_change, calibration.known_mm_per_px
     reference = reference_from_color_change(change, gradients, threshold)
-    sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape, calibration.gamut)
+    sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape)
+    stepped = SteppedSlopes(calibration.forward, calibration.image_shape, threshold)
+    step = stepped(change, gradients)
     solved = SolvedSigma(calibration.slope_sigma, calibration.image_shape, calibration.change.blur_px)
-    causes = prepared_causes(
+    causes = PreparedCauses(
         calibration.background,
         calibration.change,
         clean=calibration.slope_sigma.clean,
         levels=calibration.settings.get("image_noise"),
-        gamut=calibration.gamut,
-        forward=calibration.forward,
     )
 
     def trusted(reference: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        untouched, deviation = sigma(change, gradients, reference)
-        return untouched, deviation, causes(image, change, gradients, reference, None, deviation)
+        untouched, deviation = sigma(change, gradients, reference, None, step.variance)
+        return untouched, deviation, causes(gradients, deviation, None, image, (step.residual, step.variance))
 
     untouched, deviation, confidence = trusted(reference)
     unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # gradients have lost theirs above
@@ -118,7 +119,8 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "what untouched pixels have in common": lambda: reference_from_color_change(
             change, gradients, threshold
         ),
-        "untouched, gamut, sigma, confidence": lambda: trusted(unbiased),
+        "depth of the frame, step of the forward response": lambda: stepped(change, gradients),
+        "untouched, sigma, confidence": lambda: trusted(unbiased),
         "anchor at rest": lambda: anchor(gradients, untouched, confidence),
         "depth (dct), curl": lambda: (
             gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
@@ -128,7 +130,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         ),
         "sigma of depth": lambda: depth_sigma(both, **how, rest=untouched),
         "slopes of the depth and their sigma": lambda: solved(
-            both, slopes_of_solution(depth, (pitch, pitch)), touched
+            both, slopes_of_solution(depth, (pitch, pitch))
         ),
         "contact": lambda: contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known),
         "contacts": lambda: contacts_from_mask(touched, depth, mm_per_px=pitch),
@@ -158,7 +160,7 @@ def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode:
 
 
 def calibration_cpu_s() -> float | None:
-    """CPU seconds of calibrating the 67 presses of mini-ball, color model and zone chosen; None without them."""
+    """CPU seconds of calibrating the 67 presses of mini-ball; None without them."""
     data = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
     if not (data / "mini-ball").is_dir():
         return None

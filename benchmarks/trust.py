@@ -144,7 +144,11 @@ def _correction(calibration: gelform.Calibration) -> dict[str, float]:
     samples = [s.within(1.0) for s in calibration.report.samples]
     change = []
     for k, sample in enumerate(samples):
-        others = [s.within(calibration.settings["zone"]) for j, s in enumerate(samples) if j % 5 != k % 5]
+        others = [
+            s.within(calibration.settings["contact_radius_ratio"])
+            for j, s in enumerate(samples)
+            if j % 5 != k % 5
+        ]
         true, seen = (
             np.concatenate([getattr(s, a) for s in others]) for a in ("true_gradients", "gradients")
         )

@@ -143,7 +143,7 @@ static void store_clipped(const struct pixels *at, struct place place, const str
     if (!alone) continue;
     const float *root = s->roots + CHANNELS * CHANNELS * (1 + channel);
     struct pixels again = *at;
-    again.prior = s->clipped_prior - (lanes){0};
+    again.prior = (lanes){0} + s->clipped_prior;
     const struct stepped once = step_of(&again, place, root, s->longest);
     again.p = once.p, again.q = once.q;
     const struct stepped twice = step_of(&again, place, root, s->longest);

@@ -284,7 +284,10 @@ def _parts(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[An
 
 
 def _forward(
-    arrays: dict[str, NDArray[Any]], settings: dict[str, Any] | None, shape: tuple[int, int], mm_per_px: float | None
+    arrays: dict[str, NDArray[Any]],
+    settings: dict[str, Any] | None,
+    shape: tuple[int, int],
+    mm_per_px: float | None,
 ) -> ForwardResponse | None:
     """The response; that of an older calibration translated, without a step."""
     if settings is None:

@@ -287,7 +287,17 @@ class Reconstructor:
         stated = sigma if self._states_sigma else None
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
         return _Read(
-            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, maps
+            faults,
+            flow,
+            markers,
+            drifted,
+            reference,
+            observed,
+            observed_sigma,
+            untouched,
+            sigma,
+            confidence,
+            maps,
         )
 
     def _prepared_sigma(self) -> DepthSigma | None:

@@ -187,7 +187,7 @@ def test_ten_real_presses_are_enough_to_start(data):
     """Every sixth press of a real sensor, at half its size: the held-out errors stay within what ten presses can give."""
     presses = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 6))
     calibration = gelform.calibrate(half_size(presses), color_model="hierarchical")
-    assert calibration.held_out["normal_free_deg"] < 2.3  # recorded: 1.90
+    assert calibration.held_out["normal_free_deg"] < 2.3  # recorded: 1.89
     assert calibration.held_out["normal_rim_deg"] < 3.3  # recorded: 2.72
     assert all(row.accepted for row in calibration.report.presses)
 

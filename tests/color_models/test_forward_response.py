@@ -1,5 +1,6 @@
 """The forward response: fitted to colours, differentiated, and one step back from it to the slopes."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ SHAPES = [(1, 1), (2, 3), (5, 16), (17, 17), (33, 50), (40, 321)]  # the last pi
 LAMPS = np.array([[1.0, -0.5, -0.5], [0.0, 0.87, -0.87]])
 NOISE = 0.004 * np.array([[1.0, 0.0, 0.0], [0.3, 0.9, 0.0], [-0.2, 0.4, 0.8]])  # times independent errors
 COVARIANCE = NOISE @ NOISE.T
-READ_SIGMA = 0.05
+READ_SIGMA = 0.04, 0.1  # at rest, and per slope
 
 
 def response(shape=SHAPE, bent=1.0, seed=0):
@@ -53,16 +54,21 @@ def enlarged(depth, shape):
     return depth
 
 
+def sigma_of(read):
+    """Standard deviation of slopes that were read."""
+    return np.hypot(READ_SIGMA[0], READ_SIGMA[1] * np.linalg.norm(read, axis=-1))
+
+
 def scene(forward, noise=1.0, seed=1):
     """Slopes of a frame, those that were read there, the depth in coarse pixels, and the color change they give."""
     rng, (height, width) = np.random.default_rng(seed), forward.shape
     x, y = pixels(forward.shape)
-    truth = 0.3 * np.stack([np.sin(x / 9 + y / 17), np.cos(x / 13 - y / 8)], axis=-1)
+    read = 0.3 * np.stack([np.sin(x / 9 + y / 17), np.cos(x / 13 - y / 8)], axis=-1)
+    truth = read + sigma_of(read)[:, None] * rng.normal(size=read.shape)
     depth = rng.uniform(0, 15, (-(-height // 4), -(-width // 4))).astype(np.float32)
     at_pixels = enlarged(depth, forward.shape).ravel()
     change = forward.color_from_gradients(truth, x, y, depth_px=at_pixels)
     change += noise * rng.normal(size=change.shape) @ NOISE.T
-    read = truth + rng.normal(0, READ_SIGMA, truth.shape)
     return (
         truth.reshape(height, width, 2),
         read.reshape(height, width, 2).astype(np.float32),
@@ -90,7 +96,7 @@ def without(forward, channel):
     """The response where a channel says nothing: its error is boundless, and the slopes' prior wide."""
     covariance = forward.covariance.copy()
     covariance[channel, channel] += 1e6
-    return replace(forward, covariance=covariance, step_sigma=CLIPPED_STEP_SIGMA)
+    return replace(forward, covariance=covariance, step_sigma=(CLIPPED_STEP_SIGMA, 0.0))
 
 
 def frame_step(forward, change, read, depth, clipped):
@@ -188,7 +194,7 @@ def test_the_prior_says_how_far_to_trust_the_reading():
     truth, read, depth, change = scene(forward)
     sure, usual, vague = (
         replace(forward, step_sigma=sigma).prepare()(change, read, depth)
-        for sigma in (1e-4, READ_SIGMA, 10.0)
+        for sigma in ((1e-4, 0.0), READ_SIGMA, (0.1, 100.0))
     )
     np.testing.assert_allclose(sure.gradients, read, atol=1e-3)
     np.testing.assert_allclose(sure.variance, 1e-8, rtol=0.01)
@@ -201,7 +207,7 @@ def test_what_is_left_of_usual_colours_is_chi_square_of_one_degree_of_freedom():
     _, read, depth, change = scene(forward)
     left = forward.prepare()(change, read, depth).residual
     # Beside the degree of freedom that no slope explains, a little of what the prior keeps slopes from explaining.
-    kept = np.mean(2 * forward.prepare()(change, read, depth).variance / READ_SIGMA**2)
+    kept = np.mean(2 * forward.prepare()(change, read, depth).variance / sigma_of(read) ** 2)
     assert kept < 0.2
     assert np.mean(left) == pytest.approx(1 + kept, abs=0.12)
     for share, within in ((0.5, 0.455), (0.9, 2.706), (0.99, 6.635)):
@@ -228,7 +234,7 @@ def test_a_frame_is_stepped_as_scattered_pixels_are(shape, masked):
     clipped = mask(shape) if masked else None
     found = forward.prepare()(change, read, depth, clipped)
     expected = frame_step(forward, change, read, depth, clipped)
-    for part, wanted, usual in zip(found, expected, (READ_SIGMA, READ_SIGMA**2, 1.0)):
+    for part, wanted, usual in zip(found, expected, (READ_SIGMA[0], READ_SIGMA[0] ** 2, 1.0)):
         assert part.dtype == np.float32
         np.testing.assert_allclose(part, wanted, rtol=0, atol=2e-5 * max(np.abs(wanted).max(), usual))
 
@@ -252,7 +258,7 @@ def test_the_kernel_agrees_with_numpy(shape, masked):
         lambda change, read, depth, clipped, *_: frame_step(forward, change, read, depth, clipped),
         change, read, depth, clipped, forward.nodes.astype(np.float32), forward.roots,
         np.full(step._work_size, np.nan, np.float32), np.empty_like(read), np.empty(shape, np.float32),
-        np.empty(shape, np.float32), READ_SIGMA**-2, CLIPPED_STEP_SIGMA**-2, LONGEST_STEP,
+        np.empty(shape, np.float32), *np.square(READ_SIGMA).tolist(), CLIPPED_STEP_SIGMA**-2, LONGEST_STEP,
         tolerance=5e-5 if masked else 1e-5,  # two channels tell some slopes badly
     )  # fmt: skip
 
@@ -309,9 +315,11 @@ def test_a_frame_of_another_size_is_refused():
 def test_arrays_make_the_same_response():
     known = replace(response(), residual_scale=1.7, clipped=np.eye(2, 3, dtype=bool))
     for forward in (known, replace(known, clipped=None), replace(known, step_sigma=None)):
-        again = ForwardResponse.from_arrays(*forward.to_arrays(), SHAPE)
+        arrays, settings = forward.to_arrays()
+        again = ForwardResponse.from_arrays(arrays, json.loads(json.dumps(settings)), SHAPE)
         for part in ("nodes", "covariance", "shape", "step_sigma", "residual_scale", "clipped"):
             np.testing.assert_array_equal(getattr(again, part), getattr(forward, part), err_msg=part)
+        assert again.step_sigma == forward.step_sigma
 
 
 def test_what_is_no_response_is_refused():
@@ -324,8 +332,9 @@ def test_what_is_no_response_is_refused():
         {"covariance": np.eye(2)},
         {"covariance": np.zeros((3, 3))},
         {"covariance": np.full((3, 3), np.inf)},
-        {"step_sigma": 0.0},
-        {"step_sigma": np.nan},
+        {"step_sigma": (0.0, 0.1)},
+        {"step_sigma": (np.nan, 0.1)},
+        {"step_sigma": (0.1, -0.1)},
         {"residual_scale": 0.0},
     ):
         with pytest.raises(ValueError, match="Expected"):

@@ -1,5 +1,6 @@
 """Hierarchical polynomial: exact where it can be, simple where nothing is known, the light as a clue."""
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -152,3 +153,42 @@ def test_a_start_is_corrected_by_what_it_does_not_explain():
     assert rms(HierarchicalModel.fit(samples, start=start), samples) < 0.001
     held = HierarchicalModel.fit(samples, start=start, ridge=1e6)
     np.testing.assert_allclose(held.nodes, start.nodes, atol=1e-3)
+
+
+def anew(samples):
+    """The same in arrays of their own, of which nothing is remembered."""
+    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
+    return replace(samples, **{part: getattr(samples, part).copy() for part in parts})
+
+
+def test_fits_one_after_the_other_are_those_of_each_alone():
+    """What is worked out for one ridge is there for the next, and for nothing else."""
+    samples = ball_samples(lambertian_change)
+    turned = replace(samples, gradients=-samples.gradients)
+    lighter = replace(samples, weight=samples.weight * np.linspace(0.1, 1, len(samples.weight)))
+    moved = replace(samples, x_px=samples.x_px[::-1].copy())
+    first = HierarchicalModel.fit(anew(samples), position_degrees=(2, 1))
+    start = replace(first, nodes=0.5 * first.nodes)
+    for one in (samples, turned, samples, lighter, moved, samples):
+        for degrees, ridge, begun in (((2, 1), 1e-3, None), ((2, 1), 1e-5, None), ((2, 1), 1e-5, start), ((1,), 1e-3, None)):
+            found = HierarchicalModel.fit(one, position_degrees=degrees, ridge=ridge, start=begun)
+            alone = HierarchicalModel.fit(anew(one), position_degrees=degrees, ridge=ridge, start=begun)
+            np.testing.assert_array_equal(found.nodes, alone.nodes)
+
+
+def test_columns_are_worked_out_once_and_do_not_keep_their_samples():
+    samples = anew(ball_samples(lambertian_change))
+    HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=1e-3)
+    regression = hierarchical._last[3]
+    HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=1e-4)
+    assert hierarchical._last[3] is regression
+    there = hierarchical._last[0]
+    assert there() is samples
+    del samples
+    gc.collect()
+    assert there() is None
+
+
+def test_each_variant_is_stiffer_than_the_next():
+    ridges = [variant.settings["ridge"] for variant in HierarchicalModel.variants(20)]
+    assert ridges == sorted(ridges, reverse=True)

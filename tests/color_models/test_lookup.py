@@ -100,7 +100,7 @@ def test_the_reconstructor_lowers_confidence_off_gamut(calibration, simulated):
     model = LookupModel(table, np.full(3, -1.0), np.full(3, 0.5), calibration.image_shape)
     lit = np.clip(calibration.background * 1.0, 5, 250).astype(np.uint8)
     lit[40:60, 50:70] = np.clip(lit[40:60, 50:70] * 1.5 + 20, 0, 254)
-    result = gelform.Reconstructor(replace(calibration, color_model=model, gamut=None))(lit)
+    result = gelform.Reconstructor(replace(calibration, color_model=model, forward=None))(lit)
     assert result.confidence[45:55, 55:65].max() < 0.5
     assert result.gradients_sigma[45:55, 55:65].min() > 0.1
     assert np.median(result.confidence[:20]) > 0.5

@@ -62,18 +62,41 @@ def test_errors_are_those_put_in():
     assert lifted.cap_um < 1e-3  # the offset is free, the scale is not
 
 
-def test_a_flat_rim_is_left_out_of_the_inner_part():
+@pytest.mark.parametrize("ratio", [0.7, 0.85])
+def test_a_flat_rim_is_left_out_inside_the_edge(ratio):
+    """Beyond it the gel has left the ball: the rim's error alone counts it, and the visible rim is counted without an edge."""
     depth, gradients, _ = pressed_ball()
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    rim = np.hypot(x - 80.3, y - 59.6) > 0.85 * 30.0
-    errors = press_errors(
-        depth,
-        np.where(rim[..., None], 0.5 * gradients, gradients),
-        circle_px=(80.3, 59.6, 30.0),
-        ball_radius_mm=BALL_MM,
-        mm_per_px=MM_PER_PX,
+    rim = np.hypot(x - 80.3, y - 59.6) > (ratio + 0.02) * 30.0
+    flat = np.where(rim[..., None], 0.5 * gradients, gradients)
+    known = {"circle_px": (80.3, 59.6, 30.0), "ball_radius_mm": BALL_MM, "mm_per_px": MM_PER_PX}
+    errors = press_errors(depth, flat, **known, contact_radius_ratio=ratio)
+    assert max(errors.normal_deg, errors.normal_free_deg) < 0.3 < 0.7 < errors.normal_rim_deg
+    whole = press_errors(depth, flat, **known)
+    assert whole.normal_free_deg == whole.normal_rim_deg > 0.7
+
+
+def test_depth_is_compared_inside_the_edge_too():
+    """A gel that stands off the ball beyond it is neither a wrong cap nor a wrong radius."""
+    depth, gradients, _ = pressed_ball()
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    away = np.hypot(x - 80.3, y - 59.6)
+    lower = depth - 0.002 * np.maximum(away - 0.7 * 30, 0) ** 2 * (away < 30)
+    known = {"circle_px": (80.3, 59.6, 30.0), "ball_radius_mm": BALL_MM, "mm_per_px": MM_PER_PX}
+    inside, whole = (
+        press_errors(lower, gradients, **known, contact_radius_ratio=ratio) for ratio in (0.7, 1.0)
     )
-    assert errors.normal_inner_deg < 0.3 < 1 < errors.normal_free_deg
+    assert inside.cap_um < 1 < 10 < whole.cap_um
+    assert abs(inside.radius_percent) < 0.5 < 3 < abs(whole.radius_percent)
+
+
+def test_the_edge_is_3_px_inside_the_visible_rim_at_least():
+    depth, gradients, _ = pressed_ball()
+    known = {"circle_px": (80.3, 59.6, 30.0), "ball_radius_mm": BALL_MM, "mm_per_px": MM_PER_PX}
+    near, at = (press_errors(depth, gradients, **known, contact_radius_ratio=ratio) for ratio in (0.99, 1.0))
+    assert near == at
+    with pytest.raises(ValueError, match="contact_radius_ratio"):
+        press_errors(depth, gradients, **known, contact_radius_ratio=1.1)
 
 
 def test_a_deep_press_is_scored_where_the_gel_follows_the_ball():
@@ -88,7 +111,7 @@ def test_a_deep_press_is_scored_where_the_gel_follows_the_ball():
         ball_radius_mm=BALL_MM,
         mm_per_px=MM_PER_PX,
     )
-    assert max(errors.normal_deg, errors.normal_inner_deg, errors.normal_free_deg) < 0.01
+    assert max(errors.normal_deg, errors.normal_rim_deg, errors.normal_free_deg) < 0.01
 
 
 def test_wrong_circle_costs_the_label_but_not_the_free_centre():

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from gelform.background.change import color_change_from_image
-from gelform.color_models import Samples
-from gelform.color_models._shared.forward import ForwardResponse
 from gelform.simulate import Ball, Pose
 from gelform.simulate.gel.ball_press import contact_radius_of_ball
 from gelform.simulate.twin import GEL, RELAXATION_MM, RIM_MM, CalibratedLook, Twin, press_depth_of_rim
@@ -22,7 +20,7 @@ def test_the_colour_is_the_calibrations_forward_response(calibration):
     press = Twin(calibration).press(Ball(3), Pose(0.5), rng=None)
     y, x = (axis.ravel() for axis in np.mgrid[: press.depth_mm.shape[0], : press.depth_mm.shape[1]])
     expected = calibration.forward.color_from_gradients(
-        press.gradients.reshape(-1, 2), x, y, depth_mm=press.depth_mm.ravel()
+        press.gradients.reshape(-1, 2), x, y, depth_px=press.depth_mm.ravel() / calibration.mm_per_px
     ).reshape(*press.gradients.shape[:2], 3)
     seen = color_change_from_image(
         press.image, calibration.background, replace(calibration.change, blur_px=0.0)
@@ -52,33 +50,24 @@ def test_steep_slopes_are_rendered_as_the_steepest_known(calibration):
     assert np.abs(look.color_change(steep, depth) - look.color_change(limit, depth)).max() > 0.02
 
 
-def test_without_depths_the_colour_is_that_of_the_slope(calibration):
-    forward = calibration.forward
-    count = len(forward.coefficients) - len(
-        ForwardResponse.fit(_samples(), depth_mm=np.ones(50)).coefficients
-    )
-    assert count == 0  # the calibration knows depths
-    older = replace(
-        forward, coefficients=forward.coefficients[: len(ForwardResponse.fit(_samples()).coefficients)]
-    )
-    look = CalibratedLook(replace(calibration, forward=older))
-    gradients = np.full((*calibration.image_shape, 2), 0.2, dtype=np.float32)
-    depth = np.full(calibration.image_shape, 0.3)
-    np.testing.assert_array_equal(
-        look.color_change(gradients, depth), calibration.color_from_gradients(gradients)
-    )
+def test_the_depth_changes_the_colour_in_millimetres(calibration):
+    """Level gel that is pressed 0.3 mm deep: the response counts pixels, of whatever width."""
+    level, depth = np.zeros((*calibration.image_shape, 2), np.float32), np.full(calibration.image_shape, 0.3)
+    look = CalibratedLook(calibration)
+    found = look.color_change(level, depth)
+    assert np.abs(found).max() > 0.005
+    assert not look.color_change(level, 0 * depth).any()
+    wider = CalibratedLook(replace(calibration, mm_per_px=2 * calibration.mm_per_px))
+    np.testing.assert_allclose(wider.color_change(level, 2 * depth), found, atol=1e-6)
 
 
-def _samples():
-    rng = np.random.default_rng(0)
-    return Samples(
-        rng.normal(size=(50, 3)),
-        np.arange(50),
-        np.arange(50),
-        rng.normal(size=(50, 2)),
-        np.ones(50),
-        (60, 60),
-    )
+def test_without_a_response_the_colour_is_that_of_the_slope(lambertian_calibration):
+    """Of a color model that says what light does, imported without a forward response."""
+    imported = replace(lambertian_calibration, forward=None)
+    look = CalibratedLook(imported)
+    gradients = np.full((*imported.image_shape, 2), 0.2, dtype=np.float32)
+    depth = np.full(imported.image_shape, 0.3)
+    np.testing.assert_array_equal(look.color_change(gradients, depth), imported.color_from_gradients(gradients))
 
 
 def test_the_noise_is_that_of_the_images(calibration, presses):

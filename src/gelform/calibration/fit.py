@@ -110,7 +110,9 @@ def calibrate(
         seconds=time.monotonic() - began,
         start=first_unit,
     )
-    forward = None if draft.forward is None else replace(draft.forward, residual_scale=measured.residual_scale)
+    forward = (
+        None if draft.forward is None else replace(draft.forward, residual_scale=measured.residual_scale)
+    )
     draft = replace(
         draft, slope_sigma=measured.slope_sigma, held_out=report.held_out, report=report, forward=forward
     )
@@ -161,7 +163,8 @@ def _check_enough(presses: Presses, refined: Refined, folds: int, other_ball: st
     raise CalibrationError(
         f"Expected at least {MIN_PRESSES} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its radius. "
+        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
+        "radius. "
         + " ".join(
             coverage_notes([refined.contacts[i].circle_px for i in refined.accepted], presses.image_shape)
         )

@@ -83,8 +83,8 @@ class ForwardResponse:
         by it, or the response is of an older calibration
     residual_scale : of squared residuals on presses that were held out over those that the covariance says, at the 95 %
         that usual pixels stay under; what is an outlier is told in that unit
-    clipped : (2, 3) bool, whether presses of training show red, green, blue at the camera's lower and upper end: what was
-        learnt holds for such pixels too
+    clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: what
+        was learnt holds for such pixels too
     """
 
     nodes: NDArray[np.float64]
@@ -97,8 +97,14 @@ class ForwardResponse:
     def __post_init__(self) -> None:
         check_values(self.nodes, "forward_nodes", (3,))
         covariance = check_values(self.covariance, "forward_covariance", (3,))
-        if np.shape(self.nodes)[2:] != (TERMS, 3) or covariance.shape != (3, 3) or np.linalg.eigvalsh(covariance)[0] <= 0:
-            raise ValueError(f"Expected forward nodes (rows, columns, {TERMS}, 3) and a covariance (3, 3), got others.")
+        if (
+            np.shape(self.nodes)[2:] != (TERMS, 3)
+            or covariance.shape != (3, 3)
+            or np.linalg.eigvalsh(covariance)[0] <= 0
+        ):
+            raise ValueError(
+                f"Expected forward nodes (rows, columns, {TERMS}, 3) and a covariance (3, 3), got others."
+            )
         if self.step_sigma is not None:
             for value, least in zip(self.step_sigma, (1e-6, 0)):
                 check_within(value, "step_sigma", least, 1e3)
@@ -106,7 +112,11 @@ class ForwardResponse:
 
     @classmethod
     def fit_each(
-        cls, samples: Samples, ridges: Sequence[float] = RIDGES, *, step_sigma: tuple[float, float] | None = None
+        cls,
+        samples: Samples,
+        ridges: Sequence[float] = RIDGES,
+        *,
+        step_sigma: tuple[float, float] | None = None,
     ) -> list[ForwardResponse]:
         """One response for each ridge, by penalised Huber regression of the color change.
 
@@ -130,7 +140,12 @@ class ForwardResponse:
         return found
 
     def color_from_gradients(
-        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any], *, depth_px: NDArray[Any] | float = 0.0
+        self,
+        gradients: NDArray[Any],
+        x_px: NDArray[Any],
+        y_px: NDArray[Any],
+        *,
+        depth_px: NDArray[Any] | float = 0.0,
     ) -> NDArray[np.float64]:
         """Expected color change (N, 3) of gradients (N, 2), and depths (N,), at pixel positions (N,)."""
         return self._value_and_jacobian(gradients, x_px, y_px, depth_px)[0]
@@ -151,7 +166,9 @@ class ForwardResponse:
         at_rest, per_slope = self.step_sigma
         prior = 1 / (at_rest**2 + per_slope**2 * np.sum(np.square(gradients), axis=-1))
         information = np.einsum("nmk,nkl->nml", weighted, jacobian) + np.eye(2) * prior[:, None, None]
-        step = np.linalg.solve(information, np.einsum("nmk,nk->nm", weighted, color_change - value)[..., None])[..., 0]
+        step = np.linalg.solve(
+            information, np.einsum("nmk,nk->nm", weighted, color_change - value)[..., None]
+        )[..., 0]
         step *= np.minimum(1, LONGEST_STEP / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
         left = color_change - value - np.einsum("ncm,nm->nc", jacobian, step)
         variance = np.trace(np.linalg.inv(information), axis1=1, axis2=2) / 2
@@ -175,7 +192,9 @@ class ForwardResponse:
                     by_v[axis, t] = count * np.prod(v[:, rest], axis=1)
         by_v[0, -2] = by_v[1, -1] = z
         along_v = np.einsum("atn,ntc->nca", by_v, coefficients)
-        return np.einsum("tn,ntc->nc", products, coefficients), np.einsum("nca,nab->ncb", along_v, _normal_jacobian(slopes))
+        return np.einsum("tn,ntc->nc", products, coefficients), np.einsum(
+            "nca,nab->ncb", along_v, _normal_jacobian(slopes)
+        )
 
     def prepare(self) -> PreparedStep:
         """What steps whole frames."""
@@ -243,7 +262,7 @@ class PreparedStep:
         color_change : (H, W, 3)
         gradients : (H, W, 2), as the color model read them
         depth_px : (rows, columns) over the same frame, px, coarser
-        clipped : (H, W, 3), not 0 where a channel says nothing: two steps of the other two, with a prior of 0.3; None: nowhere
+        clipped : (H, W, 3), not 0 where a channel says nothing: there the other two take two steps, with a prior of 0.3
         """
         stepped = np.empty_like(gradients)
         variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
@@ -272,7 +291,9 @@ def _normal_jacobian(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
     v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
-    of_normal = terms_of_orders(monomial_products(v.T, _POWERS), [len(term) for term in _POWERS], PLACE_DEGREES)
+    of_normal = terms_of_orders(
+        monomial_products(v.T, _POWERS), [len(term) for term in _POWERS], PLACE_DEGREES
+    )
     return [
         *of_normal,
         Term(z, DEPTH_PLACE_DEGREE, DEPTH_RIDGE),

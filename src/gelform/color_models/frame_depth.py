@@ -56,7 +56,9 @@ class FrameDepth:
             part = self._made_coarse(shown)
             known = part > 0
             weight = np.where(known, part, 1)[..., None]
-            change, slopes = (self._made_coarse(m * shown[..., None]) / weight for m in (color_change, gradients))
+            change, slopes = (
+                self._made_coarse(m * shown[..., None]) / weight for m in (color_change, gradients)
+            )
             if known.any():
                 change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
         change = change - medians_where(change)[0]

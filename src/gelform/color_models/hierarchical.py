@@ -131,7 +131,9 @@ class HierarchicalModel:
         return cls(arrays["nodes"], settings["degree"], (height, width))
 
 
-_last: tuple[Any, ...] = ()  # the last regression, and what it is of: calibration tries one ridge after the other
+_last: tuple[
+    Any, ...
+] = ()  # the last regression, and what it is of: calibration tries one ridge after the other
 
 
 def _regression(

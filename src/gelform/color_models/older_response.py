@@ -35,7 +35,7 @@ def older_response(
     Parameters
     ----------
     arrays : `coefficients` (terms, 3), of the slopes and, behind them, of normal and depth; `noise` (3,)
-    settings : `position_degrees`, and `held_out_noise`, the RMS of the channels' noise on held-out presses, where it was known
+    settings : `position_degrees`, and `held_out_noise`, the RMS of the channels' noise on held-out presses, if known
     shape : (H, W)
     mm_per_px : of the calibration; depths were in mm
     """
@@ -48,7 +48,9 @@ def older_response(
 
     def at_nodes(first: int, degree: int) -> NDArray[np.float64]:
         powers = position_powers(degree)
-        return np.asarray(sum((x**i * y**j)[..., None] * c for (i, j), c in zip(powers, coefficients[first:])))
+        return np.asarray(
+            sum((x**i * y**j)[..., None] * c for (i, j), c in zip(powers, coefficients[first:]))
+        )
 
     nodes, first = np.zeros((len(rows), len(columns), TERMS, 3)), count if knows_depth else 0
     for t, term in enumerate(terms):
@@ -70,4 +72,6 @@ def _normal_from_slope_terms(terms: list[tuple[int, ...]]) -> NDArray[np.float64
     p, q = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-STEEPEST, STEEPEST, 21),) * 2))
     slopes = np.stack([p, q])[:, np.hypot(p, q) <= STEEPEST]
     of_normal = np.stack(monomial_products(normal_terms(slopes.T).T, monomials(2, 4)), axis=1)
-    return np.asarray(np.linalg.lstsq(of_normal, np.stack(monomial_products(slopes, terms), axis=1), rcond=None)[0])
+    return np.asarray(
+        np.linalg.lstsq(of_normal, np.stack(monomial_products(slopes, terms), axis=1), rcond=None)[0]
+    )

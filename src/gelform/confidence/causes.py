@@ -25,11 +25,14 @@ CAUSES = {
     "shadow": Cause("darker than any slope makes it: a cast shadow.", LEAVES_NOTHING),
     "specular": Cause("brighter than any slope makes it: a mirrored light.", LEAVES_NOTHING),
     "off_gamut": Cause(
-        "of colours that no slope gives: dust, a scratch, another gel, or slopes that no training press has shown.", 0.1
+        "of colours that no slope gives: dust, a scratch, another gel, or slopes that no training press has shown.",
+        0.1,
     ),
     "inconsistent": Cause("torn, or another moment's: data of the frame were lost.", LEAVES_NOTHING),
     "marker": Cause("hidden by markers.", LEAVES_NOTHING),
     "outside": Cause("not lit, or not gel.", LEAVES_NOTHING),
     "wall": Cause("", LEAVES_NOTHING),  # an object's edge is no fault
-    "compression": Cause("noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.", 0.0),
+    "compression": Cause(
+        "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.", 0.0
+    ),
 }

@@ -26,7 +26,7 @@ _subtract_bias = Kernel(
 
 
 class PreparedSigma:
-    """Standard deviation of whole frames: their step's, times the factors of slope and place; immutable, shared by threads."""
+    """Standard deviation of whole frames: their step's, times factors of slope and place; immutable, shared by threads."""
 
     def __init__(self, sigma: SlopeSigma, shape: tuple[int, int]) -> None:
         y, x = ((np.arange(n) + 0.5) / n for n in shape)

@@ -17,15 +17,21 @@ from gelform.confidence.solved import reach_px
 # Squared residual, in units of its covariance on held-out presses, from which a colour is that of no slope (4 sigma).
 OUTLIER = 16.0
 UNKNOWN = 1.0  # mm/mm, what a slope of a doubted colour may be off by
-# Mean of the residual's channels over their RMS: below, all are darker (a shadow); above, all are brighter (a mirrored light).
+# Mean of the residual's channels over their RMS: below, all are darker (a shadow); above, all brighter (a mirrored light).
 DARKER, BRIGHTER = -0.25, 0.6
 # Slopes that differ by more from those `reach_px` away than a small ball's do are blurred, and off by so much of the rest.
 BEND_FROM, BEND = 0.1, 1.75
 UNSEEN = 1000.0  # of the clean sigma, for what says nothing: a weight of 1e-6, which solvers take for none
-LEAST_CONFIDENCE = 0.002  # of a slope of which the image says something: solvers fill what has less from around
+LEAST_CONFIDENCE = (
+    0.002  # of a slope of which the image says something: solvers fill what has less from around
+)
 UNLIT_TO = 8  # grey levels of the untouched image's brightest channel
 LEAST_OUTSIDE_PX = 25  # connected: less is dust
-LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = 16, 16, 240  # mean of a block that was lost: dark, saturated or torn
+LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = (
+    16,
+    16,
+    240,
+)  # mean of a block that was lost: dark, saturated or torn
 
 _raise_sigma = Kernel(
     "raise_sigma",
@@ -89,7 +95,9 @@ class PreparedCauses:
         maps : gets what walls, outliers and compression add, by name, where it is given
         """
         added = added_levels(as_levels(image), self._rest, self._levels)
-        unseen_at = unseen if self._outside is None else self._outside if unseen is None else unseen | self._outside
+        unseen_at = (
+            unseen if self._outside is None else self._outside if unseen is None else unseen | self._outside
+        )
         confidence, marked = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
         walls = outliers = None
         if maps is not None:
@@ -133,7 +141,9 @@ class PreparedCauses:
         left : (H, W, 3), what the forward response leaves of the color change, for the kind of outliers; None without one
         """
         nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
-        found = {name: nothing for name in ("saturated", "dark", "shadow", "specular", "off_gamut", "inconsistent")}
+        found = dict.fromkeys(
+            ("saturated", "dark", "shadow", "specular", "off_gamut", "inconsistent"), nothing
+        )
         for name, where in (("marker", markers), ("outside", self._outside)):
             found[name] = nothing if where is None else np.where(where, unseen, nothing)
         pixels = as_levels(image)
@@ -147,7 +157,11 @@ class PreparedCauses:
             level = cv2.blur(pixels, (LOST_BLOCK_PX, LOST_BLOCK_PX))
             bright = lost & (level.max(axis=-1) >= LOST_SATURATED_FROM)
             dark = lost & ~bright & (level.min(axis=-1) <= LOST_DARK_TO)
-            for name, where in (("saturated", bright), ("dark", dark), ("inconsistent", lost & ~bright & ~dark)):
+            for name, where in (
+                ("saturated", bright),
+                ("dark", dark),
+                ("inconsistent", lost & ~bright & ~dark),
+            ):
                 found[name] = np.where(where, unseen, found[name])
         if left is not None:
             outlier = maps["outlier"]

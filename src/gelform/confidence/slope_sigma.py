@@ -18,7 +18,10 @@ GOOD = 0.95
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
 ROUNDS = 3
 LEAST_APART, MOST_FACTOR = 1e-6, 1e3  # of the factors of solved slopes
-NO_LONGER = ("surround_sigma", "steepest")  # in older calibrations, by rules that a step's covariance replaced
+NO_LONGER = (
+    "surround_sigma",
+    "steepest",
+)  # in older calibrations, by rules that a step's covariance replaced
 
 _RANGES = (
     ("rest", 1e-9, 1e3),
@@ -125,7 +128,9 @@ class SlopeSigma:
         cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float, gain_sigma: float = 0.0
     ) -> SlopeSigma:
         """The law and the factors that hold 68 % of the held-out errors within one sigma, everywhere alike."""
-        stated = np.broadcast_to(np.asarray(held_out.stated, dtype=np.float64), held_out.slopes.shape)[:, None]
+        stated = np.broadcast_to(np.asarray(held_out.stated, dtype=np.float64), held_out.slopes.shape)[
+            :, None
+        ]
         slopes, error = held_out.slopes, np.abs(held_out.errors) / stated
         edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
         bins = np.clip(np.digitize(slopes, edges[1:-1]), 0, len(edges) - 2)
@@ -139,7 +144,11 @@ class SlopeSigma:
             ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
             law = law_at(slopes, *np.array(knots).T)[:, None]
             place = _place_factors(held_out, error / law)
-        rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA)) if held_out.rest.size else knots[0][1] * float(np.median(stated))
+        rest = (
+            float(np.quantile(np.abs(held_out.rest), ONE_SIGMA))
+            if held_out.rest.size
+            else knots[0][1] * float(np.median(stated))
+        )
         clean = float(np.quantile(law * factor * stated, GOOD))
         return cls(
             rest=max(rest, 1e-5),

@@ -1,8 +1,8 @@
 """Standard deviation of the slopes of the solved depth, which is what a result states: where balls showed them, and beyond.
 
 A surface cannot follow errors of slopes that have curl, so solved slopes are better than those that were read; by how much,
-held-out presses say by slope and place. What presses of balls hardly show is added: what blur takes at edges and walls. None of
-it changes how slopes are weighted, nor the depth.
+held-out presses say by slope and place. What presses of balls hardly show is added: what blur takes at edges and walls.
+None of it changes how slopes are weighted, nor the depth.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.confidence.slope_sigma import LEAST_APART, MIN_IN_BIN, ONE_SIGMA, PLACES, SlopeSigma, factor_at
 
-STEEPEST = 1.0  # mm/mm: no slope of a gel is known less well than that; saturated or hidden, it is known no better
+STEEPEST = (
+    1.0  # mm/mm: no slope of a gel is known less well than that; saturated or hidden, it is known no better
+)
 UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
 EXACT = 1e-6  # mm/mm

@@ -107,7 +107,9 @@ class CalibratedLook:
         if forward is None:
             return self.calibration.color_from_gradients(limited)
         y, x = (axis.ravel() for axis in np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]])
-        change = forward.color_from_gradients(limited.reshape(-1, 2), x, y, depth_px=depth_mm.ravel() / self.mm_per_px)
+        change = forward.color_from_gradients(
+            limited.reshape(-1, 2), x, y, depth_px=depth_mm.ravel() / self.mm_per_px
+        )
         return change.reshape(*depth_mm.shape, 3).astype(np.float32)
 
 

@@ -54,7 +54,9 @@ class ForwardStep(nn.Module):
         left = change - value
         prior = 1 / (self.at_rest + self.per_slope * (p * p + q * q))
         h11, h22 = (along_p**2).sum(1) + prior, (along_q**2).sum(1) + prior
-        h12, b1, b2 = ((one * other).sum(1) for one, other in ((along_p, along_q), (along_p, left), (along_q, left)))
+        h12, b1, b2 = (
+            (one * other).sum(1) for one, other in ((along_p, along_q), (along_p, left), (along_q, left))
+        )
         step = torch.stack([h22 * b1 - h12 * b2, h11 * b2 - h12 * b1], 1) / (h11 * h22 - h12 * h12)[:, None]
         length = ((step**2).sum(1, keepdim=True) + 1e-18).sqrt()
         return gradients + step * (LONGEST_STEP / length).clamp(max=1)

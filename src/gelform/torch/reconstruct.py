@@ -49,7 +49,8 @@ class Reconstruct(nn.Module):
     """Color model and cosine solve of a calibration, for batches: differentiable, on the device it is moved to.
 
     The same depth as `gelform.Reconstructor(calibration, solver="dct").from_image`, within 1e-4 of its peak; without
-    weights, anchor, confidence, uncertainty, contact and health; a clipped channel is read as it is. Its buffers follow `.to(device)` and `.double()`.
+    weights, anchor, confidence, uncertainty, contact and health. A clipped channel is read as it is. Its buffers follow
+    `.to(device)` and `.double()`.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ SAMPLES, PIXELS_OF_PRESS = 12_000, 3_000
 
 
 def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
-    """Where the median press begins to be read less than 0.8 times as steep as its ball, relative to what is read further in.
+    """Where the median press begins to be read less than 0.8 times as steep as its ball, relative to the slopes further in.
 
     In rings of 0.05 visible radii, of which two have to be below; `USUAL_EDGE` for fewer than 12 presses.
 
@@ -83,6 +83,7 @@ def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> N
     seen = ring[(ring >= 0) & (ring < len(RINGS) - 1)]
     members = (ring >= 0) & (ring < len(RINGS) - 1)
     along, square = (
-        np.bincount(seen, np.sum(values[members] * ball[members], axis=1), len(RINGS) - 1) for values in (read, ball)
+        np.bincount(seen, np.sum(values[members] * ball[members], axis=1), len(RINGS) - 1)
+        for values in (read, ball)
     )
     return np.where(square > 0, along / np.maximum(square, 1e-12), np.nan)

@@ -1,4 +1,4 @@
-"""A ball of another size: where presses are refused for their slopes or radius and one that is larger or smaller fits them."""
+"""A ball of another size: where presses are refused for their slopes or radius, and a larger or smaller ball fits them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def other_ball_note(
         scaled = [replace(press, ball_radius_px=factor * press.ball_radius_px) for press in presses]
         other = refine(scaled, found)
         if other.model is not None and len(other.accepted) >= NEARLY_ALL * count:
-            error = np.median([agreement(scaled[i], other.contacts[i], other.model)[0] for i in other.accepted])
+            error = np.median(
+                [agreement(scaled[i], other.contacts[i], other.model)[0] for i in other.accepted]
+            )
             fits.append((float(error * factor), float(factor), len(other.accepted)))
     if not fits:
         return None

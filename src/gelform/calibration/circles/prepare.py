@@ -96,9 +96,15 @@ def prepared_by_offset(
     by_offset = {USUAL_OFFSET: prepared}
     divides = np.asarray((presses.background > 0).all(axis=-1), dtype=bool)
     for offset in set(offsets) - by_offset.keys():
-        own = [replace(press, contact_radius_ratio=prepared[0].contact_radius_ratio) for press in prepare(presses, offset)]
+        own = [
+            replace(press, contact_radius_ratio=prepared[0].contact_radius_ratio)
+            for press in prepare(presses, offset)
+        ]
         if offset == 0 and not divides.all():
-            own = [replace(p, usable=np.asarray(divides if p.usable is None else p.usable & divides)) for p in own]
+            own = [
+                replace(p, usable=np.asarray(divides if p.usable is None else p.usable & divides))
+                for p in own
+            ]
         by_offset[offset] = own
     return by_offset
 

@@ -19,7 +19,9 @@ from gelform.color_models import ColorModel, Samples
 
 TOTAL_SAMPLES = 40_000
 ZONE = 0.95  # of the contact's radius: what trains
-USUAL_EDGE = 0.85  # of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones
+USUAL_EDGE = (
+    0.85  # of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones
+)
 REST_WEIGHT = 0.3
 REST_DISTANCE = 2.0  # visible radii
 
@@ -99,7 +101,9 @@ def contact_samples(
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
         gradients = press.ball_gradients(contact, rows, cols)
-        parts.append((press.color_change[rows, cols], cols, rows, gradients, _depths_at(depths_px, k, rows, cols)))
+        parts.append(
+            (press.color_change[rows, cols], cols, rows, gradients, _depths_at(depths_px, k, rows, cols))
+        )
     change, x, y, gradients, depth = (np.concatenate([part[i] for part in parts]) for i in range(5))
     first = presses[0]
     known = None if depths_px is None else depth

@@ -184,7 +184,9 @@ def _slope_errors(
     x, y, radius = circle_px
     height, width = result.shape
     rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
-    inside = np.hypot(cols - x, rows - y) < press.contact_radius_ratio * followed_radius(radius, press.ball_radius_px)
+    inside = np.hypot(cols - x, rows - y) < press.contact_radius_ratio * followed_radius(
+        radius, press.ball_radius_px
+    )
     rows, cols = rows[inside], cols[inside]
     assert result.observed_gradients is not None
     maps = result.observed_gradients, result.gradients

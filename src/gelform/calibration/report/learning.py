@@ -80,7 +80,14 @@ def learning_curve(
     for done, size in enumerate(sizes):
         candidates = candidates_of(calibration, size)
         draws = [
-            _one_draw(candidates, *parted(order, size, groups), to_refine, to_fit, found, calibration.untouched_change)
+            _one_draw(
+                candidates,
+                *parted(order, size, groups),
+                to_refine,
+                to_fit,
+                found,
+                calibration.untouched_change,
+            )
             for order in orders
         ]
         points += _best_point(candidates, size, [draw for draw in draws if draw is not None])

@@ -56,6 +56,8 @@ LIMITS = (
           "Measure mm_per_px on an object of known size and write it with mm_per_px_sigma into sensor.toml."),
 )  # fmt: skip
 HEADLINE = ("normal_free_deg", "radius_percent")
+
+
 def level_of(limit: Limit, value: float | None) -> str:
     """good, fair or poor; what is not known is fair."""
     if value is None or not math.isfinite(value):

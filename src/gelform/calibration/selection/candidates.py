@@ -22,7 +22,9 @@ from gelform.calibration.reading import SlopeReader
 from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse, HierarchicalModel, Samples
 
 AUTO = "auto"
-ENOUGH_FOR_HIERARCHICAL = 12  # presses: of fewer a polynomial of few terms is the better one (7.6 against 10.5 degrees at 5)
+ENOUGH_FOR_HIERARCHICAL = (
+    12  # presses: of fewer a polynomial of few terms is the better one (7.6 against 10.5 degrees at 5)
+)
 START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
 STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
 LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
@@ -140,10 +142,16 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     if color_model not in color_model_names():
         raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
     if color_model == AUTO and presses < ENOUGH_FOR_HIERARCHICAL:
-        variant = [v for v in COLOR_MODELS["polynomial"].variants(presses) if len(v.settings["position_degrees"]) <= 2][-1]
+        variant = [
+            v
+            for v in COLOR_MODELS["polynomial"].variants(presses)
+            if len(v.settings["position_degrees"]) <= 2
+        ][-1]
         return [Candidate("polynomial", tuple(variant.settings.items()))]
     name = "hierarchical" if color_model == AUTO else color_model
-    return [Candidate(name, tuple(variant.settings.items())) for variant in COLOR_MODELS[name].variants(presses)]
+    return [
+        Candidate(name, tuple(variant.settings.items())) for variant in COLOR_MODELS[name].variants(presses)
+    ]
 
 
 def candidates_from(start: Start) -> list[Candidate]:

@@ -90,7 +90,9 @@ class HeldOutPresses:
         default_factory=dict, init=False, repr=False
     )
 
-    def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[tuple[ColorModel, ForwardResponse | None]]:
+    def fit(
+        self, fold: Fold, candidates: Sequence[Candidate]
+    ) -> list[tuple[ColorModel, ForwardResponse | None]]:
         """Candidates that differ in their settings alone, fitted on a fold's training presses; remembered."""
         new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
         if new:
@@ -101,9 +103,15 @@ class HeldOutPresses:
             for one in new:
                 plain = replace(one, step_ridge=None)
                 if plain not in models:
-                    models[plain] = self._fits[fold, plain][0] if (fold, plain) in self._fits else one.fit(samples)
+                    models[plain] = (
+                        self._fits[fold, plain][0] if (fold, plain) in self._fits else one.fit(samples)
+                    )
             for plain, model in models.items():
-                stepped = [one for one in new if one.step_ridge is not None and replace(one, step_ridge=None) == plain]
+                stepped = [
+                    one
+                    for one in new
+                    if one.step_ridge is not None and replace(one, step_ridge=None) == plain
+                ]
                 ridges = [one.step_ridge for one in stepped if one.step_ridge is not None]
                 made = (
                     fitted_responses(model, training, fold.contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
@@ -158,7 +166,8 @@ def select(
     leaders = dict.fromkeys(_best(plain, fold.held_out) for fold in held_out.folds)
     leaders[_best(plain)] = None
     stepped = {
-        leader: held_out.try_candidates([replace(leader, step_ridge=ridge) for ridge in RIDGES]) for leader in leaders
+        leader: held_out.try_candidates([replace(leader, step_ridge=ridge) for ridge in RIDGES])
+        for leader in leaders
     }
     progress(2, 2, "tried the forward response")
 

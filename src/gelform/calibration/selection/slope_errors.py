@@ -52,7 +52,15 @@ class PressResiduals:
         at = rows - self.rows.min(), cols - self.cols.min()
         x, y = (cols + 0.5) / shape[1], (rows + 0.5) / shape[0]
         slopes = np.linalg.norm(self.slopes[at], axis=-1)
-        return slopes, self.errors[at], x, y, np.full(len(rows), press), self.stated[thin], self.residual[thin]
+        return (
+            slopes,
+            self.errors[at],
+            x,
+            y,
+            np.full(len(rows), press),
+            self.stated[thin],
+            self.residual[thin],
+        )
 
 
 def slope_sigma_from_folds(
@@ -61,7 +69,7 @@ def slope_sigma_from_folds(
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
 ) -> tuple[SlopeSigma, float]:
-    """Standard deviation and correlation of the slopes, and the residual's scale, from presses that no fold's model has seen.
+    """Standard deviation and correlation of the slopes, and the residual's scale, on presses left out.
 
     A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
     the root of the number of presses, the rate at which errors of estimation fall.
@@ -153,7 +161,7 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
 
 
 def press_residuals(press: PreparedPress, found: ContactCircle, reader: SlopeReader) -> PressResiduals:
-    """What is read on a press that was left out and how far off it is; the centre is free, since labels are off by a pixel."""
+    """What is read on a press that was left out, and how far off it is; its centre is free: labels are off by a pixel."""
     rows, cols = press.pixels(found, 1.0)
     frame = reader.frame(press)
     gradients = frame.gradients[rows, cols].astype(np.float64)

@@ -58,6 +58,12 @@ def calibrate(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for a page that says how good it is and what to do next."),
     ] = None,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="Try every color model on the same presses too, for the report's table."
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -74,6 +80,7 @@ def calibrate(
     Examples:
       gelform calibrate presses/ -o cal.npz
       gelform calibrate presses/ -o cal.npz --report report/
+      gelform calibrate presses/ -o cal.npz --report report/ --compare
       gelform calibrate frames/ -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate presses.avi -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
@@ -97,7 +104,9 @@ def calibrate(
             progress=progress,
         )
         first = None if start is None else load_calibration(start)
-        calibration = calibrate_presses(found, color_model=model, start=first, progress=progress)
+        calibration = calibrate_presses(
+            found, color_model=model, start=first, compare=compare, progress=progress
+        )
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:

@@ -48,7 +48,9 @@ class Term:
     varies_with_light: bool = False
 
 
-def terms_of_orders(products: Sequence[NDArray[Any]], orders: Sequence[int], place_degrees: Sequence[int]) -> list[Term]:
+def terms_of_orders(
+    products: Sequence[NDArray[Any]], orders: Sequence[int], place_degrees: Sequence[int]
+) -> list[Term]:
     """Terms of products (N,) of so many factors, the stiffer the higher their order; `place_degrees` by order."""
     return [
         Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= LIGHT_ORDERS)
@@ -109,7 +111,12 @@ class VaryingRegression:
     def coefficients(self, ridge: float) -> NDArray[np.float64]:
         """Coefficients (columns, K) that a ridge finds."""
         return penalised_huber(
-            self.columns, self.target, self.weight, ridge * self.penalties, huber=self.huber, whole=self._normal
+            self.columns,
+            self.target,
+            self.weight,
+            ridge * self.penalties,
+            huber=self.huber,
+            whole=self._normal,
         )
 
     def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -129,7 +129,7 @@ def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
     if len(rows) < 2:
         return said + "Only one was tried."
     return said + (
-        "The smallest typical slope error (geometric mean over presses) decides, among the settings of one color model; its "
+        "The smallest typical slope error (geometric mean over presses) decides among the settings of one color model; its "
         "step is chosen then, in the same way."
     )
 
@@ -184,7 +184,8 @@ def gain_section(content: dict[str, Any]) -> str:
 
 def _lines_key(zone: float) -> str:
     return (
-        f'<ul class="key"><li><i style="background:var(--accent);height:3px"></i>inside the edge of the contact, {zone:.2f} of the visible radius'
+        '<ul class="key"><li><i style="background:var(--accent);height:3px"></i>inside the edge of the contact, '
+        f"{zone:.2f} of the visible radius"
         '</li><li><i style="background:var(--second);height:3px"></i>up to the visible rim</li></ul>'
     )
 

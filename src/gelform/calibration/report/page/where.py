@@ -6,14 +6,14 @@ from typing import Any
 
 
 def where_section(content: dict[str, Any]) -> str:
-    """Normal errors of the whole contact and of its inner part, by slope and by place, as two tables."""
+    """Normal errors inside the contact and up to the visible rim, by slope and by place, as two tables."""
     where = content["where"]
     zone = "up to the rim"
     return (
         '<section id="where"><h2>At which slopes and places?</h2>'
         "<p class='lead'>Mean angle between the normals of the solved depth and the ball's, over held-out pixels: "
-        f"{_deg(where['contact']['normal_deg'])} inside the edge of the contact, at {where['contact_radius_ratio']:.2f} of the "
-        f"visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has left the "
+        f"{_deg(where['contact']['normal_deg'])} inside the edge of the contact, at {where['contact_radius_ratio']:.2f} of "
+        f"the visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has left the "
         "ball: that difference is mostly not the color model's.</p>"
         f'<div class="two"><div class="scroll">{_slope_table(where, zone)}</div>'
         f'<div class="scroll">{_place_table(where)}<p class="muted">The image in cells, row by row: contact / '

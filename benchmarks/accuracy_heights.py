@@ -1,0 +1,112 @@
+"""Parts of accuracy.py: heights of objects, calibrated on balls alone.
+
+The four layouts, and sensors that nothing was chosen on: lamps, gel, coating and camera drawn at random.
+`quick` takes one sensor and few objects: whether it runs, not a figure.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import gelform
+from accuracy_objects import OBJECTS, height_of, presses_of, usual_presses, walls
+from gelform.simulate import LAYOUTS, SimulatedSensor
+from gelform.simulate.background import exposed
+from gelform.simulate.gel.gel import Gel
+from gelform.simulate.presets import gelsight_mini
+from gelform.simulate.sensor.coating import Coating
+from gelform.simulate.sensor.led import led_row
+from report import table
+
+DRAWN = range(411, 415)
+WALLS_DRAWN = (*range(311, 315), *range(421, 425))  # rules of sigma were chosen on 301-308
+GENTLE = 1.0
+
+
+def drawn_sensor(seed: int) -> SimulatedSensor:
+    """132x176 px; three rows of lamps, a gel that bulges, a coating that scatters, a camera: all drawn at random."""
+    rng = np.random.default_rng(seed)
+    leds = []
+    for k in range(3):
+        turn = np.deg2rad(90 + 120 * k + rng.uniform(-25, 25))
+        reach, height = rng.uniform(11, 20), rng.uniform(6, 16)
+        power = np.full(3, 0.05)
+        power[k] = rng.uniform(0.8, 1.2) * reach**2 / 200
+        middle = reach * np.array([np.cos(turn), np.sin(turn)])
+        along = 4 * np.array([-np.sin(turn), np.cos(turn)])
+        ends = ((*(middle + side * along), height) for side in (1, -1))
+        leds += led_row(*ends, tuple(power), 3)
+    sensor = replace(
+        list(LAYOUTS.values())[seed % 3],
+        leds=tuple(leds),
+        name=f"drawn {seed}",
+        shape=(132, 176),
+        mm_per_px=0.1153,
+        white_balance=(1.0, 1.0, 1.0),
+        ambient=(0.0, 0.0, 0.0),
+        relaxation_mm=float(rng.uniform(0.3, 0.8)),
+        noise_sd=float(rng.uniform(0.7, 1.8)),
+        blur_px=float(rng.uniform(0.5, 1.0)),
+        gel=Gel(thickness_mm=float(rng.uniform(2.5, 4.5)), bulge=float(rng.uniform(0, 0.4))),
+        coating=Coating(scattering=float(rng.uniform(0, 0.25)), seed=seed),
+    )
+    return exposed(sensor, (90, 95, 90))
+
+
+def heights(quick: bool) -> dict[str, Any]:
+    """Heights of the eight objects, calibrated on balls alone: the four layouts."""
+    return _table(quick, {**LAYOUTS, "gelsight-mini": gelsight_mini()})
+
+
+def heights_drawn(quick: bool) -> dict[str, Any]:
+    """The same on four sensors that nothing was chosen on."""
+    return _table(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in DRAWN})
+
+
+def walls_drawn(quick: bool) -> dict[str, Any]:
+    """Shares of slopes within one sigma on eight sensors that no rule of sigma has seen."""
+    return walls(quick, {f"drawn {seed}": drawn_sensor(seed) for seed in WALLS_DRAWN})
+
+
+def _table(quick: bool, sensors: dict[str, SimulatedSensor]) -> dict[str, Any]:
+    chosen = list(sensors.items())[: 1 if quick else None]
+    with ProcessPoolExecutor(2) as pool:
+        figures = dict(
+            zip((name for name, _ in chosen), pool.map(partial(_heights_of, quick), *zip(*chosen)))
+        )
+    keys = ("mean %", "rms off 100", "gentle mean %", "gentle range %", "within 2 sigma")
+    rows = [[name, *(_said(one[key]) for key in keys)] for name, one in figures.items()]
+    print("\n" + table(["heights", *keys], rows))
+    return figures
+
+
+def _said(value: Any) -> str:
+    return "-".join(f"{v:.0f}" for v in value) if isinstance(value, list) else f"{value:.3g}"
+
+
+def _heights_of(quick: bool, name: str, sensor: SimulatedSensor) -> dict[str, Any]:
+    calibration = gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
+    reconstruct = gelform.Reconstructor(calibration)
+    objects = {
+        f"{kind}, {depth_mm} mm": height_of(sensor, reconstruct, indenter, depth_mm)
+        for kind, (indenter, depths) in list(OBJECTS.items())[: 2 if quick else None]
+        for depth_mm in depths
+    }
+    percent = np.array([one["height_percent"] for one in objects.values()])
+    gentle = percent[[one["steepest_slope"] < GENTLE for one in objects.values()]]
+    found = {
+        "mean %": float(percent.mean()),
+        "rms off 100": float(np.sqrt(np.mean((percent - 100) ** 2))),
+        "gentle mean %": float(gentle.mean()),
+        "gentle range %": [float(gentle.min()), float(gentle.max())],
+        "within 2 sigma": float(np.mean([one["within_2_sigma"] for one in objects.values()])),
+        "held out": calibration.held_out,
+        "settings": calibration.settings,
+    }
+    print(name, found, flush=True)
+    return {**found, "objects": {kind: one["height_percent"] for kind, one in objects.items()}}
