@@ -47,29 +47,24 @@ static inline bool any_from(const float *restrict values, float limit, int n) {
 }
 
 // Variance of slopes that differ by more than `bend_from` from those around them.
-static inline bool variance_of_walls(const struct causes *c, struct lines *restrict l) {
+static inline void variance_of_walls(const struct causes *c, struct lines *restrict l) {
   for (int k = 0; k < PIECE; k++) l->variance[k] = 0.5f * (l->bend[2 * k] + l->bend[2 * k + 1]);
   memset(l->wall, 0, sizeof l->wall);
-  if (!any_from(l->variance, square_of(c->bend_from), PIECE)) return false;
+  if (!any_from(l->variance, square_of(c->bend_from), PIECE)) return;
   for (int k = 0; k < PIECE; k++)
     l->wall[k] = square_of(c->per_bend * larger(sqrtf(l->variance[k]) - c->bend_from, 0));
-  return true;
 }
 
-// A residual is an outlier's from `outlier` on, in units of its covariance, to which that of a wall's slopes comes; from half
-// of it on the slope is doubted. Returns how many outliers there are; they are marked.
-static inline int find_outliers(const struct causes *c, struct lines *restrict l, const float *restrict residual,
-                                const float *restrict of_step, bool *restrict marked, int n) {
-  int count = 0;
+// Variance of slopes whose colour leaves a residual of more than half of `outlier`, in units of its covariance, to which that of
+// a wall's slopes comes: from `outlier` on nothing is left of the slope, and ever less beyond.
+static inline void variance_of_outliers(const struct causes *c, struct lines *restrict l, const float *restrict residual,
+                                        const float *restrict of_step, int n) {
   memset(l->outlier, 0, sizeof l->outlier);
-  if (residual == NULL || !any_from(residual, 0.5f * c->outlier, n)) return 0;
+  if (residual == NULL || !any_from(residual, 0.5f * c->outlier, n)) return;
   for (int k = 0; k < n; k++) {
     const float share = residual[k] * of_step[k] / ((of_step[k] + l->wall[k]) * c->outlier);
-    l->outlier[k] = square_of(c->unknown * clamp(2 * share - 1, 0, 1));
-    marked[k] |= share >= 1;
-    count += share >= 1;
+    l->outlier[k] = square_of(c->unknown * larger(2 * share - 1, 0));
   }
-  return count;
 }
 
 static inline void finish(const struct causes *c, const float *restrict variance, const float *restrict gain,
@@ -87,25 +82,22 @@ static inline void write_roots(float *restrict map, const float *restrict varian
 }
 
 // `residual` and `of_step`, the slopes' variance: of the forward response's step, or NULL. `walls` and `outliers` get what
-// either adds, where they are asked for. Outliers are marked in `marked`; how far they reach is known afterwards. Returns how
-// many there are.
+// either adds, where they are asked for.
 EXPORT int raise_sigma(const float *gradients, const float *residual, const float *of_step, const bool *unseen_at,
-                       const float *gain, float *sigma, float *confidence, bool *marked, float *walls, float *outliers,
-                       float outlier, float unseen, float clean, float added, float per_bend, float bend_from,
-                       float unknown, float least, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
+                       const float *gain, float *sigma, float *confidence, float *walls, float *outliers, float outlier,
+                       float unseen, float clean, float added, float per_bend, float bend_from, float unknown, float least,
+                       int32_t reach, ptrdiff_t h, ptrdiff_t w) {
   const struct causes c = {outlier, unseen, clean, added, per_bend, bend_from, unknown, least, reach};
   const float square = unseen * unseen;
-  int count = 0;
   if (reach < 1 || !(outlier > 0) || (residual != NULL) != (of_step != NULL)) return WRONG_SIZE;
   struct lines l = {0};
   for (ptrdiff_t y = 0; y < h; y++)
     for (ptrdiff_t x = 0; x < w; x += PIECE) {
       const ptrdiff_t at = y * w + x;
       const int n = w - x < PIECE ? (int)(w - x) : PIECE;
-      memset(marked + at, 0, (size_t)n * sizeof *marked);
       find_bend(&c, &l, gradients, x, y, w, h, n);
       variance_of_walls(&c, &l);
-      count += find_outliers(&c, &l, residual == NULL ? NULL : residual + at, of_step == NULL ? NULL : of_step + at, marked + at, n);
+      variance_of_outliers(&c, &l, residual == NULL ? NULL : residual + at, of_step == NULL ? NULL : of_step + at, n);
       write_roots(walls == NULL ? NULL : walls + at, l.wall, n);
       write_roots(outliers == NULL ? NULL : outliers + at, l.outlier, n);
       for (int k = 0; k < n; k++) l.variance[k] = l.wall[k] + l.outlier[k];
@@ -113,5 +105,5 @@ EXPORT int raise_sigma(const float *gradients, const float *residual, const floa
         for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
       finish(&c, l.variance, gain + at, sigma + at, confidence + at, n);
     }
-  return count;
+  return OK;
 }

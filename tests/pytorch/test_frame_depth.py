@@ -1,9 +1,10 @@
 """The frame's depth is that of the numpy path, on sizes that blocks of four pixels do not divide too."""
 
+import cv2
 import numpy as np
 import pytest
 
-from gelform.color_models.depth_aware import frame_depth
+from gelform.color_models import frame_depth
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 from gelform.torch.frame_depth import FrameDepth  # noqa: E402
@@ -33,17 +34,20 @@ def test_depth_is_the_numpy_paths(shape, untouched):
     frames = [bump(shape, (20, 5)), bump(shape, (12.5, shape[0] / 2))]
     ours, theirs = FrameDepth(shape, untouched), frame_depth.FrameDepth(shape, untouched)
     changes, slopes = (planes(*maps) for maps in zip(*frames))
-    found = ours.in_full(ours(slopes, ours.rest(changes)))[:, 0]
-    for frame, depth in zip(frames, found):
+    found = ours(slopes, ours.rest(changes))
+    for frame, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):
         expected = theirs(*frame)
         assert expected.max() > 0.3
         np.testing.assert_allclose(depth, expected, atol=2e-5 * expected.max())
+        everywhere = cv2.resize(expected, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        np.testing.assert_allclose(full, everywhere, atol=2e-5 * expected.max())
 
 
 def test_values_of_the_coarser_grid_are_opencvs():
     values = np.random.default_rng(0).normal(size=(30, 45, 2)).astype(np.float32)
-    ours, theirs = FrameDepth((30, 45), 0.1), frame_depth.FrameDepth((30, 45), 0.1)
-    coarse = ours.made_coarse(planes(values))
-    np.testing.assert_allclose(coarse[0].permute(1, 2, 0), theirs.made_coarse(values), atol=1e-6)
-    full = ours.in_full(coarse)[0].permute(1, 2, 0)
-    np.testing.assert_allclose(full, theirs.in_full(theirs.made_coarse(values)), atol=1e-6)
+    ours, (rows, columns) = FrameDepth((30, 45), 0.1), frame_depth.coarse_grid((30, 45))[0]
+    coarse, full = ours.made_coarse(planes(values)), ours.in_full(ours.made_coarse(planes(values)))
+    means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
+    np.testing.assert_allclose(coarse[0].permute(1, 2, 0), means, atol=1e-6)
+    between = cv2.resize(means, (45, 30), interpolation=cv2.INTER_LINEAR)
+    np.testing.assert_allclose(full[0].permute(1, 2, 0), between, atol=1e-6)

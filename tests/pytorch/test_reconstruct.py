@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.color_models import DepthAwareModel, DepthByLightsModel, NearLightModel
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 from gelform.torch import Reconstruct  # noqa: E402
@@ -24,35 +23,27 @@ def images(simulated):
     return [*pressed, brighter, simulated.background.round().astype(np.uint8)]
 
 
-LEDS_PX = np.array([[120.0, 10, 60], [-90, 95, 70], [-70, -110, 65]])
-MIXTURE = np.array([[1.0, 0.15, 0.05], [0.1, 1.0, 0.2], [0.0, 0.12, 1.0]])
-FRAME_DEPTH = "depth_aware", "depth_by_lights"
-
-
-def with_frame_depth(name, made):
-    """A calibration with coefficients of the depth that are as large as on homemade sensors, and not fitted."""
-    plain = made.color_model
-    rng = np.random.default_rng(4)
-    beside = replace(plain, nodes=plain.nodes * rng.uniform(0.8, 1.2, plain.nodes.shape[:2])[..., None, None])
-    untouched = made.untouched_change
-    if name == "depth_aware":
-        place, color = rng.normal(0, 0.01, (3, 2)), rng.normal(0, 0.05, (3, 2))
-        return replace(made, color_model=DepthAwareModel(plain, beside, place, color, untouched))
-    lights = NearLightModel(LEDS_PX, MIXTURE, 2.0, 0.8, made.image_shape)
-    return replace(made, color_model=DepthByLightsModel(plain, beside, lights, 0.1, untouched))
-
-
 def calibration_of(name, request):
+    """That of the shared presses, whose forward response takes a step; without it; or with an image that is undone first."""
     made = request.getfixturevalue("lambertian_calibration" if name == "lambertian" else "calibration")
-    if name in FRAME_DEPTH:
-        return with_frame_depth(name, made)
+    if name == "without_a_step":
+        return replace(made, forward=replace(made.forward, step_sigma=None))
+    if name == "without_a_response":
+        return replace(made, forward=None)
+    assert made.forward.step_sigma is not None
     if name == "crosstalk":
         mixed = ((1.0, 0.1, 0.0), (0.05, 1.0, 0.08), (0.0, 0.1, 1.0))
         return replace(made, change=replace(made.change, crosstalk=mixed, response=0.8))
+    if name == "deep":
+        nodes = made.forward.nodes.copy()
+        nodes[:, :, -3:] *= 8  # as if the light changed much with the depth
+        return replace(made, forward=replace(made.forward, nodes=nodes))
     return made
 
 
-@pytest.mark.parametrize("name", ["auto", "lambertian", "crosstalk", *FRAME_DEPTH])
+@pytest.mark.parametrize(
+    "name", ["auto", "lambertian", "crosstalk", "deep", "without_a_step", "without_a_response"]
+)
 def test_it_is_the_numpy_path(request, name, images):
     calibration = calibration_of(name, request)
     reconstruct = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
@@ -65,8 +56,8 @@ def test_it_is_the_numpy_path(request, name, images):
         np.testing.assert_allclose(found.gradients[k].permute(1, 2, 0), one.observed_gradients, atol=3e-4)
 
 
-def test_polynomial_is_the_numpy_path(presses, images):
-    calibration = gelform.calibrate(presses.subset(range(8)), color_model="polynomial")
+def test_polynomial_is_the_numpy_path(polynomial_calibration, images):
+    calibration = polynomial_calibration
     expected = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False).from_image(images[0])
     found = Reconstruct(calibration)(batch_of(images[:1]))
     np.testing.assert_allclose(
@@ -74,7 +65,7 @@ def test_polynomial_is_the_numpy_path(presses, images):
     )
 
 
-@pytest.mark.parametrize("name", ["auto", *FRAME_DEPTH])
+@pytest.mark.parametrize("name", ["auto", "deep", "without_a_step"])
 def test_an_image_is_the_same_alone_and_in_a_batch(request, name, images, monkeypatch):
     monkeypatch.setattr("gelform.torch.reconstruct.CPU_FRAMES", len(images))  # at once, as on other devices
     module = Reconstruct(calibration_of(name, request))
@@ -84,7 +75,7 @@ def test_an_image_is_the_same_alone_and_in_a_batch(request, name, images, monkey
         np.testing.assert_allclose(alone, together[k], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["auto", *FRAME_DEPTH])
+@pytest.mark.parametrize("name", ["auto", "deep", "without_a_step"])
 def test_derivatives_are_those_of_differences(request, name, images):
     """Of a sum of depths with random weights, along random changes of the image, in double precision."""
     module = Reconstruct(calibration_of(name, request), compensate_exposure=False).double()
@@ -101,7 +92,7 @@ def test_derivatives_are_those_of_differences(request, name, images):
         assert (slope * along).sum().item() == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["auto", *FRAME_DEPTH])
+@pytest.mark.parametrize("name", ["auto", "deep", "without_a_step"])
 def test_it_moves_and_is_saved_as_modules_are(request, name, images):
     module = Reconstruct(calibration_of(name, request))
     again = Reconstruct(calibration_of(name, request))

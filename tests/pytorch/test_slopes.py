@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gelform.color_models import DepthByLightsModel, HierarchicalModel, LambertianModel, NearLightModel
+from gelform.color_models import HierarchicalModel, LambertianModel, NearLightModel
 from gelform.errors import CalibrationError
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
@@ -30,10 +30,8 @@ def test_photometric_stereo_is_the_models_own(model):
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, rtol=2e-4, atol=1e-5)
 
 
-def test_lights_without_known_depths_leave_colours_as_they_are():
-    plain = HierarchicalModel(np.random.default_rng(3).normal(0, 0.3, (2, 2, 19, 2)), 3, SHAPE)
-    lights = NearLightModel(POSITIONS_PX, np.eye(3) + 0.1, 2.0, 1.0, SHAPE)
-    model = DepthByLightsModel(plain, plain, lights, 0.1, 0.01)
+def test_a_polynomial_is_the_models_own():
+    model = HierarchicalModel(np.random.default_rng(3).normal(0, 0.3, (2, 2, 19, 2)), 3, SHAPE)
     change = np.random.default_rng(0).uniform(-0.3, 0.5, (*SHAPE, 3)).astype(np.float32)
     expected, _ = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
     found = gradients_module(model, BACKGROUND)(torch.from_numpy(change).permute(2, 0, 1)[None])[0]

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from gelform.background.change import color_change_from_image
+from gelform.importers.taxim import read_taxim
 from gelform.simulate import Ball, Pose
 from gelform.simulate.gel.ball_press import contact_radius_of_ball
 from gelform.simulate.twin import GEL, RELAXATION_MM, RIM_MM, CalibratedLook, Twin, press_depth_of_rim
+from made.taxim_tables import taxim_arrays
 
 
 def test_an_untouched_twin_is_the_background(calibration):
@@ -61,13 +63,17 @@ def test_the_depth_changes_the_colour_in_millimetres(calibration):
     np.testing.assert_allclose(wider.color_change(level, 2 * depth), found, atol=1e-6)
 
 
-def test_without_a_response_the_colour_is_that_of_the_slope(lambertian_calibration):
-    """Of a color model that says what light does, imported without a forward response."""
-    imported = replace(lambertian_calibration, forward=None)
+def test_without_a_response_the_colour_is_that_of_the_slope(calibration, tmp_path):
+    """Of an imported table of what colour a slope gives."""
+    np.savez(tmp_path / "polycalib.npz", **taxim_arrays())
+    table = read_taxim(tmp_path / "polycalib.npz", np.zeros((*calibration.image_shape, 3), dtype=np.float32))
+    imported = replace(calibration, forward=None, color_model=table)
     look = CalibratedLook(imported)
     gradients = np.full((*imported.image_shape, 2), 0.2, dtype=np.float32)
     depth = np.full(imported.image_shape, 0.3)
-    np.testing.assert_array_equal(look.color_change(gradients, depth), imported.color_from_gradients(gradients))
+    found = look.color_change(gradients, depth)
+    assert np.abs(found).max() > 0.05
+    np.testing.assert_array_equal(found, imported.color_from_gradients(gradients))
 
 
 def test_the_noise_is_that_of_the_images(calibration, presses):

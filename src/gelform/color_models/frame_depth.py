@@ -63,7 +63,9 @@ class FrameDepth:
                 change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
         change = change - medians_where(change)[0]
         square = np.einsum("...c,...c->...", change, change)
-        rest = square <= max(self._square, np.quantile(square, LEAST_UNTOUCHED))
+        rest = square <= self._square
+        if np.count_nonzero(rest) < LEAST_UNTOUCHED * rest.size:
+            rest = square <= np.quantile(square, LEAST_UNTOUCHED)
         depth = self._solver(slopes - medians_where(slopes, rest)[0]).depth_mm
         depth -= medians_where(depth[..., None], rest)[0]
         np.maximum(depth, 0, out=depth)

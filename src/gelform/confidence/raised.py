@@ -14,9 +14,9 @@ from gelform.confidence.clipped import SATURATED_FROM, ClippedChannels
 from gelform.confidence.compression import added_levels
 from gelform.confidence.solved import reach_px
 
-# Squared residual, in units of its covariance on held-out presses, from which a colour is that of no slope (4 sigma).
-OUTLIER = 16.0
-UNKNOWN = 1.0  # mm/mm, what a slope of a doubted colour may be off by
+# Squared residual, in units of its covariance on held-out presses, from which nothing is left of a slope (3 sigma).
+OUTLIER = 9.0
+UNKNOWN = 1.0  # mm/mm, what such a slope is off by
 # Mean of the residual's channels over their RMS: below, all are darker (a shadow); above, all brighter (a mirrored light).
 DARKER, BRIGHTER = -0.25, 0.6
 # Slopes that differ by more from those `reach_px` away than a small ball's do are blurred, and off by so much of the rest.
@@ -36,7 +36,7 @@ LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = (
 _raise_sigma = Kernel(
     "raise_sigma",
     "f32[h,w,2] gradients, f32[h,w]? residual, f32[h,w]? of_step, bool[h,w]? unseen_at, f32[h,w] gain, out f32[h,w] sigma, "
-    "out f32[h,w] confidence, out bool[h,w] marked, out f32[h,w]? walls, out f32[h,w]? outliers, f32 outlier, f32 unseen, "
+    "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 outlier, f32 unseen, "
     "f32 clean, f32 added, f32 per_bend, f32 bend_from, f32 unknown, f32 least, i32 reach",
 )
 
@@ -98,24 +98,15 @@ class PreparedCauses:
         unseen_at = (
             unseen if self._outside is None else self._outside if unseen is None else unseen | self._outside
         )
-        confidence, marked = np.empty_like(sigma), np.empty(sigma.shape, dtype=bool)
+        confidence = np.empty_like(sigma)
         walls = outliers = None
         if maps is not None:
             walls, outliers = maps["wall"], maps["outlier"] = np.empty_like(sigma), np.empty_like(sigma)
             maps["compression"] = np.float32(self._per_change * added) * self._gain
-        count = _raise_sigma(
-            gradients, *(step or (None, None)), unseen_at, self._gain, sigma, confidence, marked, walls, outliers, OUTLIER,
+        _raise_sigma(
+            gradients, *(step or (None, None)), unseen_at, self._gain, sigma, confidence, walls, outliers, OUTLIER,
             UNSEEN * self._clean, self._clean, self._per_change * added, *self._bend,
         )  # fmt: skip
-        if count:
-            reached = cv2.dilate(marked.view(np.uint8), self._disc).view(np.bool_)
-            if unseen_at is not None:
-                reached &= ~unseen_at
-            raised = np.hypot(sigma[reached], np.float32(UNSEEN * self._clean))
-            sigma[reached] = raised
-            confidence[reached] = np.minimum(np.square(np.float32(self._clean) / raised), 1)
-            if outliers is not None:
-                outliers[reached] = UNSEEN * self._clean
         return confidence
 
     def maps_of(

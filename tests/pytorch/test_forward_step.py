@@ -1,0 +1,89 @@
+"""Steps of a batch are those of the numpy path at every pixel, and have exact derivatives."""
+
+import numpy as np
+import pytest
+
+from gelform.color_models._shared.nodes import node_positions
+from gelform.color_models.forward_response import LONGEST_STEP, TERMS, ForwardResponse
+from gelform.color_models.stepped import SteppedSlopes
+
+torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
+from gelform.torch.forward_step import ForwardStep  # noqa: E402
+
+UNTOUCHED = 0.01
+
+
+def response(shape, seed=0, scale=1.0):
+    """Of coefficients as large as those of sensors, all of them there, and channels that are off together."""
+    rng = np.random.default_rng(seed)
+    rows, columns = (len(axis) for axis in node_positions(shape))
+    order = np.array([1, 1, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 1, 2, 2])
+    assert len(order) == TERMS
+    nodes = scale * rng.normal(size=(rows, columns, TERMS, 3)) * 0.15 / 3.0 ** (order - 1)[:, None]
+    mixed = rng.normal(size=(3, 3))
+    return ForwardResponse(nodes, 1e-4 * (mixed @ mixed.T + np.eye(3)), shape, (0.01, 0.15))
+
+
+def frame(shape, center, seed=1):
+    """Color change (H, W, 3) and slopes (H, W, 2) of a bump some pixels high, with noise."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    dx, dy = x - center[0], y - center[1]
+    slopes = np.stack([-dx, -dy], axis=-1) * (6 / 100 * np.exp(-(dx**2 + dy**2) / 200))[..., None]
+    change = slopes @ rng.uniform(-1, 1, (2, 3)) + rng.normal(0, 0.004, (*shape, 3))
+    return change.astype(np.float32), (slopes + rng.normal(0, 0.003, slopes.shape)).astype(np.float32)
+
+
+def planes(*maps):
+    return torch.from_numpy(np.stack(maps)).permute(0, 3, 1, 2)
+
+
+@pytest.mark.parametrize("shape", [(64, 96), (61, 90), (17, 33)], ids=["divided", "not_divided", "small"])
+@pytest.mark.parametrize("seed", [0, 5])
+def test_steps_are_the_numpy_paths(shape, seed):
+    """Of two frames at once; the slopes change by what a step may do."""
+    forward = response(shape, seed)
+    frames = [frame(shape, (20, 9)), frame(shape, (12.5, shape[0] / 2), seed=2)]
+    changes, slopes = (planes(*maps) for maps in zip(*frames))
+    found = ForwardStep(forward, UNTOUCHED)(changes, slopes)
+    step = SteppedSlopes(forward, shape, UNTOUCHED)
+    for (change, read), one in zip(frames, found):
+        expected = step(change, read).gradients
+        assert 0.005 < np.abs(expected - read).max() <= LONGEST_STEP * (1 + 1e-5)
+        np.testing.assert_allclose(one.permute(1, 2, 0), expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_no_step_is_longer_than_the_longest():
+    """Of colours that no slope gives: as far, and in the same direction, as the numpy path goes."""
+    shape = (30, 45)
+    forward = response(shape, scale=0.5)
+    change, read = frame(shape, (20, 15))
+    change[5:12, 30:40] += np.array([0.9, -0.7, 0.8], np.float32)
+    found = ForwardStep(forward, UNTOUCHED)(planes(change), planes(read))[0].permute(1, 2, 0).numpy()
+    length = np.linalg.norm(found - read, axis=-1)
+    assert length.max() == pytest.approx(LONGEST_STEP, rel=1e-4)
+    expected = SteppedSlopes(forward, shape, UNTOUCHED)(change, read).gradients
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_derivatives_are_exact():
+    """By the colours and by the slopes, through the depth of the frame; where no step is cut off."""
+    shape = (6, 9)
+    step = ForwardStep(response(shape), UNTOUCHED).double()
+    rng = torch.Generator().manual_seed(0)
+    slopes = 0.1 * torch.randn(1, 2, *shape, dtype=torch.float64, generator=rng)
+    change = 0.03 * torch.randn(1, 3, *shape, dtype=torch.float64, generator=rng)
+    assert ((step(change, slopes) - slopes).norm(dim=1) < LONGEST_STEP).all()
+    assert torch.autograd.gradcheck(step, (change.requires_grad_(), slopes.requires_grad_()), eps=1e-7, atol=1e-5)
+
+
+def test_a_gel_at_rest_has_derivatives():
+    """No slope and no colour: the step's length is 0, which has none of itself."""
+    shape = (9, 12)
+    step = ForwardStep(response(shape), UNTOUCHED)
+    change = torch.zeros(1, 3, *shape, requires_grad=True)
+    stepped = step(change, torch.zeros(1, 2, *shape))
+    assert stepped.abs().max() < 1e-6
+    (derivative,) = torch.autograd.grad(stepped.sum(), change)
+    assert derivative.isfinite().all()
+    assert derivative.abs().max() > 0.01
