@@ -43,7 +43,7 @@ MODELS = {
     for candidate in candidates_for(name, PRESSES)
 }
 # Seconds for a fit or a frame: measured on one split, no frame rate.
-SLOW = [name for name, candidate in MODELS.items() if COLOR_MODELS[candidate.model].slow]
+SLOW = [name for name, candidate in MODELS.items() if candidate.model in ("mlp", "interpolation")]
 COUNTS = (10, 20, 50)
 FIGURES = ("normal_free_deg", "radius_percent", "radius_signed_percent", "cap_free_um", "off_contact_um")
 

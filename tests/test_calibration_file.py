@@ -1,6 +1,7 @@
 """Calibration files: the same after a round trip, refused when damaged, altered or newer."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import gelform
 from gelform.calibration_file import KIND
+from gelform.color_models._shared.least_squares import polynomial_terms, unit_position
 from gelform.errors import CalibrationError
 from gelform.npz_files import write_npz
 
@@ -35,7 +37,7 @@ def test_no_pickles_and_readable_settings(saved):
     with np.load(saved, allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))
         assert meta["format"] == "gelform calibration"
-        assert meta["format_version"] == 2
+        assert meta["format_version"] == 3
         assert meta["mm_per_px"] == pytest.approx(0.1153)
         assert file["background"].dtype == np.float32
 
@@ -107,11 +109,9 @@ def test_forward_response_wants_a_frame(calibration):
 
 
 def test_calibrations_of_every_format_are_read():
-    """Written by earlier releases; version 1 had no gamut."""
+    """Written by earlier releases; their forward responses are translated, and take no step."""
     first, second = (gelform.load_calibration(DATA / f"calibration-version-{k}.npz") for k in (1, 2))
     assert (first.color_model.name, second.color_model.name) == ("polynomial", "hierarchical")
-    assert first.gamut is None
-    assert second.gamut.slope_per_change == pytest.approx(0.8, rel=0.2)
     assert second.slope_sigma.place[0] == (1.0, 1.1, 0.9, 1.0)
     change = np.full((24, 32, 3), 0.1, dtype=np.float32)
     model = second.color_model.prepare(second.background, second.image_shape)
@@ -119,19 +119,110 @@ def test_calibrations_of_every_format_are_read():
     expected = [[0.00278398, 0.02183242], [-0.00439062, 0.03180937]]  # by the release that wrote it
     np.testing.assert_allclose(gradients, expected, rtol=1e-5)
     for one in (first, second):
+        assert one.forward.step_sigma is None
+        assert 0.2 < one.forward.slope_per_change < 5
         assert gelform.Reconstructor(one)(one.background).shape == (24, 32)
 
 
-def test_the_first_format_is_read_for_ever(calibration, simulated, tmp_path):
-    """Version 1 had a law of two figures for sigma and no gamut."""
+def test_forward_responses_of_every_format_say_the_same_colours():
+    """Those that stand in the files: polynomials of the slopes in which the first order varies over the image."""
+    for k in (1, 2):
+        path = DATA / f"calibration-version-{k}.npz"
+        with np.load(path) as file:
+            known = file["forward_coefficients"]
+        y, x = (axis.ravel() for axis in np.mgrid[:24, :32])
+        slopes = np.random.default_rng(k).uniform(-0.4, 0.4, (24 * 32, 2))
+        expected = polynomial_terms(slopes, *unit_position(x, y, (24, 32)), (1, 0)) @ known
+        found = gelform.load_calibration(path).color_from_gradients(slopes.reshape(24, 32, 2))
+        np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=0.02 * np.abs(expected).max())
+
+
+def older(calibration, knows_depth, **more):
+    """Arrays and settings as format 2 had them: of the forward response, of the gamut, of two rules of the slope sigma."""
     arrays, meta = calibration._contents()
+    arrays = {name: array for name, array in arrays.items() if not name.startswith("forward")}
+    rng = np.random.default_rng(0)
+    coefficients = rng.normal(0, 0.05, (110 if knows_depth else 50, 3))
+    first = [0, 10] if not knows_depth else [0, 10, 50, 60]
+    coefficients[first] = np.resize([[0.3, -0.2, -0.1], [0.0, 0.2, -0.3]], (len(first), 3))
+    arrays |= {"forward_coefficients": coefficients, "forward_noise": np.array([0.013, 0.010, 0.012])}
+    arrays |= {"gamut_distance": np.zeros((24, 24, 24), np.float32), "gamut_low": np.full(3, -1.0)}
+    meta["gamut"] = {"cell": 0.076, "slope_per_change": 0.96}
+    meta["forward_settings"] = {"position_degrees": [3, 2, 1], "held_out_noise": 0.027, "shadow_noise": None}
+    steepest = [[0.45] * 8] * 6
+    meta["slope_sigma"] = {**meta["slope_sigma"], "surround_sigma": 0.034, "steepest": steepest}
+    settings = {name: one for name, one in meta["settings"].items() if name != "contact_radius_ratio"}
+    meta["settings"] = {**settings, "zone": 0.8}
+    return arrays, {**meta, **more}
+
+
+@pytest.mark.parametrize("knows_depth", [False, True])
+def test_the_second_format_is_read_for_ever(calibration, simulated, tmp_path, knows_depth):
+    """Its color model reads what it read; what is an outlier is told by the noise that it knew."""
+    arrays, meta = older(calibration, knows_depth)
+    write_npz(tmp_path / "old.npz", arrays, meta, kind=KIND, version=2, error=CalibrationError)
+    old = gelform.load_calibration(tmp_path / "old.npz")
+    assert old.forward.step_sigma is None
+    noise = arrays["forward_noise"]
+    assert old.forward.residual_scale == pytest.approx(0.027**2 / np.mean(noise**2))
+    np.testing.assert_allclose(np.diag(old.forward.covariance), noise**2)
+    assert (np.abs(old.forward.nodes[:, :, -3]).max() > 0) == knows_depth
+    image = simulated.presses[0].image
+    plain = replace(calibration, forward=replace(calibration.forward, step_sigma=None))
+    fresh, found = (gelform.Reconstructor(one, solver="dct")(image) for one in (plain, old))
+    np.testing.assert_array_equal(found.depth_mm, fresh.depth_mm)
+    assert found.gradients_sigma is not None
+    assert gelform.Reconstructor(old).explain(image).shares["law"] > 0.3
+    old.save(tmp_path / "again.npz")
+    again = gelform.load_calibration(tmp_path / "again.npz")
+    assert again.digest == old.digest
+    np.testing.assert_array_equal(again.forward.nodes, old.forward.nodes)
+
+
+def test_the_first_format_is_read_for_ever(calibration, simulated, tmp_path):
+    """Version 1 had a law of two figures for sigma, and no gamut."""
+    arrays, meta = older(calibration, knows_depth=False)
     arrays = {name: array for name, array in arrays.items() if not name.startswith("gamut")}
     del meta["gamut"]
+    meta["forward_settings"] = {"position_degrees": [3, 2, 1]}
     meta["slope_sigma"] = {"rest": 0.02, "growth": 0.1, "clean": 0.04, "correlation_px": 9.0}
     write_npz(tmp_path / "old.npz", arrays, meta, kind=KIND, version=1, error=CalibrationError)
     old = gelform.load_calibration(tmp_path / "old.npz")
-    assert old.gamut is None
+    assert old.forward.residual_scale == 1
     assert old.slope_sigma.clean == 0.04
     image = simulated.presses[0].image
-    fresh = gelform.Reconstructor(calibration, solver="dct")(image)
+    plain = replace(calibration, forward=None)
+    fresh = gelform.Reconstructor(plain, solver="dct")(image)
     np.testing.assert_array_equal(gelform.Reconstructor(old, solver="dct")(image).depth_mm, fresh.depth_mm)
+
+
+@pytest.mark.parametrize("name", ["depth_aware", "depth_by_lights"])
+def test_color_models_that_are_no_more_name_the_release_that_reads_them(calibration, tmp_path, name):
+    arrays, meta = older(calibration, knows_depth=True, color_model=name)
+    write_npz(tmp_path / "old.npz", arrays, meta, kind=KIND, version=2, error=CalibrationError)
+    with pytest.raises(CalibrationError, match=rf"color model is {name}, .*Calibrate again.* gelform 0\.1\.0"):
+        gelform.load_calibration(tmp_path / "old.npz")
+
+
+def test_a_response_that_does_not_fit_together_is_damage(calibration, tmp_path):
+    arrays, meta = calibration._contents()
+    for name, damaged in (
+        ("forward_nodes", arrays["forward_nodes"][:, :, :16]),
+        ("forward_covariance", -arrays["forward_covariance"]),
+    ):
+        path = tmp_path / f"{name}.npz"
+        write_npz(path, {**arrays, name: damaged}, meta, kind=KIND, version=3, error=CalibrationError)
+        with pytest.raises(CalibrationError, match="is damaged: Expected forward nodes"):
+            gelform.load_calibration(path)
+    del arrays["forward_covariance"]
+    write_npz(tmp_path / "less.npz", arrays, meta, kind=KIND, version=3, error=CalibrationError)
+    with pytest.raises(CalibrationError, match="is damaged: 'covariance' is missing"):
+        gelform.load_calibration(tmp_path / "less.npz")
+
+
+def test_the_response_comes_back_with_its_step(calibration, saved):
+    forward, again = calibration.forward, gelform.load_calibration(saved).forward
+    assert again.step_sigma == forward.step_sigma is not None
+    assert again.residual_scale == forward.residual_scale
+    for name in ("nodes", "covariance", "clipped"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(forward, name))

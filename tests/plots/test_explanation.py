@@ -5,22 +5,27 @@ import pytest
 
 from gelform.confidence.causes import CAUSES
 from gelform.confidence.explanation import explanation_of
-from made.seen_frames import SHAPE, patch, seen
 
 pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
 from gelform.plots.explanation import COLORS, explanation_picture
 
 
-def explained(**changes):
-    sigma = np.full(SHAPE, 0.03, np.float32)
-    sigma[patch()] = 40
-    return explanation_of(seen(**changes), sigma, np.minimum(1, (0.04 / sigma) ** 2))
+SHAPE = (40, 72)
+
+
+def explained(*causes):
+    """Of a frame in which some causes, if any, leave nothing of a patch."""
+    sigma, patch = np.full(SHAPE, 0.03, np.float32), np.zeros(SHAPE, np.float32)
+    patch[10:20, 30:44] = 40
+    maps = {name: patch if name in causes else 0 * patch for name in CAUSES}
+    sigma = np.hypot(sigma, patch if causes else 0)
+    return explanation_of(maps, sigma, np.minimum(1, (0.04 / sigma) ** 2), 0.04)
 
 
 def test_each_cause_that_is_there_has_a_panel():
     image = np.full((*SHAPE, 3), 100, np.uint8)
     without = explanation_picture(explained(), image)
-    one = explanation_picture(explained(markers=patch()), image)
+    one = explanation_picture(explained("marker"), image)
     assert one.shape[0] > without.shape[0]
     assert one.shape[1] == without.shape[1]
 

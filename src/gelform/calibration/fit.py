@@ -29,7 +29,7 @@ from gelform.calibration.selection.slope_errors import share_seen
 from gelform.calibration.start import start_from
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS, HierarchicalModel
-from gelform.errors import CalibrationError
+from gelform.errors import CalibrationError, GelformError
 from gelform.progress import Progress, no_progress
 
 MIN_PRESSES = 3
@@ -94,8 +94,9 @@ def calibrate(
     untouched = {offset: untouched_change(*refined.of_accepted(own)) for offset, own in by_offset.items()}
     held_out = HeldOutPresses(by_offset, found, folds, untouched)
     selection = select(candidates, held_out, progress=progress)
+    left_out: tuple[str, ...] = ()
     if compare:
-        selection = _compared(selection, held_out, accepted, progress)
+        selection, left_out = _compared(selection, held_out, accepted, progress)
 
     offset = selection.chosen.change_offset
     draft = fit_all(presses, by_offset[offset], refined, selection.chosen, untouched[offset])
@@ -106,7 +107,11 @@ def calibrate(
         measured,
         circle_sigmas(prepared, found, folds, model),
         selection,
-        notes=(*(() if other_ball is None else (other_ball,)), *input_notes(presses, prepared, refined)),
+        notes=(
+            *(() if other_ball is None else (other_ball,)),
+            *left_out,
+            *input_notes(presses, prepared, refined),
+        ),
         seconds=time.monotonic() - began,
         start=first_unit,
     )
@@ -136,13 +141,20 @@ def _within_edge(
     return prepared, refine(prepared, found, excluded=excluded, start=start, progress=progress)
 
 
-def _compared(selection: Selection, held_out: HeldOutPresses, presses: int, progress: Progress) -> Selection:
-    """The selection with the trials of every color model beside its own."""
+def _compared(
+    selection: Selection, held_out: HeldOutPresses, presses: int, progress: Progress
+) -> tuple[Selection, tuple[str, ...]]:
+    """The selection with the trials of every color model beside its own, and which could not be tried."""
     trials = {trial.candidate: trial for trial in selection.trials}
+    left_out: list[str] = []
     for name in COLOR_MODELS:
-        others = select(candidates_for(name, presses), held_out, progress=progress).trials
+        try:
+            others = select(candidates_for(name, presses), held_out, progress=progress).trials
+        except GelformError as problem:  # its extra is not installed, or the presses are not enough for it
+            left_out.append(f"{name} was not compared: {problem}")
+            continue
         trials |= {trial.candidate: trial for trial in others if trial.candidate not in trials}
-    return replace(selection, trials=tuple(trials.values()))
+    return replace(selection, trials=tuple(trials.values())), tuple(left_out)
 
 
 def _check_enough(presses: Presses, refined: Refined, folds: int, other_ball: str | None) -> None:

@@ -17,7 +17,7 @@ from gelform.color_models.mlp import MlpModel
 from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
-from gelform.color_models.seam import ColorModel, FittableColorModel, PreparedColorModel, Samples, Variant
+from gelform.color_models.seam import ColorModel, FittableColorModel, PreparedColorModel, Samples
 from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, type[FittableColorModel]] = {
@@ -53,5 +53,4 @@ __all__ = [
     "PreparedColorModel",
     "Samples",
     "SlopeTableModel",
-    "Variant",
 ]

@@ -78,9 +78,9 @@ class ForwardResponse:
         normal, the depth, and the depth times the normal
     covariance : (3, 3), of the color change about it on the presses it was fitted to
     shape : (H, W)
-    step_sigma : (at rest, per slope), the prior of a step: slopes g that the color model reads are off by a standard deviation
-        of hypot(at rest, per slope |g|), mm/mm; None where no step is taken, because held-out presses were not read better
-        by it, or the response is of an older calibration
+    step_sigma : (at rest, per slope), the prior of a step: slopes g that the color model reads are off by a standard
+        deviation of hypot(at rest, per slope |g|), mm/mm; None where no step is taken, because held-out presses were not
+        read better by it, or the response is of an older calibration
     residual_scale : of squared residuals on presses that were held out over those that the covariance says, at the 95 %
         that usual pixels stay under; what is an outlier is told in that unit
     clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: what

@@ -26,7 +26,7 @@ from gelform.color_models._shared.nodes import (
     interpolation,
     terms_of_orders,
 )
-from gelform.color_models.seam import PendingChange, Samples, Variant, check_image_shape
+from gelform.color_models.seam import PendingChange, Samples, check_image_shape
 
 RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # what calibration tries, the stiffest first
 
@@ -58,7 +58,6 @@ class HierarchicalModel:
 
     name: ClassVar[str] = "hierarchical"
     change_offset: ClassVar[float] = 10.0
-    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(
@@ -91,9 +90,9 @@ class HierarchicalModel:
         return cls(nodes if start is None else nodes + start.nodes, len(position_degrees), samples.shape)
 
     @classmethod
-    def variants(cls, presses: int) -> list[Variant]:
-        """One for each ridge, the stiffest first; complexity falls with the ridge."""
-        return [Variant(1 / ridge, {"ridge": ridge}) for ridge in RIDGES]
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
+        """One for each ridge, the stiffest first."""
+        return [{"ridge": ridge} for ridge in RIDGES]
 
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError where a model of a degree and an image shape could not start from this one."""

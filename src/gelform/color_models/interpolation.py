@@ -16,7 +16,7 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
-from gelform.color_models.seam import Samples, Variant, check_image_shape
+from gelform.color_models.seam import Samples, check_image_shape
 
 NEIGHBOURS = 16
 POINTS = 4000
@@ -52,7 +52,6 @@ class InterpolationModel:
 
     name: ClassVar[str] = "interpolation"
     change_offset: ClassVar[float] = 10.0
-    slow: ClassVar[bool] = True
 
     @classmethod
     def fit(cls, samples: Samples, *, points: int = POINTS, place_scale: float = 0.5) -> InterpolationModel:
@@ -74,9 +73,9 @@ class InterpolationModel:
         return replace(draft, spacing=float(np.median(apart)) + 1e-9)
 
     @classmethod
-    def variants(cls, presses: int) -> list[Variant]:
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
         """Itself: all the samples it keeps."""
-        return [Variant(complexity=POINTS)]
+        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

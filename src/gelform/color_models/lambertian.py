@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import LARGEST, check_values, check_within
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
-from gelform.color_models.seam import Samples, Variant
+from gelform.color_models.seam import Samples
 
 MAX_CONDITION = 1e4
 MAX_SLOPE = 5.0
@@ -62,7 +62,6 @@ class LambertianModel:
 
     name: ClassVar[str] = "lambertian"
     change_offset: ClassVar[float] = 0.0
-    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(cls, samples: Samples, *, response: float | None = None) -> LambertianModel:
@@ -85,9 +84,9 @@ class LambertianModel:
         return cls(lights, response)
 
     @classmethod
-    def variants(cls, presses: int) -> list[Variant]:
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
         """Itself: six numbers of the lights and the exponent, for both slopes."""
-        return [Variant(complexity=3.5)]
+        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

@@ -29,13 +29,12 @@ from gelform.color_models.lambertian import (
     gradients_from_scaled,
     linear_change,
 )
-from gelform.color_models.seam import Samples, Variant, check_image_shape
+from gelform.color_models.seam import Samples, check_image_shape
 
 FITTED_SAMPLES = 4000
 HEIGHTS = (0.05, 20.0)
 FARTHEST = 20.0
 MAX_CONDITION = 1e4
-MIN_PRESSES_IN_AUTO = 30
 
 
 _near_light_gradients = Kernel(
@@ -66,7 +65,6 @@ class NearLightModel:
 
     name: ClassVar[str] = "near_light"
     change_offset: ClassVar[float] = 0.0
-    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(
@@ -112,9 +110,9 @@ class NearLightModel:
         return _scaled_lights(x, y, 2 * self.positions_px / max(self.shape), self.mixture, self.falloff)
 
     @classmethod
-    def variants(cls, presses: int) -> list[Variant]:
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
         """Itself; `auto` tries it where presses are enough to tell whether it is right."""
-        return [Variant(complexity=8, in_auto=presses >= MIN_PRESSES_IN_AUTO)]
+        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

@@ -21,15 +21,13 @@ from gelform.color_models._shared.least_squares import (
     position_powers,
     position_terms,
     robust_ridge,
-    term_count,
     unit_position,
 )
-from gelform.color_models.seam import Samples, Variant, check_image_shape
+from gelform.color_models.seam import Samples, check_image_shape
 
 MAX_POSITION_DEGREE = 5
 # Position degrees that calibration tries, and the training presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
-MIN_PRESSES_FOR_LARGEST = 18
 
 PIXELS = 16  # of a row, that the kernel takes at a time
 _polynomial_gradients = Kernel(
@@ -56,7 +54,6 @@ class PolynomialModel:
 
     name: ClassVar[str] = "polynomial"
     change_offset: ClassVar[float] = 10.0
-    slow: ClassVar[bool] = False
 
     @classmethod
     def fit(
@@ -71,18 +68,10 @@ class PolynomialModel:
         return cls(coefficients, tuple(position_degrees), samples.shape)
 
     @classmethod
-    def variants(cls, presses: int) -> list[Variant]:
-        """Each set of degrees that so many presses can carry.
-
-        `auto` tries the plainest, and the largest from 18 presses on; those between are left to `hierarchical`,
-        which is as stiff where they have few terms.
-        """
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
+        """Each set of degrees that so many presses can carry, the smallest first."""
         carried = [degrees for degrees, needed in DEGREES if presses >= needed] or [DEGREES[0][0]]
-        in_auto = [carried[0], carried[-1]] if presses >= MIN_PRESSES_FOR_LARGEST else [carried[0]]
-        return [
-            Variant(term_count(3, degrees), {"position_degrees": degrees}, degrees in in_auto)
-            for degrees in carried
-        ]
+        return [{"position_degrees": degrees} for degrees in carried]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

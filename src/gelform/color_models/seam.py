@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -77,23 +77,6 @@ def gradients_from_pending(
     return model.gradients_from_color(pending.write(out))
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One way to fit a color model that calibration tries.
-
-    Attributes
-    ----------
-    complexity : > 0, about how many numbers per slope component the presses have to determine; of candidates that do
-        equally well on presses they have not seen, the least complex is chosen
-    settings : keywords of the model's `fit`
-    in_auto : whether `auto` tries it; if not, only who asks for the model by name gets it
-    """
-
-    complexity: float
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    in_auto: bool = True
-
-
 class ColorModel(Protocol):
     """A fitted color model; immutable.
 
@@ -127,14 +110,7 @@ class ColorModel(Protocol):
 
 
 class FittableColorModel(ColorModel, Protocol):
-    """What the classes in `COLOR_MODELS` have beside: how they are fitted, and what calibration should try.
-
-    Attributes
-    ----------
-    slow : whether a fit or a frame takes seconds; such a model is tried by name only, never in `auto`
-    """
-
-    slow: ClassVar[bool]
+    """What the classes in `COLOR_MODELS` have beside: how they are fitted, and what calibration should try."""
 
     @classmethod
     def fit(cls, *samples: Any, **settings: Any) -> FittableColorModel:
@@ -142,8 +118,8 @@ class FittableColorModel(ColorModel, Protocol):
         ...
 
     @classmethod
-    def variants(cls, presses: int) -> Sequence[Variant]:
-        """What to try with so many training presses, the simplest first; at least one."""
+    def variants(cls, presses: int) -> Sequence[Mapping[str, Any]]:
+        """Keywords of `fit` to try with so many training presses, the simplest first; at least one."""
         ...
 
 

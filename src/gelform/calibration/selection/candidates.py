@@ -142,16 +142,10 @@ def candidates_for(color_model: str, presses: int) -> list[Candidate]:
     if color_model not in color_model_names():
         raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
     if color_model == AUTO and presses < ENOUGH_FOR_HIERARCHICAL:
-        variant = [
-            v
-            for v in COLOR_MODELS["polynomial"].variants(presses)
-            if len(v.settings["position_degrees"]) <= 2
-        ][-1]
-        return [Candidate("polynomial", tuple(variant.settings.items()))]
+        few = [v for v in COLOR_MODELS["polynomial"].variants(presses) if len(v["position_degrees"]) <= 2]
+        return [Candidate("polynomial", tuple(few[-1].items()))]
     name = "hierarchical" if color_model == AUTO else color_model
-    return [
-        Candidate(name, tuple(variant.settings.items())) for variant in COLOR_MODELS[name].variants(presses)
-    ]
+    return [Candidate(name, tuple(variant.items())) for variant in COLOR_MODELS[name].variants(presses)]
 
 
 def candidates_from(start: Start) -> list[Candidate]:

@@ -32,7 +32,7 @@ def test_explain_names_causes_and_draws_them(
     code, out, said = run("explain", spotted, "-c", calibration_file)
     assert code == 0
     assert "saturated (%)" in out
-    assert "of the frame is at the camera's upper end in a channel" in said
+    assert "of the frame is at the camera's upper end. Lower exposure" in said
 
 
 def test_an_image_of_another_sensor_is_refused(fails, calibration_file, tmp_path):

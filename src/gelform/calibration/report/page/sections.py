@@ -122,7 +122,7 @@ def models_section(content: dict[str, Any]) -> str:
 
 def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
     said = (
-        "The presses are dealt into folds; each model is fitted on the other folds, their circles refined with them, and its "
+        "The presses are dealt into folds; each model is fitted on the other folds, refined without it, and its "
         "slopes are compared with the ball's on presses that it has not seen, inside the edge of the contact. A step is a "
         "correction of the slopes by the forward response: the color that a slope gives at a place and a depth. "
     )

@@ -13,8 +13,8 @@ def where_section(content: dict[str, Any]) -> str:
         '<section id="where"><h2>At which slopes and places?</h2>'
         "<p class='lead'>Mean angle between the normals of the solved depth and the ball's, over held-out pixels: "
         f"{_deg(where['contact']['normal_deg'])} inside the edge of the contact, at {where['contact_radius_ratio']:.2f} of "
-        f"the visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has left the "
-        "ball: that difference is mostly not the color model's.</p>"
+        f"the visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has "
+        "left the ball: that difference is mostly not the color model's.</p>"
         f'<div class="two"><div class="scroll">{_slope_table(where, zone)}</div>'
         f'<div class="scroll">{_place_table(where)}<p class="muted">The image in cells, row by row: contact / '
         f"{zone}, degrees. A dash: hardly a held-out press.</p></div></div></section>"
