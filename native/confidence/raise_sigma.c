@@ -56,15 +56,18 @@ static inline void variance_of_walls(const struct causes *c, struct lines *restr
 }
 
 // Variance of slopes whose colour leaves a residual of more than half of `outlier`, in units of its covariance, to which that of
-// a wall's slopes comes: from `outlier` on nothing is left of the slope, and ever less beyond.
+// a wall's slopes comes: from `outlier` on nothing is left of the slope, and ever less beyond. Pixels that say nothing anyway have
+// none: what clips, is hidden or is not lit is no colour.
 static inline void variance_of_outliers(const struct causes *c, struct lines *restrict l, const float *restrict residual,
-                                        const float *restrict of_step, int n) {
+                                        const float *restrict of_step, const bool *restrict unseen_at, int n) {
   memset(l->outlier, 0, sizeof l->outlier);
   if (residual == NULL || !any_from(residual, 0.5f * c->outlier, n)) return;
   for (int k = 0; k < n; k++) {
     const float share = residual[k] * of_step[k] / ((of_step[k] + l->wall[k]) * c->outlier);
     l->outlier[k] = square_of(c->unknown * larger(2 * share - 1, 0));
   }
+  if (unseen_at != NULL)
+    for (int k = 0; k < n; k++) l->outlier[k] = unseen_at[k] ? 0 : l->outlier[k];
 }
 
 static inline void finish(const struct causes *c, const float *restrict variance, const float *restrict gain,
@@ -97,7 +100,8 @@ EXPORT int raise_sigma(const float *gradients, const float *residual, const floa
       const int n = w - x < PIECE ? (int)(w - x) : PIECE;
       find_bend(&c, &l, gradients, x, y, w, h, n);
       variance_of_walls(&c, &l);
-      variance_of_outliers(&c, &l, residual == NULL ? NULL : residual + at, of_step == NULL ? NULL : of_step + at, n);
+      variance_of_outliers(&c, &l, residual == NULL ? NULL : residual + at, of_step == NULL ? NULL : of_step + at,
+                           unseen_at == NULL ? NULL : unseen_at + at, n);
       write_roots(walls == NULL ? NULL : walls + at, l.wall, n);
       write_roots(outliers == NULL ? NULL : outliers + at, l.outlier, n);
       for (int k = 0; k < n; k++) l.variance[k] = l.wall[k] + l.outlier[k];

@@ -30,7 +30,7 @@ from gelform.confidence import (
     explanation_of,
     with_model_sigma,
 )
-from gelform.confidence.raised import as_levels
+from gelform.confidence.raised import as_levels, outside_of_gel
 from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.difference import DepthDifference
@@ -135,7 +135,8 @@ class Reconstructor:
         forward, change = calibration.forward, calibration.change
         self._stepped = SteppedSlopes(forward, calibration.image_shape, calibration.untouched_change)
         learnt, self._scale = (None, 1.0) if forward is None else (forward.clipped, forward.residual_scale)
-        self._clipped = ClippedChannels(change.blur_px, learnt, int(self._stepped.steps))
+        outside = outside_of_gel(self.background)
+        self._clipped = ClippedChannels(change.blur_px, learnt, int(self._stepped.steps), outside)
         self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
         self._states_sigma = slope_sigma and calibration.slope_sigma is not None
         if calibration.slope_sigma is not None and slope_sigma:
@@ -274,7 +275,6 @@ class Reconstructor:
         step = self._stepped(change, direct, unseen, clipped.channels)
         observed, variance = (direct, None) if step is None else (step.gradients, step.variance)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
-        left = self._stepped.left(change, direct, observed, unseen) if explains else None
         untouched, sigma = self._sigma(change, observed, reference, hidden, variance)
         maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
         own = sigma.copy() if explains else sigma
@@ -282,7 +282,13 @@ class Reconstructor:
         confidence = self._causes(observed, sigma, unseen, raw_image, residual, maps)
         if maps is not None and isinstance(self._causes, PreparedCauses):
             maps = self._causes.maps_of(
-                maps, own, raw_image, clipped=clipped.channels, markers=markers, lost=faults.lost, left=left
+                maps,
+                own,
+                raw_image,
+                clipped=clipped.channels,
+                markers=markers,
+                lost=faults.lost,
+                color_change=change,
             )
         stated = sigma if self._states_sigma else None
         observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)

@@ -190,5 +190,5 @@ def test_columns_are_worked_out_once_and_do_not_keep_their_samples():
 
 
 def test_each_variant_is_stiffer_than_the_next():
-    ridges = [variant.settings["ridge"] for variant in HierarchicalModel.variants(20)]
+    ridges = [variant["ridge"] for variant in HierarchicalModel.variants(20)]
     assert ridges == sorted(ridges, reverse=True)

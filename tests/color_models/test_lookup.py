@@ -123,4 +123,3 @@ def test_the_table_spans_the_colours_and_one_wild_press_is_no_larger_doubt():
     assert span.min() > 0.99
     assert span.max() < 1.15
     assert model.table[..., 2].max() <= OFF_GAMUT_SIGMA
-    assert LookupModel.variants(20)[0].complexity == model.table[0, 0, ..., 0].size

@@ -46,15 +46,14 @@ def test_saved_arrays_give_the_same_model(name):
 
 
 @pytest.mark.parametrize("name", COLOR_MODELS)
-def test_variants_are_settings_of_its_fit_and_the_simplest_comes_first(name):
+def test_variants_are_settings_of_its_fit(name):
     samples = ball_samples(shading_change)
     for presses in (2, 10, 20, 100):
         variants = COLOR_MODELS[name].variants(presses)
         assert variants
-        assert [v.complexity for v in variants] == sorted(v.complexity for v in variants)
-        assert variants[0].complexity > 0
+        assert all(variants.count(one) == 1 for one in variants)
     for variant in variants:
-        fitted(name, samples, **variant.settings)
+        fitted(name, samples, **variant)
 
 
 def test_models_are_listed_under_their_own_names():

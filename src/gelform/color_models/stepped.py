@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +21,7 @@ class SteppedSlopes:
     """
 
     def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
-        self._depth, self._forward = FrameDepth(shape, untouched), forward
+        self._depth = FrameDepth(shape, untouched)
         self._step = None if forward is None or forward.step_sigma is None else forward.prepare()
 
     @property
@@ -60,21 +58,3 @@ class SteppedSlopes:
         """Depth (H, W), px, of the slopes that the color model read."""
         depth = self._depth(color_change, gradients, hidden)
         return np.asarray(cv2.resize(depth, gradients.shape[1::-1], interpolation=cv2.INTER_LINEAR))
-
-    def left(
-        self,
-        color_change: NDArray[np.float32],
-        read: NDArray[np.float32],
-        gradients: NDArray[Any],
-        hidden: NDArray[np.bool_] | None = None,
-    ) -> NDArray[np.float32] | None:
-        """What slopes (H, W, 2) leave unexplained of a color change (H, W, 3); None without a forward response.
-
-        `read` are the slopes before the step, which the depth is of.
-        """
-        if self._forward is None:
-            return None
-        y, x = (axis.ravel() for axis in np.mgrid[: read.shape[0], : read.shape[1]])
-        depth = self.depth_px(color_change, read, hidden).ravel()
-        expected = self._forward.color_from_gradients(gradients.reshape(-1, 2), x, y, depth_px=depth)
-        return color_change - expected.reshape(color_change.shape).astype(np.float32)

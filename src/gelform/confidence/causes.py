@@ -19,14 +19,15 @@ class Cause(NamedTuple):
 
 
 LEAVES_NOTHING = 0.35  # mm/mm: about the slope of a ball's rim
+SIX_SIGMA = 7.0  # mm/mm, what a residual of 6 sigma adds: rims of real presses leave up to 5
 CAUSES = {
     "saturated": Cause("at the camera's upper end. Lower exposure, gain or the lights.", LEAVES_NOTHING),
     "dark": Cause("at the camera's lower end. Is a light off, or the exposure too short?", LEAVES_NOTHING),
-    "shadow": Cause("darker than any slope makes it: a cast shadow.", LEAVES_NOTHING),
-    "specular": Cause("brighter than any slope makes it: a mirrored light.", LEAVES_NOTHING),
+    "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA),
+    "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA),
     "off_gamut": Cause(
         "of colours that no slope gives: dust, a scratch, another gel, or slopes that no training press has shown.",
-        0.1,
+        SIX_SIGMA,
     ),
     "inconsistent": Cause("torn, or another moment's: data of the frame were lost.", LEAVES_NOTHING),
     "marker": Cause("hidden by markers.", LEAVES_NOTHING),

@@ -41,11 +41,19 @@ class ClippedChannels:
     learnt : (2, 3) bool, red, green, blue at the lower and the upper end in the calibration's own presses: what was learnt
         holds there; None: nowhere
     spare : channels that a slope can be read without: 1 where there is a forward response's step, else 0
+    outside : (H, W) bool, where no light comes at rest: dark there is no fault; None: nowhere
     """
 
-    def __init__(self, blur_px: float, learnt: NDArray[np.bool_] | None, spare: int) -> None:
+    def __init__(
+        self,
+        blur_px: float,
+        learnt: NDArray[np.bool_] | None,
+        spare: int,
+        outside: NDArray[np.bool_] | None = None,
+    ) -> None:
         usual = np.ones((2, 3), dtype=bool) if learnt is None else ~np.asarray(learnt, dtype=bool)
         self._counts, self._spare = [np.ascontiguousarray(row) for row in usual], spare
+        self._outside = outside
         size = 2 * (int(np.ceil(2 * blur_px)) + BLOOMS_PX) + 1
         self.disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
 
@@ -54,8 +62,11 @@ class ClippedChannels:
         channels = np.empty_like(pixels)
         if not _clipped_channels(pixels, *self._counts, channels, DARK_TO, SATURATED_FROM):
             return Clipped(None, None)
-        if hidden is not None:
-            channels[hidden] = 0
+        for nothing in (hidden, self._outside):
+            if nothing is not None:
+                channels[nothing] = 0
+        if not channels.any():
+            return Clipped(None, None)
         channels = np.asarray(cv2.dilate(channels, self.disc), dtype=np.uint8)
         unseen = channels.sum(axis=-1, dtype=np.uint8) > self._spare
         return Clipped(channels, unseen)

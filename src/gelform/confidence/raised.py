@@ -17,8 +17,8 @@ from gelform.confidence.solved import reach_px
 # Squared residual, in units of its covariance on held-out presses, from which nothing is left of a slope (3 sigma).
 OUTLIER = 9.0
 UNKNOWN = 1.0  # mm/mm, what such a slope is off by
-# Mean of the residual's channels over their RMS: below, all are darker (a shadow); above, all brighter (a mirrored light).
-DARKER, BRIGHTER = -0.25, 0.6
+# |Mean| of a color change's channels over their RMS, from which all are darker (a shadow) or all brighter (a mirror).
+ALIKE = 0.5
 # Slopes that differ by more from those `reach_px` away than a small ball's do are blurred, and off by so much of the rest.
 BEND_FROM, BEND = 0.1, 1.75
 UNSEEN = 1000.0  # of the clean sigma, for what says nothing: a weight of 1e-6, which solvers take for none
@@ -118,7 +118,7 @@ class PreparedCauses:
         clipped: NDArray[np.uint8] | None,
         markers: NDArray[np.bool_] | None,
         lost: NDArray[np.bool_] | None,
-        left: NDArray[Any] | None,
+        color_change: NDArray[np.float32],
     ) -> dict[str, NDArray[np.float32]]:
         """What each cause of `CAUSES` adds (H, W), in squares, to the sigma of slopes, mm/mm.
 
@@ -129,7 +129,7 @@ class PreparedCauses:
         image : (H, W, 3), 0-255, as it came
         clipped : (H, W, 3), channels that say nothing
         markers, lost : (H, W) bool, pixels that markers hide, and parts that were lost
-        left : (H, W, 3), what the forward response leaves of the color change, for the kind of outliers; None without one
+        color_change : (H, W, 3), which says what kind outliers are
         """
         nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
         found = dict.fromkeys(
@@ -154,12 +154,12 @@ class PreparedCauses:
                 ("inconsistent", lost & ~bright & ~dark),
             ):
                 found[name] = np.where(where, unseen, found[name])
-        if left is not None:
-            outlier = maps["outlier"]
-            common = left.mean(axis=-1) / np.maximum(np.sqrt(np.mean(np.square(left), axis=-1)), 1e-12)
-            darker, brighter = common < DARKER, common > BRIGHTER
-            kinds = ("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)
-            found |= {name: np.where(where, outlier, nothing) for name, where in kinds}
+        common = color_change.mean(axis=-1) / np.maximum(
+            np.sqrt(np.mean(np.square(color_change), axis=-1)), 1e-12
+        )
+        darker, brighter = common < -ALIKE, common > ALIKE
+        kinds = ("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)
+        found |= {name: np.where(where, maps["outlier"], nothing) for name, where in kinds}
         return {**found, "wall": maps["wall"], "compression": maps["compression"]}
 
 

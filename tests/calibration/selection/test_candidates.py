@@ -19,7 +19,7 @@ from gelform.calibration.selection.candidates import (
     step_sigma_of,
     training_samples,
 )
-from gelform.color_models import COLOR_MODELS, HierarchicalModel, Variant, hierarchical
+from gelform.color_models import COLOR_MODELS, HierarchicalModel, hierarchical
 from gelform.color_models.forward_response import RIDGES
 from made.color_samples import ball_samples, lambertian_change
 
@@ -58,7 +58,7 @@ def test_the_class_says_what_is_tried(monkeypatch):
 
         @classmethod
         def variants(cls, presses):
-            return [Variant(10.0, {"strength": 2}), Variant(1e9, {"strength": presses})]
+            return [{"strength": 2}, {"strength": presses}]
 
     monkeypatch.setitem(COLOR_MODELS, "mine", Mine)
     assert described("mine", 40) == ["mine strength 2", "mine strength 40"]
