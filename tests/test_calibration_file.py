@@ -200,7 +200,9 @@ def test_the_first_format_is_read_for_ever(calibration, simulated, tmp_path):
 def test_color_models_that_are_no_more_name_the_release_that_reads_them(calibration, tmp_path, name):
     arrays, meta = older(calibration, knows_depth=True, color_model=name)
     write_npz(tmp_path / "old.npz", arrays, meta, kind=KIND, version=2, error=CalibrationError)
-    with pytest.raises(CalibrationError, match=rf"color model is {name}, .*Calibrate again.* gelform 0\.1\.0"):
+    with pytest.raises(
+        CalibrationError, match=rf"color model is {name}, .*Calibrate again.* gelform 0\.1\.0"
+    ):
         gelform.load_calibration(tmp_path / "old.npz")
 
 

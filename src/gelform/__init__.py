@@ -7,6 +7,6 @@ The public names are listed in `__init__.pyi`, in the order of this path; each i
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

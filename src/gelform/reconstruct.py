@@ -135,8 +135,9 @@ class Reconstructor:
         forward, change = calibration.forward, calibration.change
         self._stepped = SteppedSlopes(forward, calibration.image_shape, calibration.untouched_change)
         learnt, self._scale = (None, 1.0) if forward is None else (forward.clipped, forward.residual_scale)
-        outside = outside_of_gel(self.background)
-        self._clipped = ClippedChannels(change.blur_px, learnt, int(self._stepped.steps), outside)
+        # Where crosstalk is undone, a channel that clips is part of all three.
+        spare = int(self._stepped.steps and change.crosstalk is None)
+        self._clipped = ClippedChannels(change.blur_px, learnt, spare, outside_of_gel(self.background))
         self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
         self._states_sigma = slope_sigma and calibration.slope_sigma is not None
         if calibration.slope_sigma is not None and slope_sigma:

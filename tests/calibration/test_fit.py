@@ -110,14 +110,19 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
         match=rf"{len(reasons)} like {names[0]}: contact radius 0.5 px is too wide: ball diameter is wrong; 1 like",
     ):
         _check_enough(presses, refined, 0, None)
-    with pytest.raises(gelform.CalibrationError, match=r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball"):
+    with pytest.raises(
+        gelform.CalibrationError,
+        match=r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball",
+    ):
         _check_enough(presses, refined, 0, "The ball is twice as large.")
 
 
 def test_a_ball_of_another_size_is_named_where_no_press_fits(presses):
     """Stated half as large as it is: all are refused, and the message says what to look at."""
     small = tuple(replace(press, ball_diameter_mm=press.ball_diameter_mm / 2) for press in presses.presses)
-    with pytest.raises(gelform.CalibrationError, match=r"fit a ball \d\.\d\d times as large .* check ball_diameter_mm"):
+    with pytest.raises(
+        gelform.CalibrationError, match=r"fit a ball \d\.\d\d times as large .* check ball_diameter_mm"
+    ):
         gelform.calibrate(replace(presses, presses=small))
 
 

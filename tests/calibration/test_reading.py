@@ -46,7 +46,9 @@ def test_a_step_changes_slopes_and_states_them(calibration, prepared, reader):
     at_rest, per_slope = calibration.forward.step_sigma
     prior = at_rest**2 + per_slope**2 * np.sum(np.square(plain.gradients), axis=-1)
     assert stepped.variance.min() > 0
-    assert (stepped.variance <= prior * (1 + 1e-4)).all(), "known better than before the step, wherever it is taken"
+    assert (stepped.variance <= prior * (1 + 1e-4)).all(), (
+        "known better than before the step, wherever it is taken"
+    )
     assert stepped.residual.min() >= 0
 
 

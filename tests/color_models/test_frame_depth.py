@@ -56,10 +56,21 @@ def test_nothing_is_below_the_untouched_gel():
 
 
 def test_where_all_of_the_gel_is_touched_the_least_changed_is_at_0():
-    """Colours that nowhere are as little changed as untouched gel's: the 2 % that changed least are taken for it."""
-    depth, slopes, change = bump()
-    found = FrameDepth(SHAPE, 1e-9)(change + np.float32(0.3), slopes)
-    np.testing.assert_allclose(found, coarse(depth), atol=0.25)
+    """Gel that is bent everywhere: no colour is as little changed as untouched gel's, and 2 % of them are taken for it."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    depth = 3 * np.sin(x / 15) * np.cos(y / 20)
+    slopes = np.stack([np.cos(x / 15) * np.cos(y / 20) / 5, -0.15 * np.sin(x / 15) * np.sin(y / 20)], axis=-1)
+    change = np.concatenate([slopes, np.abs(slopes[..., :1]) + depth[..., None] / 20], axis=-1).astype(
+        np.float32
+    )
+    slopes = slopes.astype(np.float32)
+    means = coarse(change)
+    size = np.linalg.norm(means - np.median(means, axis=(0, 1)), axis=-1)
+    found, known, more = (
+        FrameDepth(SHAPE, limit)(change, slopes) for limit in (1e-9, *np.quantile(size, [0.02, 0.9]))
+    )
+    np.testing.assert_allclose(found, known, atol=0.2)
+    assert np.abs(found - more).max() > 0.5, "what is guarded against"
 
 
 def dots(shape=SHAPE):

@@ -170,7 +170,12 @@ def test_fits_one_after_the_other_are_those_of_each_alone():
     first = HierarchicalModel.fit(anew(samples), position_degrees=(2, 1))
     start = replace(first, nodes=0.5 * first.nodes)
     for one in (samples, turned, samples, lighter, moved, samples):
-        for degrees, ridge, begun in (((2, 1), 1e-3, None), ((2, 1), 1e-5, None), ((2, 1), 1e-5, start), ((1,), 1e-3, None)):
+        for degrees, ridge, begun in (
+            ((2, 1), 1e-3, None),
+            ((2, 1), 1e-5, None),
+            ((2, 1), 1e-5, start),
+            ((1,), 1e-3, None),
+        ):
             found = HierarchicalModel.fit(one, position_degrees=degrees, ridge=ridge, start=begun)
             alone = HierarchicalModel.fit(anew(one), position_degrees=degrees, ridge=ridge, start=begun)
             np.testing.assert_array_equal(found.nodes, alone.nodes)

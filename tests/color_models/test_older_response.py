@@ -129,7 +129,5 @@ def test_polynomials_of_lower_degree_and_without_noise_are_read():
     slopes, at = np.array([[0.2, -0.1]]), np.array([30])
     arrays = {"coefficients": np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), "noise": np.zeros(3)}
     response = older_response(arrays, {"position_degrees": [0]}, SHAPE, MM_PER_PX)
-    np.testing.assert_allclose(
-        response.color_from_gradients(slopes, at, at), [[-0.2, -0.1, 0.0]], atol=0.004
-    )
+    np.testing.assert_allclose(response.color_from_gradients(slopes, at, at), [[-0.2, -0.1, 0.0]], atol=0.004)
     assert np.linalg.eigvalsh(response.covariance)[0] > 0

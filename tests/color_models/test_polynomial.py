@@ -52,7 +52,9 @@ def test_more_presses_carry_more_terms(presses, largest):
     variants = PolynomialModel.variants(presses)
     assert variants[0] == {"position_degrees": (1,)}
     assert variants[-1] == {"position_degrees": largest}
-    sizes = [len(PolynomialModel.fit(ball_samples(lambertian_change), **one).coefficients) for one in variants]
+    sizes = [
+        len(PolynomialModel.fit(ball_samples(lambertian_change), **one).coefficients) for one in variants
+    ]
     assert sizes == sorted(set(sizes)), "the simplest first"
 
 

@@ -85,7 +85,6 @@ def test_without_a_response_or_its_prior_no_step_is_taken(response, frame, stepl
     assert not plain.steps
     assert plain(change, read) is None
     np.testing.assert_array_equal(plain.depth_px(change, read), full_depth(change, read))
-    assert (plain.left(change, read, read) is None) != stepless
 
 
 def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
@@ -100,7 +99,9 @@ def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
     apart = [np.abs(one.gradients - plain.gradients)[~hidden].max() for one in (guarded, open_)]
     assert apart[0] < 0.1 * apart[1]
     assert apart[0] < 0.003 < 0.02 < apart[1]
-    np.testing.assert_array_equal(stepped.depth_px(change, garbled, hidden), full_depth(change, garbled, hidden))
+    np.testing.assert_array_equal(
+        stepped.depth_px(change, garbled, hidden), full_depth(change, garbled, hidden)
+    )
 
 
 def test_clipped_channels_say_nothing_to_a_step(response, frame):
@@ -116,15 +117,3 @@ def test_clipped_channels_say_nothing_to_a_step(response, frame):
     np.testing.assert_allclose(known.gradients[where], other.gradients[where], atol=1e-5)
     off = [np.sqrt(np.mean((one.gradients - true)[where] ** 2)) for one in (known, stepped(dark, read))]
     assert off[0] < 0.3 * off[1]
-
-
-def test_what_is_left_is_the_color_that_slopes_and_depth_do_not_explain(response, frame):
-    """With the depth of the slopes that were read, not of those that are asked about."""
-    change, read, true = frame
-    stepped = SteppedSlopes(response, SHAPE, UNTOUCHED)
-    at = true.reshape(-1, 2), *pixels()
-    expected = response.color_from_gradients(*at, depth_px=full_depth(change, read).ravel())
-    left = stepped.left(change, read, true)
-    np.testing.assert_allclose(left, change - expected.reshape(change.shape), atol=1e-6)
-    lit = change + np.float32(0.25)
-    np.testing.assert_allclose(stepped.left(lit, read, true) - left, 0.25, atol=1e-6)

@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.confidence.causes import compression
+from gelform.confidence import compression
 from kernel_agreement import assert_kernel_agrees
-from made.seen_frames import seen
 
 
 def noisy(levels, seed=0):
@@ -53,10 +52,6 @@ def test_blocks_that_are_rounded_apart_add_their_deviation():
     off = np.kron(rng.normal(0, 2, (15, 22, 3)), np.ones((8, 8, 1)))[:120, :170]
     image = np.clip(np.rint(rest + off + rng.normal(0, 1.5, rest.shape)), 0, 255).astype(np.uint8)
     assert compression.added_levels(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
-
-
-def test_noise_becomes_slope_by_gain_and_worth():
-    np.testing.assert_allclose(compression.sigma(seen(added_levels=2.0)), 1.5 * 2.0 * 0.01, rtol=1e-6)
 
 
 def test_images_too_narrow_for_blocks():

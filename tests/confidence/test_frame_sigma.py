@@ -1,20 +1,14 @@
-"""Standard deviation of a frame: the law, colours never seen, a model's own, and what a surface leaves of it."""
+"""Standard deviation of a frame: the step's own, the factors of slope and place, and a model's own."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from gelform.background.untouched import Reference
-from gelform.color_models._shared.gamut import Gamut
 from gelform.confidence import frame_sigma
-from gelform.confidence.frame_sigma import (
-    UNLEARNT,
-    PreparedSigma,
-    UnknownSigma,
-    with_model_sigma,
-)
-from gelform.confidence.slope_sigma import SlopeSigma
+from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
+from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from kernel_agreement import assert_kernel_agrees
 
 LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
@@ -32,9 +26,7 @@ def test_a_frame():
     gradients[1, 1], gradients[1, 2] = (0.6, 0.8), (1.2, 1.6)
     given = np.zeros((4, 5), dtype=bool)
     given[0, 4] = True
-    untouched, sigma = PreparedSigma(LAW, (4, 5), None)(
-        grey((4, 5)), gradients, NOTHING._replace(given=given)
-    )
+    untouched, sigma = PreparedSigma(LAW, (4, 5))(grey((4, 5)), gradients, NOTHING._replace(given=given))
     np.testing.assert_array_equal(untouched, given)
     assert sigma.shape == (4, 5)
     assert sigma[0, 0] == pytest.approx(0.02)
@@ -47,9 +39,23 @@ def test_frames_and_scattered_pixels_agree():
     law = SlopeSigma.from_dict({**asdict(LAW), "place": [[1.0, 2.0, 0.5, 1.0]] * 2 + [[3.0, 1.0, 1.0, 1.0]]})
     gradients = np.random.default_rng(1).uniform(-0.5, 0.5, (30, 40, 2)).astype(np.float32)
     size = np.linalg.norm(gradients, axis=-1)
-    _, frame = PreparedSigma(law, (30, 40), None)(grey((30, 40)), gradients, NOTHING)
+    _, frame = PreparedSigma(law, (30, 40))(grey((30, 40)), gradients, NOTHING)
     y, x = (np.mgrid[:30, :40] + 0.5) / np.array([30, 40])[:, None, None]
-    np.testing.assert_allclose(frame, law.of(size, x, y), rtol=0.02)
+    wanted = law_at(size, np.array(law.slopes), np.array(law.sigmas)) * factor_at(np.array(law.place), x, y)
+    np.testing.assert_allclose(frame, wanted, rtol=0.02)
+
+
+def test_the_step_s_deviation_is_what_the_factors_are_of():
+    """But for untouched gel, which has a deviation of its own."""
+    rng = np.random.default_rng(2)
+    gradients = rng.uniform(-0.5, 0.5, (30, 40, 2)).astype(np.float32)
+    variance = rng.uniform(1e-4, 4e-2, (30, 40)).astype(np.float32)
+    given = rng.uniform(size=(30, 40)) < 0.3
+    prepared, reference = PreparedSigma(LAW, (30, 40)), NOTHING._replace(given=given)
+    _, factors = prepared(grey((30, 40)), gradients.copy(), reference)
+    _, sigma = prepared(grey((30, 40)), gradients.copy(), reference, variance=variance)
+    np.testing.assert_allclose(sigma[~given], (factors * np.sqrt(variance))[~given], rtol=1e-5)
+    np.testing.assert_allclose(sigma[given], LAW.rest, rtol=1e-6)
 
 
 def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
@@ -57,7 +63,7 @@ def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
     reference = NOTHING._replace(bias=np.array([0.25, 0.5], np.float32), threshold=0.1)
     hidden = np.zeros((3, 4), dtype=bool)
     hidden[1, 2] = True
-    for prepared in (PreparedSigma(LAW, (3, 4), None), UnknownSigma(0.04)):
+    for prepared in (PreparedSigma(LAW, (3, 4)), UnknownSigma(0.04)):
         found = gradients.copy()
         untouched, _ = prepared(grey((3, 4)), found, reference, hidden)
         np.testing.assert_array_equal(found, np.broadcast_to(np.float32([0, -0.25]), (3, 4, 2)))
@@ -70,39 +76,14 @@ def test_where_nobody_knows_every_slope_counts_alike():
     untouched, sigma = UnknownSigma(0.04)(grey((3, 4)), gradients, NOTHING._replace(given=given))
     np.testing.assert_array_equal(sigma, np.full((3, 4), np.float32(0.04)))
     np.testing.assert_array_equal(untouched, given)
-
-
-def test_colours_beyond_the_training_presses_are_not_trusted():
-    gamut = seen_gamut()
-    change = np.zeros((2, 3, 3), dtype=np.float32)
-    change[0, 1], change[0, 2], change[1, 0] = (0.25, 0, 0), (0.5, 0, 0), (5.0, 0, 0)
-    away = gamut.distance_of(change)
-    _, sigma = PreparedSigma(LAW, (2, 3), gamut)(change, np.zeros((2, 3, 2), np.float32), NOTHING)
-    np.testing.assert_allclose(sigma, np.hypot(0.02, away), rtol=1e-5)
-    assert sigma[1, 0] > 1 > 0.03 > sigma[0, 1]
-
-
-def test_slopes_steeper_than_the_presses_showed_there_are_not_trusted():
-    law = replace(LAW, steepest=((0.2, 0.8),))
-    gradients = np.zeros((2, 8, 2), dtype=np.float32)
-    gradients[..., 1] = 0.5
-    _, sigma = PreparedSigma(law, (2, 8), None)(grey((2, 8)), gradients, NOTHING)
-    at_half = 0.05  # the law's
-    np.testing.assert_allclose(sigma[:, 0], UNLEARNT * 0.5 * (0.5 / 0.2 - 1), rtol=1e-5)
-    np.testing.assert_allclose(sigma[:, -1], at_half, rtol=1e-2)
-    assert sigma[0, 0] > sigma[0, 3] >= sigma[0, 5] >= sigma[0, -1]
-    _, before = PreparedSigma(LAW, (2, 8), None)(grey((2, 8)), gradients, NOTHING)
-    np.testing.assert_allclose(before, at_half, rtol=1e-2)
-
-
-def seen_gamut():
-    seen = np.random.default_rng(2).uniform(-0.3, 0.3, (20_000, 3)).astype(np.float32)
-    return Gamut.fit(seen, 2 * seen[:, :2])
+    variance = np.full((3, 4), 9.0, np.float32)
+    _, same = UnknownSigma(0.04)(grey((3, 4)), gradients, NOTHING._replace(given=given), None, variance)
+    np.testing.assert_array_equal(same, sigma)
 
 
 def numpy_frame_sigma(
-    change, hidden, given, common, bias, place, per_steepest, law, gamut, low, gradients, untouched, sigma, square,
-    steps, grows, rest, bins_per_change, worth, unlearnt, highest,
+    change, hidden, given, common, bias, place, law, variance, gradients, untouched, sigma, square, steps, grows, rest,
+    highest,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     near = ((change - common) ** 2).sum(axis=-1) < square
@@ -110,32 +91,25 @@ def numpy_frame_sigma(
     slopes = gradients.astype(float) - bias
     size2 = (slopes**2).sum(axis=-1)
     at = np.sqrt(size2) * steps
-    last = len(law) - 2
-    variance = np.where(at <= last, np.interp(at, np.arange(len(law)), law), grows * size2) * place
-    least = unlearnt * np.sqrt(size2) * np.maximum(np.sqrt(size2) * per_steepest - 1, 0)
-    variance = np.where(near, rest, np.maximum(variance, least**2))
-    if gamut is not None:
-        bins = (change.astype(float) - low) * bins_per_change
-        inside = np.clip(bins, 0, len(gamut) - 1)
-        nearest = tuple(np.moveaxis((inside + 0.5).astype(int), -1, 0))
-        variance += (gamut[nearest] + worth * np.linalg.norm(bins - inside, axis=-1)) ** 2
-    return slopes, near, np.sqrt(variance)
+    factor = np.where(at <= len(law) - 2, np.interp(at, np.arange(len(law)), law), grows * size2) * place
+    return slopes, near, np.sqrt(np.where(near, rest, factor * (1 if variance is None else variance)))
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (7, 9), (24, 40)])
-@pytest.mark.parametrize("with_gamut", [True, False])
+@pytest.mark.parametrize("shape", [(1, 1), (7, 9), (1, 64), (24, 40)])
+@pytest.mark.parametrize("stepped", [True, False])
 @pytest.mark.parametrize("optional", ["nothing", "hidden", "given"])
-def test_the_kernel_agrees_with_numpy(shape, with_gamut, optional):
+def test_the_kernel_agrees_with_numpy(shape, stepped, optional):
     rng = np.random.default_rng(0)
-    prepared = PreparedSigma(LAW, shape, seen_gamut() if with_gamut else None)
+    prepared = PreparedSigma(LAW, shape)
     change = rng.normal(0, 0.3, (*shape, 3)).astype(np.float32)
     mask = rng.uniform(size=shape) > 0.7
     assert_kernel_agrees(
         frame_sigma._frame_sigma, numpy_frame_sigma, change, mask if optional == "hidden" else None,
-        mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]), prepared._place,
-        rng.uniform(0.5, 2, shape).astype(np.float32), prepared._law, prepared._gamut, prepared._gamut_low,
+        mask if optional == "given" else None, np.float32([0.02, 0, 0]), np.float32([0.01, -0.02]),
+        prepared._place * rng.uniform(0.5, 2, shape).astype(np.float32), prepared._law,
+        rng.uniform(1e-4, 1e-2, shape).astype(np.float32) if stepped else None,
         rng.normal(0, 0.5, (*shape, 2)).astype(np.float32), np.empty(shape, bool), np.empty(shape, np.float32), 0.3**2,
-        *prepared._numbers, *prepared._gamut_numbers, 0.3, 1e15,
+        *prepared._numbers, 1e15,
     )  # fmt: skip
 
 
@@ -162,7 +136,7 @@ def test_the_kernel_without_a_law_agrees_with_numpy(shape, optional):
 def test_slopes_that_no_sum_can_hold_are_refused(wrong, component):
     gradients = np.zeros((5, 31, 2), np.float32)
     gradients[4, 30, component] = wrong
-    for prepared in (PreparedSigma(LAW, (5, 31), None), UnknownSigma(0.04)):
+    for prepared in (PreparedSigma(LAW, (5, 31)), UnknownSigma(0.04)):
         with pytest.raises(ValueError, match="Expected slopes up to 1e"):
             prepared(grey((5, 31)), gradients.copy(), NOTHING)
 

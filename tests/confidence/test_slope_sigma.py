@@ -1,11 +1,11 @@
 """The law of the slopes' standard deviation: recovered from errors of known size."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
+from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, factor_at, law_at, solved_factor
 
 LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
 
@@ -26,8 +26,17 @@ def errors_by(law, place=lambda x, y: 1.0, rest: float = 0.01, count: int = 60_0
     )
 
 
+def factors_of(sigma, slopes, x, y):
+    """Of a step's deviation, at scattered pixels."""
+    slopes, x, y = (np.asarray(one, dtype=float) for one in (slopes, x, y))
+    return law_at(slopes, np.array(sigma.slopes), np.array(sigma.sigmas)) * factor_at(
+        np.array(sigma.place), x, y
+    )
+
+
 def shares_within(sigma, held_out, bins):
-    within = np.abs(held_out.errors) < sigma.of(held_out.slopes, held_out.x, held_out.y)[:, None]
+    stated = held_out.stated * factors_of(sigma, held_out.slopes, held_out.x, held_out.y)
+    within = np.abs(held_out.errors) < stated[:, None]
     return [within[bins == b].mean() for b in np.unique(bins)]
 
 
@@ -39,15 +48,35 @@ def test_law_is_recovered(floor, growth):
     held_out = errors_by(law)
     sigma = SlopeSigma.fit(held_out, 8.0, 0.7)
     for slope in (0.1, 0.3, 0.7):
-        assert sigma.of(np.array([slope]), np.array([0.5]), np.array([0.5])) == pytest.approx(
-            law(slope), rel=0.12
-        )
+        assert factors_of(sigma, slope, 0.5, 0.5) == pytest.approx(law(slope), rel=0.12)
     assert sigma.rest == pytest.approx(0.01, rel=0.05)
     assert sigma.clean == pytest.approx(law(0.95 * 0.8), rel=0.12)  # 95 % of the slopes are gentler
     assert (sigma.correlation_px, sigma.correlated_share) == (8.0, 0.7)
     shares = shares_within(sigma, held_out, np.digitize(held_out.slopes, np.linspace(0, 0.8, 9)[1:-1]))
     assert min(shares) > 0.64
     assert max(shares) < 0.76
+
+
+def test_factors_are_of_the_deviation_that_a_step_states():
+    """A step that knows how its errors vary leaves nothing to slope and place; one that is off by a factor is put right."""
+    held_out = errors_by(lambda s: 0.02 + 0.1 * s, place=lambda x, y: np.where(x > 0.75, 3.0, 1.0))
+    true = (0.02 + 0.1 * held_out.slopes) * np.where(held_out.x > 0.75, 3.0, 1.0)
+    for share in (1.0, 0.4):
+        sigma = SlopeSigma.fit(replace(held_out, stated=share * true), 8.0, 0.5)
+        np.testing.assert_allclose(sigma.sigmas, 1 / share, rtol=0.06)
+        np.testing.assert_allclose(sigma.place, 1, atol=0.06)
+        assert sigma.clean == pytest.approx(np.quantile(true, 0.95), rel=0.05)
+        assert sigma.rest == pytest.approx(0.01, rel=0.05)
+    shares = shares_within(sigma, replace(held_out, stated=share * true), (4 * held_out.x).astype(int))
+    assert min(shares) > 0.64
+    assert max(shares) < 0.72
+
+
+def test_rest_that_no_press_showed_is_as_a_gentle_slope():
+    held_out = replace(errors_by(lambda s: 0.02 + 0 * s), rest=np.zeros((0, 2)))
+    assert SlopeSigma.fit(held_out, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
+    stated = replace(held_out, stated=np.full(held_out.slopes.shape, 0.1))
+    assert SlopeSigma.fit(stated, 8.0, 0.5).rest == pytest.approx(0.02, rel=0.05)
 
 
 def test_place_counts_where_presses_show_it():
@@ -76,11 +105,11 @@ def test_a_few_wild_errors_do_not_widen_it():
 
 def test_the_first_format_is_read():
     old = SlopeSigma.from_dict({"rest": 0.02, "growth": 0.1, "clean": 0.03, "correlation_px": 8.0})
-    assert old.of(np.array([0.7]), np.array([0.1]), np.array([0.9])) == pytest.approx(
-        np.hypot(0.02, 0.07), rel=0.02
-    )
+    assert factors_of(old, 0.7, 0.1, 0.9) == pytest.approx(np.hypot(0.02, 0.07), rel=0.02)
     assert old.correlated_share == 1  # the cautious reading: no error is averaged away
     assert SlopeSigma.from_dict(asdict(LAW)) == LAW
+    second = {**asdict(LAW), "surround_sigma": 0.03, "steepest": [[0.4, 0.5]]}  # rules that are no more
+    assert SlopeSigma.from_dict(second) == LAW
 
 
 def test_the_share_of_error_that_a_surface_keeps():

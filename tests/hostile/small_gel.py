@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration
+from gelform.color_models._shared.least_squares import monomial_products, monomials
+from gelform.color_models._shared.nodes import node_positions
+from gelform.color_models.forward_response import TERMS, ForwardResponse, normal_terms
 from gelform.color_models.lambertian import LambertianModel
 from gelform.confidence import SlopeSigma
 from gelform.view import View
@@ -84,6 +87,20 @@ def calibration() -> Calibration:
         library_version="0",
         created_utc="2026-01-01T00:00:00+00:00",
     )
+
+
+@cache
+def stepping() -> Calibration:
+    """The same with the forward response of these lights, a step by it, and what is known of slopes after one."""
+    slopes = np.stack([axis.ravel() for axis in np.meshgrid(*(np.linspace(-0.8, 0.8, 41),) * 2)], axis=-1)
+    normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], axis=1)
+    change = normals @ LIGHTS.T / np.linalg.norm(normals, axis=1, keepdims=True) - 1
+    of_normal = np.stack(monomial_products(normal_terms(slopes).T, monomials(2, 4)), axis=1)
+    nodes = np.zeros((*(len(axis) for axis in node_positions(SHAPE)), TERMS, 3))
+    nodes[:, :, : of_normal.shape[1]] = np.linalg.lstsq(of_normal, change, rcond=None)[0]
+    forward = ForwardResponse(nodes, 0.012**2 * np.eye(3), SHAPE, (0.02, 0.05))
+    known = SlopeSigma(rest=0.01, slopes=(0.1, 1.0), sigmas=(1.2, 1.2), clean=0.04, correlation_px=1.0)
+    return replace(calibration(), forward=forward, slope_sigma=known)
 
 
 def depth_error(depth_mm: np.ndarray, touch: Touch) -> str | None:

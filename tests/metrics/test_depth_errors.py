@@ -64,7 +64,7 @@ def test_errors_are_those_put_in():
 
 @pytest.mark.parametrize("ratio", [0.7, 0.85])
 def test_a_flat_rim_is_left_out_inside_the_edge(ratio):
-    """Beyond it the gel has left the ball: the rim's error alone counts it, and the visible rim is counted without an edge."""
+    """Beyond it the gel has left the ball: the rim's error alone counts it, and without an edge all are up to the rim."""
     depth, gradients, _ = pressed_ball()
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     rim = np.hypot(x - 80.3, y - 59.6) > (ratio + 0.02) * 30.0

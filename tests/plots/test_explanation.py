@@ -9,7 +9,6 @@ from gelform.confidence.explanation import explanation_of
 pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
 from gelform.plots.explanation import COLORS, explanation_picture
 
-
 SHAPE = (40, 72)
 
 

@@ -74,7 +74,9 @@ def test_derivatives_are_exact():
     slopes = 0.1 * torch.randn(1, 2, *shape, dtype=torch.float64, generator=rng)
     change = 0.03 * torch.randn(1, 3, *shape, dtype=torch.float64, generator=rng)
     assert ((step(change, slopes) - slopes).norm(dim=1) < LONGEST_STEP).all()
-    assert torch.autograd.gradcheck(step, (change.requires_grad_(), slopes.requires_grad_()), eps=1e-7, atol=1e-5)
+    assert torch.autograd.gradcheck(
+        step, (change.requires_grad_(), slopes.requires_grad_()), eps=1e-7, atol=1e-5
+    )
 
 
 def test_a_gel_at_rest_has_derivatives():

@@ -43,7 +43,12 @@ class Judged:
     """Refinement of ten presses and their agreement, given by how many times as large the ball is as at first."""
 
     def __init__(self, press, contact, accepted, error):
-        self.presses, self.contacts, self.accepted, self.error = [press] * 10, (contact,) * 10, accepted, error
+        self.presses, self.contacts, self.accepted, self.error = (
+            [press] * 10,
+            (contact,) * 10,
+            accepted,
+            error,
+        )
 
     def refine(self, presses, found):
         refused = 10 - self.accepted(presses[0].ball_radius_px / self.presses[0].ball_radius_px)
@@ -67,8 +72,8 @@ def judged(prepared, found):
 
 
 def best_at(factor):
-    """Errors that are least for a ball so many times as large; slopes of larger balls are gentler, and so are errors."""
-    return lambda tried: (0.02 + abs(tried - factor)) / tried
+    """Errors that are least, over the slopes, for a ball so many times as large: those of larger balls are gentler."""
+    return lambda tried: 0.01 * (3 + abs(tried - factor)) / tried
 
 
 @pytest.mark.parametrize("factor", [FACTORS[3], FACTORS[13], FACTORS[-1]])

@@ -48,7 +48,9 @@ def test_simulated_slopes_are_read_at_their_size(content):
     up_to_rim = sum(b["pixels"] for b in content["gain"]["rim"])
     assert up_to_rim > sum(b["pixels"] for b in content["gain"]["contact"]) > 0
     assert content["gain"]["contact_radius_ratio"] == content["where"]["contact_radius_ratio"]
-    assert content["gain"]["contact_radius_ratio"] == content["calibration"]["settings"]["contact_radius_ratio"]
+    assert (
+        content["gain"]["contact_radius_ratio"] == content["calibration"]["settings"]["contact_radius_ratio"]
+    )
 
 
 def test_the_same_seed_gives_the_same_report(presses, calibration, content, learning):

@@ -64,10 +64,15 @@ def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
     assert always.saved_errors == always.errors == once.saved_errors
     differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
     assert differing == set(held_out.folds[0].held_out)
-    assert (always.slope_sigma.sigmas, always.residual_scale) == (once.slope_sigma.sigmas, once.residual_scale)
+    assert (always.slope_sigma.sigmas, always.residual_scale) == (
+        once.slope_sigma.sigmas,
+        once.residual_scale,
+    )
 
 
-def test_what_is_an_outlier_is_told_as_the_calibration_will_tell_it(presses, calibration, held_out, monkeypatch):
+def test_what_is_an_outlier_is_told_as_the_calibration_will_tell_it(
+    presses, calibration, held_out, monkeypatch
+):
     """In units of what held-out presses leave unexplained, and with the channels that all presses have clipped.
 
     In those of the presses that train, half of a contact where nobody has pressed before would be taken for no gel.

@@ -135,7 +135,9 @@ def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
     assert {c.step_ridge for c in candidates_of(polynomial, 20)} == {None}, "as it was chosen"
     assert calibration.settings["step_ridge"] > 0
     for size in (6, 40):
-        assert {c.step_ridge for c in candidates_of(calibration, size)} == {calibration.settings["step_ridge"]}
+        assert {c.step_ridge for c in candidates_of(calibration, size)} == {
+            calibration.settings["step_ridge"]
+        }
 
 
 def test_the_curve_ends_where_the_report_is(learning, calibration):
@@ -161,7 +163,9 @@ def test_presses_train_and_are_scored_inside_the_edge_of_the_calibration(presses
     monkeypatch.setattr(learning_module, "score_of", scored)
     report = replace(calibration.report, presses=calibration.report.presses[:8])
     settings = {**calibration.settings, "contact_radius_ratio": 0.6}
-    learning_curve(presses, replace(calibration, report=report, settings=settings), rng=np.random.default_rng(0))
+    learning_curve(
+        presses, replace(calibration, report=report, settings=settings), rng=np.random.default_rng(0)
+    )
     assert len(edges) > 10
     assert set(edges) == {0.6}
 

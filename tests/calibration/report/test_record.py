@@ -26,7 +26,9 @@ def test_one_candidate_is_chosen_and_none_has_no_error(calibration):
     assert errors[0] > 0
     assert tried[0]["chosen"], "by its error alone"
     for one in tried:
-        assert 30 * one["slope_error"] < one["normal_free_deg"] < 70 * one["slope_error"], "of the same slopes"
+        assert 30 * one["slope_error"] < one["normal_free_deg"] < 70 * one["slope_error"], (
+            "of the same slopes"
+        )
 
 
 def test_it_is_json_without_the_samples(calibration):

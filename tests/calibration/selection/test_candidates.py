@@ -36,7 +36,9 @@ def test_many_presses_are_worth_a_model_of_many_terms(presses):
     assert {c.model for c in candidates_for("auto", presses)} == {"hierarchical"}
 
 
-@pytest.mark.parametrize(("presses", "said"), [(3, "polynomial 1"), (6, "polynomial 2-1"), (11, "polynomial 2-1")])
+@pytest.mark.parametrize(
+    ("presses", "said"), [(3, "polynomial 1"), (6, "polynomial 2-1"), (11, "polynomial 2-1")]
+)
 def test_few_presses_carry_a_polynomial_of_few_terms(presses, said):
     assert described("auto", presses) == [said]
 
@@ -47,7 +49,9 @@ def test_something_is_always_tried(name, presses):
     candidates = candidates_for(name, presses)
     assert candidates
     assert name == "auto" or {c.model for c in candidates} == {name}
-    assert all(c.step_ridge is None and c.start is None for c in candidates), "steps are tried of what was chosen"
+    assert all(c.step_ridge is None and c.start is None for c in candidates), (
+        "steps are tried of what was chosen"
+    )
 
 
 def test_the_class_says_what_is_tried(monkeypatch):
@@ -147,9 +151,13 @@ def test_a_prior_is_never_none_at_all():
     """Of a model that is right everywhere, of samples of which none rests, and of one that errs at rest alone."""
     least = STEP_SIGMAS * LEAST_STEP_SIGMA
     assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.0)) == pytest.approx((least, 0))
-    assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.1, resting=0)) == pytest.approx((least, 0.125), rel=0.03)
+    assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.1, resting=0)) == pytest.approx(
+        (least, 0.125), rel=0.03
+    )
     rests = samples_with_errors(0.02, 0.0)
-    exact = np.where((rests.gradients != 0).any(axis=1, keepdims=True), rests.gradients, rests.color_change[:, :2])
+    exact = np.where(
+        (rests.gradients != 0).any(axis=1, keepdims=True), rests.gradients, rests.color_change[:, :2]
+    )
     right = replace(rests, color_change=np.concatenate([exact, exact[:, :1]], axis=1))
     assert step_sigma_of(Reads(), right) == pytest.approx((STEP_SIGMAS * 0.02, 0), rel=0.02)
 

@@ -85,7 +85,9 @@ def test_a_step_is_taken_only_where_held_out_presses_are_read_better_by_it(best)
 
 def test_steps_are_tried_of_what_leads_alone():
     """By all presses, or without a fold's; one that steps better but reads worse by itself is not asked."""
-    held_out = MadeUpPresses(lambda c, i: 0.05 if c.settings == STIFF.settings else 0.02 if c.step_ridge else 0.06)
+    held_out = MadeUpPresses(
+        lambda c, i: 0.05 if c.settings == STIFF.settings else 0.02 if c.step_ridge else 0.06
+    )
     found = select((STIFF, FREE), held_out)
     assert found.chosen == STIFF
     assert held_out.tried == [[STIFF, FREE], [replace(STIFF, step_ridge=ridge) for ridge in RIDGES]]

@@ -85,7 +85,9 @@ class Reader:
     def frame(self, press):
         rng = np.random.default_rng(round(1e3 * press.size.sum()))
         read = 0.93 * press.color_change[..., :2] + rng.normal(0, 0.03, (*press.size.shape, 2))
-        left = np.square(rng.normal(size=press.size.shape)) * np.where(rng.uniform(size=press.size.shape) < 0.1, 50, 1)
+        left = np.square(rng.normal(size=press.size.shape)) * np.where(
+            rng.uniform(size=press.size.shape) < 0.1, 50, 1
+        )
         return Step(read, np.full(press.size.shape, (0.03 * self.stated) ** 2), left)
 
 
@@ -142,7 +144,9 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
         def frame(self, press):
             return super().frame(press)._replace(residual=np.full(press.size.shape, 0.1))
 
-    assert slope_sigma_from_folds([Usual()] * 2, folds, presses, found)[1] == 1, "at least what the covariance says"
+    assert slope_sigma_from_folds([Usual()] * 2, folds, presses, found)[1] == 1, (
+        "at least what the covariance says"
+    )
 
 
 def test_the_share_that_folds_have_seen():

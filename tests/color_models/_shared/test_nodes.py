@@ -103,13 +103,17 @@ def test_columns_are_penalised_by_their_degree_in_place(samples):
     two = VaryingRegression.of([Term(np.ones(6000), 0, 3.0, True)] * 2, law(samples), lit, huber=1.0)
     assert two.penalties.tolist() == [3, *[3 * LIGHT_RIDGE] * 3] * 2
     assert two.ends.tolist() == [4, 8]
-    assert regression(samples, law(samples), varies_with_light=True).columns.shape[1] == 6, "of no light nothing varies"
+    assert regression(samples, law(samples), varies_with_light=True).columns.shape[1] == 6, (
+        "of no light nothing varies"
+    )
 
 
 def test_neighbours_are_left_out_where_they_are_many():
     """About 20,000 tell as much."""
     many = ball_samples(lambertian_change, count=3 * MAX_SAMPLES + 5)
+    many = replace(many, weight=np.linspace(0.2, 1, len(many.x_px)))
     found = regression(many, law(many))
     assert len(found.columns) == len(found.target) == len(found.weight) == MAX_SAMPLES + 2
     np.testing.assert_array_equal(found.target, law(many)[::3])
+    np.testing.assert_array_equal(found.weight, many.weight[::3])
     assert np.abs(found.residual(found.coefficients(1e-9))).max() < 1e-4

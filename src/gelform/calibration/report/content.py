@@ -27,7 +27,7 @@ from gelform.calibration.report.where import errors_where
 from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
 
-FORMAT, FORMAT_VERSION = "gelform calibration report", 1
+FORMAT, FORMAT_VERSION = "gelform calibration report", 2
 ERROR_COLUMNS, PLACE_COLUMNS = 16, 4
 SUGGESTIONS = 3
 GAIN_TO_SLOPE, GAIN_PRESSES, GAIN_PIXELS = 0.8, 10, 500

@@ -38,7 +38,14 @@ def test_every_figure_of_a_candidate_is_rendered():
     ]
     drawn = models_section({"candidates": rows})
     assert "a &lt;1&gt;" in drawn
-    for text in ("typical slope error", "0.0213", "0.0345", "7 ± 0.5", "new figure", "smallest typical slope error"):
+    for text in (
+        "typical slope error",
+        "0.0213",
+        "0.0345",
+        "7 ± 0.5",
+        "new figure",
+        "smallest typical slope error",
+    ):
         assert text in drawn
     assert re.search(r'<tr class="chosen"><td>b step 3e-05 ← chosen', drawn)
     assert "Only one was tried" in models_section({"candidates": rows[:1]})

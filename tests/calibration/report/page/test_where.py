@@ -22,7 +22,9 @@ WHERE = {
 
 def test_slopes_stand_in_their_rows_and_a_missing_bin_is_a_dash():
     page = where_section({"where": WHERE})
-    assert "2.12° inside the edge of the contact, at 0.84 of the visible radius; 3.36° up to 3 px inside" in page
+    assert (
+        "2.12° inside the edge of the contact, at 0.84 of the visible radius; 3.36° up to 3 px inside" in page
+    )
     assert "<td>0.1 – 0.2</td><td>1.11°</td><td>1.99°</td><td>1.02</td><td>500</td>" in page
     assert "<td>0.7 – 0.8</td><td>4.44°</td><td>–</td><td>0.91</td><td>90</td>" in page
 

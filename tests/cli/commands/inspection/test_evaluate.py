@@ -21,7 +21,9 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     assert "by the ball's slope" in out
     assert f"{expected.where['contact']['by_slope'][0]['normal_deg']:.3g}" in out
     assert f"{expected.where['rim']['by_slope'][0]['normal_deg']:.3g}" in out
-    assert f"edge at {expected.where['contact_radius_ratio']:.2f} of the visible radius" in " ".join(out.split())
+    assert f"edge at {expected.where['contact_radius_ratio']:.2f} of the visible radius" in " ".join(
+        out.split()
+    )
     assert "up to the rim" in " ".join(out.split())
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
 
