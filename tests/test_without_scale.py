@@ -18,7 +18,7 @@ VERSION_1 = Path(__file__).parent / "data" / "calibration-version-1.npz"
 def bare(calibration):
     """The calibration with everything taken away that an importer may not know."""
     return replace(
-        calibration, mm_per_px=None, mm_per_px_sigma=None, forward=None, slope_sigma=None, gamut=None
+        calibration, mm_per_px=None, mm_per_px_sigma=None, forward=None, slope_sigma=None
     )
 
 

@@ -56,7 +56,8 @@ static inline void variance_of_walls(const struct causes *c, struct lines *restr
 }
 
 // Variance of slopes whose colour leaves a residual of more than half of `outlier`, in units of its covariance, to which that of
-// a wall's slopes comes: from `outlier` on nothing is left of the slope, and ever less beyond. Pixels that say nothing anyway have
+// a wall's slopes comes: from `outlier` on nothing is left of the slope, and less beyond, but never so little as of what is not
+// seen: a frame full of outliers would fall to pieces. Pixels that say nothing anyway have
 // none: what clips, is hidden or is not lit is no colour.
 static inline void variance_of_outliers(const struct causes *c, struct lines *restrict l, const float *restrict residual,
                                         const float *restrict of_step, const bool *restrict unseen_at, int n) {
@@ -64,7 +65,7 @@ static inline void variance_of_outliers(const struct causes *c, struct lines *re
   if (residual == NULL || !any_from(residual, 0.5f * c->outlier, n)) return;
   for (int k = 0; k < n; k++) {
     const float share = residual[k] * of_step[k] / ((of_step[k] + l->wall[k]) * c->outlier);
-    l->outlier[k] = square_of(c->unknown * larger(2 * share - 1, 0));
+    l->outlier[k] = smaller(square_of(c->unknown * larger(2 * share - 1, 0)), 0.25f * square_of(c->unseen));
   }
   if (unseen_at != NULL)
     for (int k = 0; k < n; k++) l->outlier[k] = unseen_at[k] ? 0 : l->outlier[k];
