@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from accuracy_punches import WALLS_DRAWN, drawn_sensor
+from accuracy_heights import WALLS_DRAWN, drawn_sensor
 
 import gelform
 from accuracy_objects import FACE, OBJECTS, SEED, presses_of, usual_presses

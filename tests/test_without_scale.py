@@ -17,9 +17,7 @@ VERSION_1 = Path(__file__).parent / "data" / "calibration-version-1.npz"
 @pytest.fixture
 def bare(calibration):
     """The calibration with everything taken away that an importer may not know."""
-    return replace(
-        calibration, mm_per_px=None, mm_per_px_sigma=None, forward=None, slope_sigma=None
-    )
+    return replace(calibration, mm_per_px=None, mm_per_px_sigma=None, forward=None, slope_sigma=None)
 
 
 @pytest.fixture

@@ -4,6 +4,8 @@
 
 // Besides its own reading a slope is known by the two loops of four edges that it closes, each through three others.
 static const float LOOPS = 2.0f / 3;
+// Variance of a second difference over that of each of five slopes that are off independently: so much of it is no wall's.
+static const float OF_NOISE = 20;
 
 struct numbers {
   float curvature, unlimited, from_slope, per_slope, limit;
@@ -55,7 +57,8 @@ static inline void solve_row(const struct numbers *restrict n, const struct maps
     const float read = sqrtf((1 + LOOPS) * own * others / (others + LOOPS * own));
     const float along = clamp((sqrtf(square_of(row[2 * x]) + square_of(row[2 * x + 1])) - n->from_slope) * n->per_slope, 0, 1);
     const float known = smaller(read * (gentle[x] + along * (steep[x] - gentle[x])), n->limit);
-    solved[x] = sqrtf(known * known + curvature * (square_of(second[2 * x]) + square_of(second[2 * x + 1])));
+    const float bend = square_of(second[2 * x]) + square_of(second[2 * x + 1]);
+    solved[x] = sqrtf(known * known + curvature * larger(bend - OF_NOISE * known * known, 0));
   }
 }
 

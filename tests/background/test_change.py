@@ -38,10 +38,12 @@ def test_darker_than_the_background_is_negative():
     assert color_change_from_image(rest // 2, rest).max() < 0
 
 
-def test_division_by_zero_is_refused():
-    rest = np.zeros((*SHAPE, 3), dtype=np.uint8)
-    with pytest.raises(ValueError, match="Give an offset"):
-        color_change_from_image(rest, rest, ChangeSettings("divide", 0.0))
+def test_pixels_that_nothing_can_be_divided_by_say_nothing():
+    rest = np.full((*SHAPE, 3), 90, dtype=np.uint8)
+    rest[1, 2, 0] = 0
+    change = color_change_from_image(np.full_like(rest, 180), rest, ChangeSettings("divide", 0.0))
+    assert change[1, 2, 0] == 0
+    assert np.count_nonzero(change == 1) == change.size - 1
 
 
 def test_unknown_method_is_refused():

@@ -28,6 +28,7 @@ LAW = SlopeSigma(
     solved_factor=0.8,
 )
 SHAPE = (9, 12)
+OF_NOISE = 20  # of native/confidence/solved_sigma.c: variance of a second difference over that of a slope
 
 
 def flat(shape=SHAPE, slope=0.0):
@@ -61,7 +62,8 @@ def numpy_solved_sigma(
                     second[y, x] += g[tuple(other)] - g[y, x]
     along = np.clip((np.linalg.norm(g, axis=-1) - from_slope) * per_slope, 0, 1)
     own = np.minimum(numpy_own(sigma, unlimited) * (gentle + along * (steep - gentle)), limit)
-    return np.sqrt(own**2 + curvature**2 * (second**2).sum(-1))
+    bend = (second**2).sum(-1) - OF_NOISE * own**2
+    return np.sqrt(own**2 + curvature**2 * np.maximum(bend, 0))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (11, 2), (7, 40), (3, 17)])
@@ -111,7 +113,8 @@ def test_a_wall_is_doubted_beside_its_edges_alone(axis):
     sigma = both(np.full((40, 40), 0.05, np.float32))
     found = np.moveaxis(SolvedSigma(LAW, (40, 40), 1.25)(sigma, gradients), axis, 0)
     assert reach_px(1.25) == 2
-    np.testing.assert_allclose(found[18:22], np.hypot(0.04, 0.6 * curvature_worth(1.25)), rtol=1e-4)
+    bend = np.sqrt(0.6**2 - OF_NOISE * 0.04**2)
+    np.testing.assert_allclose(found[18:22], np.hypot(0.04, bend * curvature_worth(1.25)), rtol=1e-4)
     np.testing.assert_allclose(found[:18], 0.04, rtol=1e-4)
     np.testing.assert_allclose(found[22:], 0.04, rtol=1e-4)
     unknown = SolvedSigma(LAW, (40, 40), None)(sigma, gradients)  # imported: no slope is a wall's
@@ -120,9 +123,10 @@ def test_a_wall_is_doubted_beside_its_edges_alone(axis):
 
 def test_a_wall_is_doubted_beyond_the_steepest():
     gradients = np.zeros((20, 20, 2), np.float32)
-    gradients[:, 10:, 0] = 3.0
+    gradients[:, 10:, 0] = 9.0
     found = SolvedSigma(LAW, (20, 20), 1.25)(both(np.full((20, 20), 40.0, np.float32)), gradients)
-    np.testing.assert_allclose(found[:, 8:12], np.hypot(STEEPEST, 3.0 * curvature_worth(1.25)), rtol=1e-4)
+    bend = np.sqrt(9.0**2 - OF_NOISE * STEEPEST**2)
+    np.testing.assert_allclose(found[:, 8:12], np.hypot(STEEPEST, bend * curvature_worth(1.25)), rtol=1e-4)
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.25, 2.5])

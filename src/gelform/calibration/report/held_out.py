@@ -164,11 +164,11 @@ def _reconstructed(
     suited = held_out.presses[candidate.change_offset]
     ((model, forward),) = held_out.fit(fold, [candidate])
     change = change_settings(presses, candidate.change_offset)
-    if forward is not None and calibration.forward is not None:
-        known = calibration.forward
-        forward = replace(forward, clipped=known.clipped, residual_scale=known.residual_scale)
-    own = replace(calibration, color_model=model, forward=forward, change=change)
-    reconstruct = Reconstructor(own, depth_sigma=False)
+    if (known := calibration.forward) is not None:
+        own = replace(known, step_sigma=None) if forward is None else forward
+        forward = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
+    fitted = replace(calibration, color_model=model, forward=forward, change=change)
+    reconstruct = Reconstructor(fitted, depth_sigma=False)
     for i in fold.held_out:
         result = reconstruct.from_image(presses.presses[i].image)
         yield i, _free_circle(suited[i], held_out.found[i], result), result
