@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from accuracy_heights import WALLS_DRAWN, drawn_sensor
 
 import gelform
+from accuracy_heights import WALLS_DRAWN, drawn_sensor
 from accuracy_objects import FACE, OBJECTS, SEED, presses_of, usual_presses
-from accuracy_presses import _mini_ball, _unlabelled
+from accuracy_presses import _unlabelled
+from accuracy_real import mini_ball
 from gelform.metrics import press_errors
 from gelform.simulate import SimulatedSensor, simulate_press
 from report import table
@@ -38,7 +39,7 @@ def at_least(data: Path, quick: bool) -> dict[str, Any]:
 
 
 def _balls(data: Path, quick: bool) -> dict[str, dict[str, float]]:
-    presses, order = _mini_ball(data)
+    presses, order = mini_ball(data)
     calibration = gelform.calibrate(_unlabelled(presses, order[0 : 24 if quick else None : 2]))
     figures = {}
     for solver in ("multigrid", "at_least"):
