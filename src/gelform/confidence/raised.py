@@ -23,7 +23,7 @@ ALIKE = 0.5
 BEND_FROM, BEND = 0.1, 1.75
 UNSEEN = 1000.0  # of the clean sigma, for what says nothing: a weight of 1e-6, which solvers take for none
 LEAST_CONFIDENCE = (
-    0.002  # of a slope of which the image says something: solvers fill what has less from around
+    0.01  # of a slope of which the image says something: solvers fill what has less from around
 )
 UNLIT_TO = 8  # grey levels of the untouched image's brightest channel
 LEAST_OUTSIDE_PX = 25  # connected: less is dust
@@ -82,7 +82,7 @@ class PreparedCauses:
     ) -> NDArray[np.float32]:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
-        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.002 at least where the image says
+        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.01 at least where the image says
         something of the slope.
 
         Parameters

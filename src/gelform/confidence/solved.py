@@ -21,7 +21,6 @@ STEEPEST = (
 )
 UNLIMITED = 4 * STEEPEST  # before the factors
 LEAST_FACTOR = 0.3
-EXACT = 1e-6  # mm/mm
 PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
 # Blur of standard deviation d px takes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that holds two thirds
 # of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. Both were chosen on eight
@@ -79,10 +78,6 @@ class SolvedSigma:
         alike = sigma.strides[-1] == 0  # one map for both components, broadcast
         maps = [self._map(np.ascontiguousarray(sigma[..., c]), gradients) for c in range(1 if alike else 2)]
         return for_both(maps[0]) if alike else np.stack(maps, axis=-1)
-
-    def beyond(self, gradients: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What (H, W) slopes that were read nearly exactly, to `EXACT`, are off by."""
-        return self._map(np.full(gradients.shape[:2], EXACT, dtype=np.float32), gradients)
 
     def _map(self, sigma: NDArray[np.float32], gradients: NDArray[np.float32]) -> NDArray[np.float32]:
         solved, work = np.empty_like(sigma), np.empty(3 * sigma.shape[1] + 2, dtype=np.float32)

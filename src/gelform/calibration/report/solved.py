@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.held_out import HeldOutSample
+from gelform.calibration.report.residuals import stated_sigma
 from gelform.calibration_file import Calibration
-from gelform.confidence import SlopeSigma, SolvedErrors, with_solved_factors
+from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, with_solved_factors
 from gelform.reconstruct import Reconstructor
 
 
@@ -31,15 +33,17 @@ def solved_by_place(
     """
     without = replace(sigma, solved_factor=1.0)
     reconstruct = Reconstructor(replace(draft, slope_sigma=without), depth_sigma=False)
+    no_walls = copy(reconstruct)
+    no_walls.solved_sigma = SolvedSigma(without, draft.image_shape, None)
     height, width = draft.image_shape
     parts = []
     ratio = draft.settings["contact_radius_ratio"]
     for one in (sample.within(ratio) for sample in samples):
-        result = reconstruct.from_image(presses.presses[one.index].image)
-        assert result.gradients_sigma is not None
-        at = one.y_px.astype(np.intp), one.x_px.astype(np.intp)
-        stated = result.gradients_sigma[at][:, 0]
-        beyond = reconstruct.solved_sigma.beyond(result.gradients)[at]
+        stated, by_reading = (
+            stated_sigma(each, presses.presses[one.index].image, one)[:, 0]
+            for each in (reconstruct, no_walls)
+        )
+        beyond = np.sqrt(np.maximum(stated**2 - by_reading**2, 0))
         place = (one.x_px + 0.5) / width, (one.y_px + 0.5) / height
         slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
         parts.append((slopes, np.sqrt(seen) * one.errors, stated, beyond, *place, press))
