@@ -50,7 +50,9 @@ def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_mod
 def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypatch):
     """A large part of the error is foretold by it: the readings' factors have less left to explain."""
     samples, known = calibration.report.samples, calibration.slope_sigma
-    sharp = replace(known, sigmas=tuple(s / 4 for s in known.sigmas))  # else a ball's bends are within their noise
+    sharp = replace(
+        known, sigmas=tuple(s / 4 for s in known.sigmas)
+    )  # else a ball's bends are within their noise
     found = []
     for blurred in (0.0, 0.6):
         monkeypatch.setattr("gelform.confidence.solved.BLURRED", blurred)
