@@ -30,7 +30,7 @@ from gelform.confidence import (
     explanation_of,
     with_model_sigma,
 )
-from gelform.confidence.raised import as_levels, outside_of_gel
+from gelform.confidence.raised import as_levels, either, outside_of_gel
 from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.difference import DepthDifference
@@ -270,7 +270,7 @@ class Reconstructor:
         markers = self.markers.hidden(image, flow, self.calibration.change.blur_px)
         hidden = faults.hidden(markers)
         clipped = self._clipped(as_levels(image), hidden)
-        unseen = _either(hidden, clipped.unseen)
+        unseen = either(hidden, clipped.unseen)
         pending = self._untouched_image.pending(image, exposure)
         direct, model_sigma = gradients_from_pending(self._model, pending, out=change)
         step = self._stepped(change, direct, unseen, clipped.channels)
@@ -340,7 +340,3 @@ class Reconstructor:
         """The albedo, worked out when it is asked for; color models that know none give none."""
         albedo_from_color = getattr(self._model, "albedo_from_color", None)
         return None if albedo_from_color is None else partial(albedo_from_color, change.copy())
-
-
-def _either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    return one if other is None else other if one is None else one | other

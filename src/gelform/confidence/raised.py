@@ -95,9 +95,7 @@ class PreparedCauses:
         maps : gets what walls, outliers and compression add, by name, where it is given
         """
         added = added_levels(as_levels(image), self._rest, self._levels)
-        unseen_at = (
-            unseen if self._outside is None else self._outside if unseen is None else unseen | self._outside
-        )
+        unseen_at = either(unseen, self._outside)
         confidence = np.empty_like(sigma)
         walls = outliers = None
         if maps is not None:
@@ -185,3 +183,8 @@ def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
         image = np.rint(image).astype(np.uint8)
     return np.ascontiguousarray(image)
+
+
+def either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """Where one of two masks (H, W) is, each of which may be None: nowhere."""
+    return one if other is None else other if one is None else one | other
