@@ -136,9 +136,10 @@ def measure_held_out(
     if draft.forward is not None:
         draft = replace(draft, forward=replace(draft.forward, residual_scale=residual_scale))
     for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
-        for one, into in ((candidate, errors), (chosen, saved_errors)):
-            if one == chosen and candidate == chosen and into is saved_errors:
-                continue
+        runs = [(candidate, errors)]
+        if candidate != chosen:
+            runs.append((chosen, saved_errors))
+        for one, into in runs:
             for i, circle, result in _reconstructed(draft, presses, held_out, one, fold):
                 how = presses.presses[i], circle, result, mm_per_px, prepared[i].contact_radius_ratio
                 into[i] = errors_of(*how)
