@@ -31,8 +31,13 @@ LONGEST = (
 )
 
 
-def pytest_configure():
-    """A shell's job in the background ignores Ctrl-C, and so would every command that a test starts and interrupts."""
+def pytest_configure(config):
+    """Without the slow tests, a tenth of the hostile cases is tried (`hostile/budget.py`).
+
+    A shell's job in the background ignores Ctrl-C, and so would every command that a test starts and interrupts.
+    """
+    if config.option.markexpr == "not slow":
+        os.environ.setdefault("GELFORM_ROBUSTNESS_FACTOR", "0.1")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

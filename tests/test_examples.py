@@ -15,6 +15,7 @@ def test_there_is_one_for_each_route():
     assert [path.name for path in EXAMPLES if f"../examples/{path.name}" not in routes] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path, tmp_path):
     done = subprocess.run([sys.executable, path], cwd=tmp_path, capture_output=True, text=True, timeout=300)

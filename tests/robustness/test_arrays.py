@@ -11,10 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gelform
-from hostile.budget import cases
+from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import ODD_VALUES, odd_arrays
 from hostile.doors import ALL_ODD, DOORS, RECORDS, SETTINGS
 from hostile.outcome import judge
+
+pytestmark = SLOW_IF_ALL
 
 SLOW = ("picture", "calibrate", "evaluate", "scale_from_stage")
 EXPORTS = [

@@ -23,7 +23,10 @@ from hostile.small_gel import Touch, calibration, image_of
 
 IMAGES, PART_FRAMES = 24, 3
 KILLS = 2 if FACTOR < 5 else 20
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="kills processes, mounts a tmpfs")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="kills processes, mounts a tmpfs"),
+]
 DRIVER = """
 import sys
 from gelform.batch import BatchSettings, Engine, run_batch

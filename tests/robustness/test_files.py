@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gelform
-from hostile.budget import cases
+from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import ODD_VALUES, byte_damages, damaged, odd_arrays
 from hostile.files import real_files, sealed, unsealed
 from hostile.outcome import judge
 from hostile.small_gel import Touch, image_of
+
+pytestmark = SLOW_IF_ALL
 
 KINDS = (
     "calibration", "calibration of version 1", "result", "sensor.toml", "png", "jpg", "bmp", "tif", "ppm", "presses.csv",

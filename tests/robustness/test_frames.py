@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gelform
-from hostile.budget import cases
+from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import odd_arrays
 from hostile.outcome import judge
 from hostile.small_gel import SHAPE, Touch, calibration, depth_error, image_of
+
+pytestmark = SLOW_IF_ALL
 
 TOUCHES = st.builds(
     Touch,

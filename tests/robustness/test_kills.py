@@ -19,7 +19,7 @@ from hostile.commands import commands, make_work
 
 COMMANDS = ("calibrate", "import", "reconstruct", "simulate")
 KILLS = 3 if FACTOR < 5 else 20
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")]
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,11 @@ from hypothesis import strategies as st
 
 import gelform
 from gelform.sensors.files import read_sensor_toml
-from hostile.budget import cases
+from hostile.budget import SLOW_IF_ALL, cases
 from hostile.files import SENSOR_TOML, real_files
 from hostile.outcome import judge
+
+pytestmark = SLOW_IF_ALL
 
 ENTRIES = (
     "", " ", "6", "6.35", "6,35", "-6", "0", "1e300", "1e-300", "nan", "inf", "abc", "6 mm",

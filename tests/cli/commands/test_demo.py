@@ -12,6 +12,7 @@ from gelform.simulate import LAYOUTS
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
 
 
+@pytest.mark.slow
 def test_the_whole_path_and_its_errors(run_json, fails, monkeypatch, tmp_path):
     monkeypatch.setitem(LAYOUTS, "small", SMALL)
     monkeypatch.setattr(demo, "LAYOUT", "small")

@@ -7,6 +7,8 @@ import gelform
 from gelform.live.guide.guide import LEAST
 from live_waiting import held, until
 
+pytestmark = pytest.mark.slow
+
 YELLOW = np.array([255, 209, 102])  # of the circle where to press
 
 

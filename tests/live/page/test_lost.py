@@ -10,6 +10,8 @@ import pytest
 
 from live_waiting import until
 
+pytestmark = pytest.mark.slow
+
 NO_WEBGL = """
 const get = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {

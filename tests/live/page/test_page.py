@@ -13,6 +13,8 @@ from gelform.live.replay.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
 from live_waiting import until
 
+pytestmark = pytest.mark.slow
+
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 
 

@@ -10,6 +10,8 @@ from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from live_waiting import until
 
+pytestmark = pytest.mark.slow
+
 COUNT = 9
 
 

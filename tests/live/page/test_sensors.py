@@ -14,6 +14,8 @@ from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.source import open_source
 from live_waiting import until
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def two(hub, sensor, calibration):

@@ -113,6 +113,7 @@ def test_it_is_small(page):
     assert len(page.encode()) < 1_000_000
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path(CHROMIUM).is_file(), reason=f"no chromium at {CHROMIUM}")
 def test_a_real_browser_shows_it_without_a_word_or_a_request(page, playwright, tmp_path):
     """Light, dark and narrow: no console message, no request, no sideways scrolling; a press opens and closes."""
