@@ -39,9 +39,9 @@ RELATED = {  # files of tests that hold what a module does beside its own
         f"tests/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
     ),
     "background/untouched": ("tests/confidence/test_frame_sigma.py",),
-    "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/depth"),
-    "native/solvers/residual.c": ("tests/depth",),
-    "native/gradients/slopes.c": ("tests/depth",),
+    "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
+    "native/solvers/residual.c": ("tests/test_depth.py",),
+    "native/gradients/slopes.c": ("tests/test_depth.py",),
     "native/checks/finite.c": ("tests/checks/test_arrays.py",),
 }
 ROOMS = (

@@ -24,7 +24,7 @@ from scipy.fft import dctn, idctn
 
 import gelform
 from gelform.solvers import SOLVERS, MultigridSolver, RobustSolver, SparseSolver
-from gelform.solvers.multigrid.grid import Grid
+from gelform.solvers.multigrid import Grid
 from gelform.solvers.system import problem_from_gradients
 from scenes import (
     BALL,

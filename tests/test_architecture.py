@@ -61,7 +61,7 @@ LONGER = {  # still to be parted
 # What is tested through the solvers that it serves, all of them against one truth.
 TESTED_TOGETHER = {
     "solvers/sparse.py": "solvers/test_seam.py",
-    "solvers/multigrid/solver.py": "solvers/multigrid/test_weighted.py",
+    "solvers/curl_gated.py": "solvers/test_robust.py",
 }
 PUBLIC = {
     alias.name: f"gelform.{node.module}"

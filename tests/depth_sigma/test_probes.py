@@ -9,7 +9,7 @@ from gelform._native import Handle
 from gelform.depth_sigma import probes
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.solvers import SparseSolver
-from gelform.solvers.multigrid.grid import Grid
+from gelform.solvers.multigrid import Grid
 from gelform.solvers.system import problem_from_gradients
 from kernel_agreement import usable_isas
 

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_a_function_s_source_file_becomes_its_reference():
-    text = "[`calibrate`](../src/gelform/calibration/fit.py), [`inner`](../src/gelform/depth/integrate.py)"
+    text = "[`calibrate`](../src/gelform/calibration/fit.py), [`inner`](../src/gelform/depth.py)"
     assert linked_to_the_reference(text) == "{py:obj}`calibrate <gelform.calibrate>`, `inner`"
 
 

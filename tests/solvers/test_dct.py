@@ -14,7 +14,7 @@ from scipy.fft import dctn, idct, idctn
 from gelform.depth import depth_from_gradients
 from gelform.solvers import dct
 from gelform.solvers.dct import Dct4Solver, DctSolver
-from gelform.solvers.edges import differences, divergence, edges_from_gradients
+from gelform.solvers.system import differences, divergence, edges_from_gradients
 from kernel_agreement import assert_kernel_agrees
 from scenes import PEAKS, gaussian, polynomial, rmse_um, scene
 

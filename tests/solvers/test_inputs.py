@@ -24,20 +24,6 @@ def test_weights_come_per_pixel_per_edge_or_as_a_stack():
     assert wx.size == 0
 
 
-@pytest.mark.parametrize(
-    ("weights", "said"),
-    [
-        (np.ones((5, 4)), r"weights of shape \(4, 5\)"),
-        (np.ones((2, 4, 5)), r"weights of shape \(4, 5\) or \(3, 4, 5\), got \(2, 4, 5\)"),
-        (-np.ones((4, 5)), "weights >= 0, got -1"),
-        ((np.ones((4, 5)), np.ones((4, 5))), r"per edge of shapes \(4, 4\) and \(3, 5\)"),
-    ],
-)
-def test_other_weights_are_refused(weights, said):
-    with pytest.raises(ValueError, match=said):
-        check_weights(weights, (3, 4, 5))
-
-
 def test_an_anchor_may_be_a_number():
     assert np.array_equal(check_anchor(0.25, (2, 3)), np.full((2, 3), 0.25, np.float32))
     with pytest.raises(ValueError, match="anchor >= 0"):

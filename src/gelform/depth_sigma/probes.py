@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
 from gelform.pool import Pool
-from gelform.solvers.multigrid.grid import Grid
+from gelform.solvers.multigrid import Grid
 from gelform.solvers.system import Problem
 
 _probe_depths = Kernel(

@@ -4,9 +4,9 @@
 """
 
 from gelform.solvers.at_least import AtLeastSolver
-from gelform.solvers.curl_gated.solver import CurlGatedSolver
+from gelform.solvers.curl_gated import CurlGatedSolver
 from gelform.solvers.dct import Dct4Solver, DctSolver
-from gelform.solvers.multigrid.solver import MultigridSolver
+from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.robust import HuberSolver, L1Solver, RobustSolver
 from gelform.solvers.seam import Solution, Solver, Weights
 from gelform.solvers.sparse import SparseSolver

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.gradients import slopes_of_solution
-from gelform.solvers.multigrid.solver import MultigridSolver
+from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 
 REACH_PX, BEND = 2, 0.1  # slopes that differ by more from those so far away belong to a wall or its edge

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.pool import Pool
-from gelform.solvers.edges import divergence, edges_from_gradients
 from gelform.solvers.seam import Solution, Weights
+from gelform.solvers.system import divergence, edges_from_gradients
 
 # A row stride of a large power of two maps a whole column onto a few cache lines.
 ALIASING_BYTES = 1024

@@ -15,10 +15,16 @@ from numpy.typing import NDArray
 
 from gelform.pool import Pool
 from gelform.solvers.dct import DctSolver
-from gelform.solvers.edges import Pair, differences, divergence, edges_from_gradients
-from gelform.solvers.multigrid.grid import Grid
-from gelform.solvers.seam import Solution, Weights
-from gelform.solvers.system import FLOOR, Problem, problem_from_gradients
+from gelform.solvers.multigrid import Grid
+from gelform.solvers.seam import Pair, Solution, Weights
+from gelform.solvers.system import (
+    FLOOR,
+    Problem,
+    differences,
+    divergence,
+    edges_from_gradients,
+    problem_from_gradients,
+)
 
 Loss = Callable[[NDArray[Any]], NDArray[Any]]
 

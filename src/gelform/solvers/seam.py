@@ -7,8 +7,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.solvers.edges import Pair
-
+Pair = tuple[NDArray[Any], NDArray[Any]]  # of maps of the edges along x, (H, W-1), and along y, (H-1, W)
 Weights = NDArray[Any] | Pair | None
 
 

@@ -13,7 +13,7 @@ import gelform
 from gelform.depth import depth_from_gradients, edge_residuals, integrate, integrate_unchecked
 from gelform.errors import ConvergenceError
 from gelform.solvers import SOLVERS
-from scenes import BALL, BUMP, CUT_BALL, PLANE, SHAPE, SMALL_BALL, gaussian, polynomial, scene
+from scenes import BALL, BUMP, CUT_BALL, MM_PER_PX, PLANE, SHAPE, SMALL_BALL, gaussian, polynomial, scene
 
 
 def peak_above_untouched(depth, truth):
@@ -199,7 +199,7 @@ def test_float64_and_float32_slopes_give_the_same():
 
 
 def test_measured_groove_comes_back():
-    folder = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "groove"
+    folder = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[1] / "shared" / "data")) / "groove"
     if not folder.is_dir():
         pytest.skip(f"no measured groove in {folder}: set GELFORM_DATA")
     truth = np.load(folder / "heightmap_mm.npy").astype(np.float64)
@@ -283,3 +283,31 @@ def test_what_a_reconstructor_made_is_solved_alike_unchecked():
         quick, checked = (f(g, mm_per_px=pitch[0], **how) for f in (integrate_unchecked, integrate))
         assert np.array_equal(quick.depth_mm, checked.depth_mm)
         assert (quick.solver, quick.curl_rms) == (checked.solver, checked.curl_rms)
+
+
+def test_report_of_a_true_surface():
+    _, gradients, pitch = scene(BUMP)
+    solution = integrate(gradients, mm_per_px=pitch)
+    assert solution.solver == "dct"
+    assert solution.iterations == 0
+    assert solution.islands == 1
+    assert solution.known.all()
+    assert solution.residual < 1e-3
+    assert solution.curl_rms < 1e-3
+
+
+def test_residual_and_curl_show_slopes_that_no_surface_has():
+    rotation = np.zeros((40, 50, 2))
+    rotation[..., 0], rotation[..., 1] = np.mgrid[:40, :50] * 0.01 * np.array([1, -1])[:, None, None]
+    solution = integrate(rotation, mm_per_px=MM_PER_PX)
+    assert solution.curl_rms == pytest.approx(0.02, rel=1e-4)
+    assert solution.residual > 0.05
+
+
+def test_islands_are_counted_by_what_is_known():
+    weights = np.ones((12, 15))
+    weights[:, 7] = 0
+    weights[6, :] = 0
+    solution = integrate(np.full((12, 15, 2), 0.1), mm_per_px=0.1, weights=weights)
+    assert solution.islands == 4
+    assert not solution.known[6].any()

@@ -1,1 +1,0 @@
-"""Weighted least squares without the pixels whose curl no surface has."""

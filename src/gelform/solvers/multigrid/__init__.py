@@ -1,1 +1,0 @@
-"""Weighted least squares by conjugate gradients, preconditioned by black-box multigrid."""
