@@ -3,8 +3,6 @@
 import inspect
 from importlib import import_module
 
-import pytest
-
 import gelform
 from gelform.progress import Progress, no_progress
 
@@ -14,11 +12,12 @@ def test_nothing_is_reported_by_default(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", sorted(gelform.__all__))
-def test_every_public_progress_is_that_one(name):
-    value = getattr(gelform, name)
-    parameters = inspect.signature(value).parameters if inspect.isfunction(value) else {}
-    if "progress" in parameters:
-        assert parameters["progress"].annotation in (Progress, "Progress")
-        assert parameters["progress"].default is no_progress
-        assert import_module(value.__module__).Progress is Progress
+def test_every_public_progress_is_that_one():
+    functions = [value for name in gelform.__all__ if inspect.isfunction(value := getattr(gelform, name))]
+    reporting = [one for one in functions if "progress" in inspect.signature(one).parameters]
+    assert reporting
+    for function in reporting:
+        parameter = inspect.signature(function).parameters["progress"]
+        assert parameter.annotation in (Progress, "Progress"), function
+        assert parameter.default is no_progress, function
+        assert import_module(function.__module__).Progress is Progress, function

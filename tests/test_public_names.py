@@ -24,14 +24,13 @@ def test_the_names_of_the_stub_are_those_of_the_package():
     assert set(names) <= set(dir(gelform))
 
 
-@pytest.mark.parametrize("node", LISTED, ids=lambda node: node.names[0].name)
-def test_each_name_is_its_module_s_own(node):
-    alias = node.names[0]
-    assert alias.asname == alias.name, "type checkers take `X as X` alone for a public name"
-    assert len(node.names) == 1
-    value = getattr(gelform, alias.name)
-    assert value is getattr(import_module(f"gelform.{node.module}"), alias.name)
-    assert not isinstance(value, type(sys)), "a folder of the same name hides it"
+def test_each_name_is_its_module_s_own():
+    for node in LISTED:
+        (alias,) = node.names
+        assert alias.asname == alias.name, "type checkers take `X as X` alone for a public name"
+        value = getattr(gelform, alias.name)
+        assert value is getattr(import_module(f"gelform.{node.module}"), alias.name), alias.name
+        assert not isinstance(value, type(sys)), f"a folder of the same name hides {alias.name}"
 
 
 def test_a_name_that_is_none():
