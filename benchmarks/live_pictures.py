@@ -20,11 +20,11 @@ import numpy as np
 
 import gelform
 from gelform.frames import Frame
-from gelform.live.simulated.acts import ACTS
 from gelform.live.simulated.ready import presses_of
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.simulated.source import IMAGE_RATE_HZ, programme
 from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
 from live import CHROMIUM, COMPUTED_S, FLAGS, Live
 from live_guided import wait_for
@@ -92,7 +92,7 @@ def of_the_sensor(folder: Path) -> None:
 def of_a_recording(folder: Path) -> None:
     """A recording held at a frame, by two calibrations."""
     sensor = simulated_sensor_named("three-edges")
-    screw = next(act for act in ACTS if isinstance(act.indenter, Screw))
+    touches = [touch for touch in programme(sensor) if touch and isinstance(touch.indenter, Screw)]
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         for presses, path in ((12, work / "twelve-presses.npz"), (5, work / "five-presses.npz")):
@@ -104,11 +104,11 @@ def of_a_recording(folder: Path) -> None:
                 oversample=1,
             )
             gelform.calibrate(presses_of(made)).save(path)
-        recording = FolderRecording(work / "screw", RecordingFacts(sensor.name, None, {}, screw.rate_hz))
+        recording = FolderRecording(work / "screw", RecordingFacts(sensor.name, None, {}, IMAGE_RATE_HZ))
         rng = np.random.default_rng(0)
-        for k, pose in enumerate(screw.poses(sensor)):
-            image = simulate_pose(sensor, screw.indenter, pose, rng=rng).image
-            recording.write(Frame(image, k / screw.rate_hz, k, k))
+        for k, touch in enumerate(dict.fromkeys(touches)):
+            image = simulate_pose(sensor, touch.indenter, touch.pose, rng=rng).image
+            recording.write(Frame(image, k / IMAGE_RATE_HZ, k, k))
         recording.close()
         with served(name, str(work / "screw"), "-c", str(work / "twelve-presses.npz")) as opened:
             page = opened(LARGE)

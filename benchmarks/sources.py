@@ -20,7 +20,7 @@ import gelform
 from ffmpeg_camera import FFMPEG, FfmpegCamera
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.simulated.settings import simulated_sensor_named
-from gelform.sensors.simulated.touches import SimulatedTouches
+from gelform.sensors.simulated.source import SimulatedSource
 from gelform.view import View
 from live_streams import resident_mb
 
@@ -131,7 +131,7 @@ def _camera(film: Path, rate_hz: float) -> Iterator[FfmpegCamera]:
 
 def _film_of_gel(path: Path, shape: tuple[int, int], rate_hz: int, quality: int) -> float:
     """Two seconds of the simulated sensor as JPEG pictures of that shape; the bytes of one."""
-    source = SimulatedTouches(simulated_sensor_named("three-edges"), rate_hz=rate_hz)
+    source = SimulatedSource(simulated_sensor_named("three-edges"), rate_hz=rate_hz)
     rng, pictures = np.random.default_rng(0), []
     for index in range(2 * rate_hz):
         image = source.image_at(index)

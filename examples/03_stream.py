@@ -37,5 +37,5 @@ print(f"seen 5 times a second: {1e3 * np.median(ages_s):.0f} ms old; deepest {de
 print(f"wrong with the sensor: {[finding.name for finding in newest.health] or 'nothing'}")
 
 assert stats.results > len(ages_s), "capture goes on while the loop sleeps"
-assert 0.3 < deepest < 0.9, "the simulated ball goes 0.6 mm deep"
+assert 0.3 < deepest < 0.9, "the simulated ball goes 0.55 mm deep"
 assert newest.index > 0

@@ -2,7 +2,7 @@
 
 import time
 
-from gelform.live.simulated.show import PRESS_S
+from gelform.sensors.simulated.source import PRESS_S
 
 
 def until(true, timeout_s=30.0):

@@ -11,10 +11,10 @@ from gelform.live.hub import Hub
 from gelform.live.measures import measures_of
 from gelform.live.setup import Setup
 from gelform.live.shown import Shown
-from gelform.live.simulated.show import Show
 from gelform.live.station import Station
 from gelform.live.web.server import listen
 from gelform.reconstruct import Reconstructor
+from gelform.sensors.simulated.source import SimulatedSource
 from gelform.simulate import Ball, simulate_press
 from live_waiting import until
 
@@ -44,9 +44,9 @@ def hub(sensor, calibration):
     made = Hub(calibrations=Calibrations())
 
     def opened():
-        show = Show(sensor)
-        show.rest()
-        return show
+        source = SimulatedSource(sensor)
+        source.rest()
+        return source
 
     station = Station(0, "simulated", opened, made.changed)
     origin = Origin('gelform.load_calibration("mine.npz")')

@@ -11,12 +11,11 @@ from gelform.live import actions
 from gelform.live.devices import Devices, camera_facts, set_camera
 from gelform.live.hub import Hub
 from gelform.live.replay import buttons
-from gelform.live.simulated.show import Show
 from gelform.live.start import Options, start
 from gelform.live.station import Station
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.settings import SETTABLE
-from gelform.sensors.simulated.touches import SimulatedTouches
+from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import open_source
 from live_waiting import until
 
@@ -24,7 +23,7 @@ LEFT = Camera("DIGIT", "/dev/video0", "D1", by_path="usb-1")
 RIGHT = Camera("DIGIT", "/dev/video2", "D2", by_path="usb-2")
 
 
-class Adjustable(SimulatedTouches):
+class Adjustable(SimulatedSource):
     """A simulated sensor whose exposure can be set, up to 100, as a camera's."""
 
     def __init__(self, sensor):
@@ -93,7 +92,9 @@ def choice(hub):
         hub.devices = Devices(
             hub.stations, lambda: [LEFT, RIGHT], lambda camera, _: open_source(urls[camera.serial])
         )
-        hub.stations.append(Station(1, "second", lambda: Show(hub.stations[0].source.sensor), hub.changed))
+        hub.stations.append(
+            Station(1, "second", lambda: SimulatedSource(hub.stations[0].source.sensor), hub.changed)
+        )
         hub.stations[1].start()
         yield hub
 

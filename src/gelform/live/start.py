@@ -17,12 +17,12 @@ from gelform.live.replay.indexed import Indexed, indexed, is_recording
 from gelform.live.replay.player import Player
 from gelform.live.replay.recordings import Recordings
 from gelform.live.simulated.ready import ready_calibration
-from gelform.live.simulated.show import RATE_HZ, Show
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.progress import Progress
 from gelform.sensors.cameras.there import camera_named
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.simulated.settings import simulated_sensor_named
+from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, SIMULATED, Source, open_source
 from gelform.simulate import SimulatedSensor
 
@@ -131,7 +131,7 @@ def _opening(
     if isinstance(known, Indexed):
         return Opening(lambda: Player(known), NEVER_S)
     if known is not None:
-        return Opening(lambda: Show(known, rate_hz=rate_hz, seed=number), SIMULATED_STALL_S)
+        return Opening(lambda: SimulatedSource(known, rate_hz=rate_hz, seed=number), SIMULATED_STALL_S)
     wanted: dict[str, float | str] = {}
     opened: list[Source] = []
     try:

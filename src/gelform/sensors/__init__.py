@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "playback": ["Playback", "folder_playback", "video_playback"],
         "profiles": ["PROFILES", "SENSORS", "KnownSensor", "SensorProfile", "profile_named"],
         "recordings.record": ["RecordStats", "Recording", "new_recording", "record_frames"],
-        "simulated": ["SimulatedSource", "SimulatedTouches"],
+        "simulated": ["SimulatedSource"],
         "simulated.settings": ["read_simulated_sensor", "sensor_from_settings", "simulated_sensor_named"],
         "source": ["Source", "open_source"],
         "video_files": ["Video", "VideoFacts"],

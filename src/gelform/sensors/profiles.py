@@ -102,18 +102,22 @@ class KnownSensor:
     Attributes
     ----------
     profile : SensorProfile, or None where there is no real sensor that it was taken from
-    preset : the function of `gelform.simulate.presets` that makes its simulation
+    preset : the function of `gelform.simulate.presets` that makes its simulation; None where there is none
     camera : KnownCamera, or None where it is built with any camera
     """
 
     profile: SensorProfile | None
-    preset: str
+    preset: str | None = None
     camera: KnownCamera | None = None
 
     def simulated(self) -> SimulatedSensor:
-        """The sensor to simulate."""
+        """The sensor to simulate; SensorError where there is no simulation of it."""
         from gelform.simulate import presets
 
+        if self.preset is None:
+            raise SensorError(
+                "There is no simulation of this sensor. Take another one, or describe it in a TOML file."
+            )
         sensor: SimulatedSensor = getattr(presets, self.preset)()
         return sensor
 

@@ -19,7 +19,7 @@ from gelform.sensors.recordings.bag_folder import is_bag_folder, mcap_file_in
 from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback
 from gelform.sensors.recordings.mcap_reader import mcap_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
-from gelform.sensors.simulated.touches import RATE_HZ, SimulatedTouches
+from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.video_files import is_video
 
 SIMULATED, DEFAULT_SENSOR = "simulated", "three-edges"
@@ -147,4 +147,4 @@ def _simulated(spec: str, rate_hz: float | None) -> Source:
         sensor = simulated_sensor_named(name)
     except ValueError as problem:
         raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
-    return SimulatedTouches(sensor, rate_hz=rate_hz or RATE_HZ)
+    return SimulatedSource(sensor, rate_hz=rate_hz or RATE_HZ)

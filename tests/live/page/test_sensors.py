@@ -7,10 +7,10 @@ from ffmpeg_camera import FfmpegCamera, why_absent
 from gelform.live.devices import Devices
 from gelform.live.hub import Hub
 from gelform.live.setup import Setup
-from gelform.live.simulated.show import Show
 from gelform.live.start import Options, start
 from gelform.live.station import Station
 from gelform.sensors.cameras.camera import Camera
+from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import open_source
 from live_waiting import until
 
@@ -22,11 +22,11 @@ def two(hub, sensor, calibration):
     """The hub with a second sensor, pressed; its exposure can be set."""
 
     def opened():
-        show = Show(sensor, seed=1)
-        show.rest()
-        show.settings["exposure"] = 50.0
-        show.set_controls = lambda wanted: show.settings.update(wanted) or show.settings
-        return show
+        source = SimulatedSource(sensor, seed=1)
+        source.rest()
+        source.settings["exposure"] = 50.0
+        source.set_controls = lambda wanted: source.settings.update(wanted) or source.settings
+        return source
 
     station = Station(1, "right", opened, hub.changed)
     station.setup = Setup().with_calibration(calibration, "mine")

@@ -184,10 +184,10 @@ def test_replay_and_settings_take_no_nonsense(running, hub, what, fields):
 
 
 def test_of_several_stations_each_gets_its_turn(running, hub, sensor, calibration):
-    from gelform.live.simulated.show import Show
     from gelform.live.station import Station
+    from gelform.sensors.simulated.source import SimulatedSource
 
-    hub.stations.append(Station(1, "second", lambda: Show(sensor, seed=1), hub.changed))
+    hub.stations.append(Station(1, "second", lambda: SimulatedSource(sensor, seed=1), hub.changed))
     hub.stations[1].start()
     until(lambda: hub.stations[1].newest)
     with opened(running) as socket:

@@ -5,8 +5,7 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "moved": ["SimulatedSource"],
         "settings": ["read_simulated_sensor", "sensor_from_settings", "simulated_sensor_named"],
-        "touches": ["SimulatedTouches"],
+        "source": ["SimulatedSource"],
     },
 )

@@ -36,12 +36,10 @@ LED_KEYS = ("peak_nm", "width_nm", "power")
 
 def simulated_sensor_named(name: str) -> SimulatedSensor:
     """A ready sensor: a layout of lights, or a known sensor; an unknown name gets the nearest one suggested."""
-    if name in SENSORS:
-        return SENSORS[name].simulated()
-    if name not in LAYOUTS:
-        known = _ready_names()
+    known = _ready_names()
+    if name not in known:
         raise ValueError(f"Expected a sensor among {', '.join(known)}, got {name!r}.{_nearest(name, known)}")
-    return LAYOUTS[name]
+    return LAYOUTS[name] if name in LAYOUTS else SENSORS[name].simulated()
 
 
 def read_simulated_sensor(path: str | PathLike[str]) -> SimulatedSensor:
@@ -166,7 +164,7 @@ def _check_kinds(given: Mapping[str, Any], kind: Any) -> None:
 
 
 def _ready_names() -> list[str]:
-    return [*LAYOUTS, *SENSORS]
+    return [*LAYOUTS, *(name for name, known in SENSORS.items() if known.preset is not None)]
 
 
 def _nearest(word: str, known: Any) -> str:
