@@ -19,7 +19,7 @@ from typing import Any
 from report import table, write
 
 ROOT = Path(__file__).parents[1]
-DEPENDENCIES = ["numpy", "scipy", "opencv-python-headless", "typer", "rich"]
+DEPENDENCIES = ["numpy", "scipy", "opencv-python-headless", "simplejpeg", "tomlkit", "typer", "rich"]
 FRAMES = 5
 
 

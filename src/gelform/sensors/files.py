@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_gel_thickness, check_path, check_positive, check_sensor_pitch, check_within
 from gelform.errors import DataError
-from gelform.sensors.jpeg_bytes import SIGNATURE as JPEG
-from gelform.sensors.jpeg_bytes import jpeg_fault
+from gelform.sensors.jpeg import SIGNATURE as JPEG
+from gelform.sensors.jpeg import is_grey_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG
 from gelform.sensors.png_bytes import pixels_of_png, png_of_pixels
 from gelform.sensors.video_files import is_video
@@ -79,7 +79,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     """
     path = check_path(path)
     content = _content(path)
-    rgb = pixels_of_png(content) if content.startswith(PNG) else None
+    rgb = pixels_of_png(content) if content.startswith(PNG) else _pixels_of_jpeg(content, path)
     if rgb is not None:
         return rgb
     pixels = _decoded(content, path)
@@ -214,16 +214,26 @@ def _content(path: Path) -> bytes:
         raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
 
 
+def _pixels_of_jpeg(content: bytes, path: Path) -> NDArray[np.uint8] | None:
+    """RGB of a JPEG; None of other files and of grey pictures."""
+    if not content.startswith(JPEG):
+        return None
+    try:
+        return None if is_grey_jpeg(content) else pixels_of_jpeg(content)
+    except ValueError as problem:
+        raise DataError(
+            f"{path} is truncated or damaged: {str(problem).rstrip('.')}. Copy or record it again."
+        ) from None
+
+
 def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     """Pixels as OpenCV has them (BGR). The bytes are read by Python: names outside ASCII work everywhere."""
     if not content:
         raise DataError(f"{path} is empty. Copy or record it again.")
     if content.startswith(PNG):
         content = png_of_pixels(content) or b""
-    fault = jpeg_fault(content) if content.startswith(JPEG) else None
-    if fault is not None or not content:
-        what = f": it {fault}" if fault else ""
-        raise DataError(f"{path} is truncated or damaged{what}. Copy or record it again.")
+        if not content:
+            raise DataError(f"{path} is truncated or damaged. Copy or record it again.")
     try:
         with _opencv_silent():
             pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)

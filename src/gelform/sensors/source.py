@@ -13,7 +13,7 @@ from gelform.errors import DataError, SensorError
 from gelform.frames import Frame
 from gelform.sensors.cameras.there import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
-from gelform.sensors.mjpeg.url import OPEN_S, MjpegUrl
+from gelform.sensors.mjpeg import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
 from gelform.sensors.recordings.bag_folder import is_bag_folder, mcap_file_in
 from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback

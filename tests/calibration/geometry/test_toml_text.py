@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.calibration.geometry.toml_text import edited_toml, toml_value
+from gelform.calibration.geometry.toml_text import edited_toml
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -59,23 +59,22 @@ def test_a_new_text():
     )
 
 
-@pytest.mark.parametrize("text", ["view.flip = 'x'\n", "view = { flip = 'x' }\n"])
-def test_what_cannot_be_edited_is_said_with_the_lines_to_write(text):
-    with pytest.raises(ValueError, match=r'by hand: \[view\] flip = "y"'):
-        edited_toml(text, {("view",): {"flip": "y"}})
+def test_keys_are_edited_however_they_are_written():
+    for text in ("view.flip = 'x'\n", "view = { flip = 'x' }\n", "[view]\nflip = 'x'\n"):
+        assert tomllib.loads(edited_toml(text, {("view",): {"flip": "y"}})) == {"view": {"flip": "y"}}
+    with pytest.raises(ValueError, match="cannot be written into it"):
+        edited_toml("view = 3\n", {("view",): {"flip": "y"}})
 
 
-@pytest.mark.parametrize(
-    "text", ["a = 1  # one\u2028two\r\nb = 2\r\n", "a = 1", "\n\na = 1\n\n", "# only words"]
-)
-def test_line_ends_of_all_kinds_stay(text):
-    edited = edited_toml(text, {("t",): {"x": 1}})
-    assert edited.startswith(text)
-    assert tomllib.loads(edited)["t"] == {"x": 1}
+def test_line_ends_of_all_kinds_stay():
+    for text in ("a = 1  # one\u2028two\r\nb = 2\r\n", "a = 1", "\n\na = 1\n\n", "# only words"):
+        edited = edited_toml(text, {("t",): {"x": 1}})
+        assert edited.startswith(text)
+        assert tomllib.loads(edited)["t"] == {"x": 1}
 
 
 def test_no_toml_is_refused():
-    with pytest.raises(ValueError, match="Invalid"):
+    with pytest.raises(ValueError, match="cannot be written into it"):
         edited_toml("name = \n", {(): {"name": "x"}})
 
 
@@ -88,4 +87,4 @@ def test_no_toml_is_refused():
     )
 )
 def test_values_come_back(value):
-    assert tomllib.loads(f"v = {toml_value(value)}\n")["v"] == value
+    assert tomllib.loads(edited_toml("[t]\n", {("t",): {"v": value}}))["t"]["v"] == value

@@ -19,7 +19,7 @@ from gelform.frames import Frame
 from gelform.sensors.cameras.access import check_access, in_use
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.settings import check_settings, controls_of, set_controls
-from gelform.sensors.mjpeg.jpeg import image_from_jpeg, reduction_of
+from gelform.sensors.jpeg import image_from_jpeg, reduction_of
 from gelform.sensors.profiles import SENSORS, KnownCamera
 
 # Read by OpenCV when a camera is opened: 10 s by default, during which a camera that stands still blocks its reader.

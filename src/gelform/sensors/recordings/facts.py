@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError
 from gelform.frames import Frame
-from gelform.sensors.mjpeg.jpeg import image_from_jpeg
+from gelform.sensors.jpeg import image_from_jpeg
 
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"

@@ -1,0 +1,353 @@
+"""A camera at an address: pictures pushed over HTTP (multipart/x-mixed-replace), the newest one taken."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import re
+import select
+import socket
+import ssl
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from http.client import HTTPConnection, HTTPException, HTTPResponse, RemoteDisconnected
+from urllib.parse import SplitResult, unquote, urlsplit
+
+from gelform.errors import SensorError, SourceLostError
+from gelform.frames import Frame
+from gelform.sensors.jpeg import image_from_jpeg, jpeg_shape, reduction_of
+
+OPEN_S = 2.0  # for the connection and the first picture
+STALL_S = 1.0  # a camera that sends nothing for so long is lost
+MAX_TORN = 10  # torn pictures in a row after which the connection is made anew
+RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # of one call, and of all that is taken at a time
+MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14
+_LENGTH = re.compile(rb"content-length:\s*(\d+)", re.IGNORECASE)
+
+
+class MjpegUrl:
+    """The frames of an MJPEG address.
+
+    Where several pictures have arrived, the last one is decoded and the others count as dropped; a torn picture
+    (without its end, or not to be decoded) is left out and leaves a gap in the count too. Large pictures are decoded
+    at reduced size (see `reduction_of`). `time_s` is when the picture had arrived.
+
+    Parameters
+    ----------
+    url : http:// or https://
+    timeout_s : for the connection
+
+    Raises
+    ------
+    SensorError
+        Nobody answers, the answer is no stream of pictures, or no picture comes within 2 s.
+    """
+
+    live = True
+    serial: str | None = None
+    rate_hz: float | None = None
+
+    def __init__(self, url: str, *, timeout_s: float = OPEN_S) -> None:
+        place = urlsplit(url)
+        self.url = url
+        self.name = f"{place.hostname}{f':{place.port}' if place.port else ''}{place.path}"
+        self._body = HttpBody(url, timeout_s)
+        self._closed = False
+        self._arrived: list[bytes] = []
+        with ExitStack() as undone:
+            undone.callback(self._body.close)
+            first = self._body.read(OPEN_S)
+            self._splitter = PartSplitter(self._boundary(first))
+            self._arrived = self._splitter.feed(first)
+            self.settings = self._settings_of_first()
+            undone.pop_all()  # it gives pictures: it stays open
+        self._reduction = int(self.settings["reduced"])
+
+    def __iter__(self) -> Iterator[Frame]:
+        index, torn = -1, 0
+        while not self._closed:
+            parts, self._arrived = self._arrived or self._read(STALL_S), []
+            time_s, wall_time_ns = time.monotonic(), time.time_ns()
+            index += len(parts)
+            image = image_from_jpeg(parts[-1], self._reduction) if parts else None
+            if image is not None:
+                torn = 0
+                yield Frame(image, time_s, wall_time_ns, index, parts[-1])
+            elif parts:
+                torn += 1
+            if torn > MAX_TORN:
+                raise SourceLostError(f"{self.url} sent {torn} torn pictures in a row.")
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._closed = True
+        self._body.close()
+
+    def __enter__(self) -> MjpegUrl:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _boundary(self, first: bytes) -> str:
+        """As the header names it; servers that name no kind of content begin with it."""
+        kind = self._body.headers.get_content_type()
+        boundary = self._body.headers.get_param("boundary")
+        if kind.startswith("multipart/") and isinstance(boundary, str):
+            return boundary
+        if not first.startswith(b"--"):
+            raise SensorError(
+                f"Expected a stream of pictures (multipart/x-mixed-replace) at {self.url}, got {kind}. Give the "
+                "address of the MJPEG stream itself, not of the page around it."
+            )
+        return first.partition(b"\r\n")[0].decode("latin-1")
+
+    def _settings_of_first(self) -> dict[str, float | str]:
+        """Wait for the first picture; its size and reduction."""
+        until = time.monotonic() + OPEN_S
+        while True:
+            shape = next((shape for part in self._arrived if (shape := jpeg_shape(part))), None)
+            if shape is not None:
+                return {"width": shape[1], "height": shape[0], "reduced": reduction_of(shape)}
+            if (left := until - time.monotonic()) <= 0:
+                break
+            self._arrived += self._read(left)
+        raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
+
+    def _read(self, timeout_s: float) -> list[bytes]:
+        data = self._body.read(timeout_s)
+        if not data:
+            raise SourceLostError(f"{self.url} ended the stream.")
+        try:
+            return self._splitter.feed(data)
+        except ValueError as problem:
+            raise SourceLostError(f"{self.url}: {problem}") from problem
+
+
+class HttpBody:
+    """The body of a GET request whose answer goes on for ever, as it arrives.
+
+    Parameters
+    ----------
+    url : http:// or https://, with user:password@ where the camera wants them
+    timeout_s : for the connection and the answer's header
+
+    Raises
+    ------
+    SensorError
+        Nobody answers there, or the answer is not 200.
+    """
+
+    def __init__(self, url: str, timeout_s: float) -> None:
+        self.url = url
+        place = urlsplit(url)
+        self._socket = _connected(place, url, timeout_s)
+        with ExitStack() as undone:
+            undone.callback(self._socket.close)
+            self._response = _answer_to(place, self._socket, url)
+            undone.pop_all()  # it answers: it stays open
+        self.headers = self._response.headers
+        self._dechunk = Dechunker() if self._response.chunked else None
+        # Bytes as they come: the library's own reader of chunks waits for the next one's size; a stream has no length.
+        self._response.chunked, self._response.length = False, None
+
+    def read(self, timeout_s: float) -> bytes:
+        """All bytes that are there, after waiting for the first; empty where the body has ended.
+
+        Raises
+        ------
+        SourceLostError
+            The connection is gone, or nothing came for `timeout_s`.
+        """
+        while self._dechunk is None or not self._dechunk.ended:
+            received = self._received(timeout_s)
+            content = received if self._dechunk is None else self._dechunk.feed(received)
+            if content or not received:
+                return content
+        return b""
+
+    def _received(self, timeout_s: float) -> bytes:
+        if self._response.isclosed():  # by itself, at the end
+            return b""
+        try:
+            self._socket.settimeout(timeout_s)
+            received = bytearray(self._response.read1(RECEIVE_BYTES))
+            while received and len(received) < MAX_WAITING_BYTES and self._is_ready():
+                more = self._response.read1(RECEIVE_BYTES)
+                if not more:
+                    break
+                received += more
+            return bytes(received)
+        except TimeoutError:
+            raise SourceLostError(f"{self.url} sent nothing for {timeout_s:g} s.") from None
+        except (OSError, ValueError) as problem:  # ValueError: closed meanwhile
+            raise SourceLostError(f"The connection to {self.url} is lost: {_said(problem)}.") from problem
+
+    def close(self) -> None:
+        """Close the connection; a reading thread wakes up."""
+        with contextlib.suppress(OSError):  # it is closed already
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._response.close()  # it holds the socket too
+
+    def _is_ready(self) -> bool:
+        if isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
+            return True
+        return bool(select.select([self._socket], [], [], 0)[0])
+
+
+class Dechunker:
+    """Takes the chunks' sizes out of a chunked body (RFC 9112, section 7.1)."""
+
+    def __init__(self) -> None:
+        self.ended = False
+        self._bytes = bytearray()
+        self._left = 0  # of the chunk that is being read
+
+    def feed(self, data: bytes) -> bytes:
+        """The content of these bytes."""
+        self._bytes += data
+        content = []
+        while self._bytes and not self.ended:
+            if self._left == 0 and not self._next_chunk():
+                break
+            taken = bytes(self._bytes[: self._left])
+            del self._bytes[: len(taken)]
+            self._left -= len(taken)
+            content.append(taken)
+        return b"".join(content)
+
+    def _next_chunk(self) -> bool:
+        """Read a size line, and the line end of the chunk before it; False where it is not all there."""
+        start = 2 if self._bytes.startswith(b"\r\n") else 0
+        end = self._bytes.find(b"\r\n", start)
+        if end < 0:
+            return False
+        text = bytes(self._bytes[start:end]).split(b";")[0].strip()
+        try:
+            self._left = int(text, 16)
+        except ValueError:
+            raise SourceLostError(f"Expected the size of a chunk, got {text[:20]!r}: torn data.") from None
+        del self._bytes[: end + 2]
+        self.ended = self._left == 0
+        return not self.ended
+
+
+def _connected(place: SplitResult, url: str, timeout_s: float) -> socket.socket:
+    try:
+        port = place.port or (443 if place.scheme == "https" else 80)
+    except ValueError as problem:
+        raise SensorError(f"Expected an address like http://host:8080/stream, got {url}.") from problem
+    if not place.hostname:
+        raise SensorError(f"Expected an address like http://host:8080/stream, got {url}.")
+    try:
+        plain = socket.create_connection((place.hostname, port), timeout_s)
+        if plain.getsockname() == plain.getpeername():  # TCP may connect a port of this machine to itself:
+            plain.close()  # the server, when it comes, could not have it
+            raise ConnectionRefusedError("nobody listens")
+        if place.scheme != "https":
+            return plain
+        return ssl.create_default_context().wrap_socket(plain, server_hostname=place.hostname)
+    except OSError as problem:
+        raise SensorError(
+            f"Nothing answers at {place.hostname}:{port}: {_said(problem)}. Is the camera's server running, and "
+            "the address right?"
+        ) from problem
+
+
+def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPResponse:
+    """The answer, its header read."""
+    headers = {"Host": place.netloc.rpartition("@")[2], "Accept": "*/*", "Connection": "close"}
+    if place.username is not None:
+        pair = f"{unquote(place.username)}:{unquote(place.password or '')}"
+        headers["Authorization"] = f"Basic {base64.b64encode(pair.encode()).decode()}"
+    connection = HTTPConnection(str(place.hostname))
+    connection.sock = connected
+    try:
+        path = (place.path or "/") + (f"?{place.query}" if place.query else "")
+        connection.request("GET", path, headers=headers)
+        response = connection.getresponse()
+    except RemoteDisconnected as problem:
+        raise SensorError(f"{url} closed the connection without an answer.") from problem
+    except HTTPException as problem:
+        raise SensorError(f"{url} does not speak HTTP.") from problem
+    except OSError as problem:
+        raise SensorError(f"{url} does not answer: {_said(problem)}.") from problem
+    if response.status != 200:
+        response.close()
+        raise SensorError(f"{url} answers {response.status} {response.reason}.{_remedy(response)}")
+    return response
+
+
+def _remedy(response: HTTPResponse) -> str:
+    if response.status == 401:
+        return " Put the camera's user and password before the host: http://user:password@host/..."
+    moved = response.headers.get("Location")
+    return f" It has moved to {moved}: give that address." if moved else " Check the path of the address."
+
+
+def _said(problem: BaseException) -> str:
+    if isinstance(problem, TimeoutError):
+        return "no answer in time"
+    return str(getattr(problem, "strerror", None) or problem or type(problem).__name__)
+
+
+class PartSplitter:
+    """Collects bytes and gives the parts that are complete.
+
+    A part ends where its Content-Length says, else at the next boundary. Where a part is not followed by a boundary,
+    it is given all the same, and what comes up to the next boundary is passed over.
+
+    Parameters
+    ----------
+    boundary : as the stream's content type names it; servers disagree about the dashes before it
+    """
+
+    def __init__(self, boundary: str) -> None:
+        self._boundary = b"--" + boundary.strip().strip('"').lstrip("-").encode("latin-1")
+        self._bytes = bytearray()
+        self._searched = 0  # bytes of the buffer that hold no boundary
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Parts that these bytes complete.
+
+        Raises
+        ------
+        ValueError
+            More bytes without a boundary than a picture has: this is no such stream.
+        """
+        self._bytes += data
+        parts = []
+        while (part := self._next()) is not None:
+            parts.append(part)
+        if len(self._bytes) > MAX_PART_BYTES:
+            raise ValueError(
+                f"Expected a picture of at most {MAX_PART_BYTES >> 20} MB, got more without an end."
+            )
+        return parts
+
+    def _next(self) -> bytes | None:
+        """The first part, cut off the buffer; None while it is not complete."""
+        start = self._bytes.find(self._boundary)
+        if start < 0:
+            return None
+        head_end = self._bytes.find(b"\r\n\r\n", start, start + MAX_PART_HEADER_BYTES)
+        if head_end < 0:
+            return None
+        body = head_end + 4
+        length = _LENGTH.search(self._bytes, start, head_end)
+        if length is not None:
+            end = body + int(length.group(1))
+            return self._cut(body, end) if len(self._bytes) >= end else None
+        end = self._bytes.find(self._boundary, max(body, self._searched))
+        if end < 0:
+            self._searched = max(body, len(self._bytes) - len(self._boundary))
+            return None
+        return self._cut(body, end).rstrip(b"\r\n-")
+
+    def _cut(self, start: int, end: int) -> bytes:
+        part = bytes(memoryview(self._bytes)[start:end])
+        del self._bytes[:end]
+        self._searched = 0
+        return part

@@ -1,0 +1,246 @@
+"""A camera at an address: newest picture, torn pictures, any answer and boundary, and a real server that is killed."""
+
+import socket
+import time
+
+import numpy as np
+import pytest
+
+from ffmpeg_camera import FfmpegCamera, why_absent
+from gelform.errors import SensorError, SourceLostError
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter
+from gelform.sensors.source import open_source
+from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
+
+RED, GREEN, BLUE = jpeg(color=(200, 0, 0)), jpeg(color=(0, 200, 0)), jpeg(color=(0, 0, 200))
+WAIT_S = 20.0
+
+
+def taken(pieces, count, header=HEADER):
+    with MjpegServer(pieces, header) as server, MjpegUrl(server.url) as source:
+        frames = []
+        for _, frame in zip(range(count), source):
+            frames.append(frame)
+            server.seen.release()
+        return frames, source
+
+
+def channel(frame):
+    return int(frame.image[10, 10].argmax())
+
+
+def test_frames_in_rgb_as_they_come():
+    frames, source = taken([part(RED), SEEN, part(GREEN), SEEN, part(BLUE)], 3)
+    assert [channel(frame) for frame in frames] == [0, 1, 2]
+    assert [frame.index for frame in frames] == [0, 1, 2]
+    assert frames[1].encoded == GREEN
+    assert source.settings == {"width": 64, "height": 48, "reduced": 1}
+    assert 0 <= time.monotonic() - frames[0].time_s < WAIT_S
+
+
+def test_of_many_that_wait_the_newest_is_taken():
+    with MjpegServer([part(RED), SEEN, part(RED) * 7 + part(BLUE)]) as server, MjpegUrl(server.url) as source:
+        reader = iter(source)
+        assert channel(next(reader)) == 0
+        server.seen.release()
+        assert server.sent.wait(WAIT_S)
+        frame = next(reader)
+    assert (channel(frame), frame.index) == (2, 8)
+
+
+def test_torn_pictures_are_left_out_and_leave_a_gap():
+    torn = part(GREEN[: len(GREEN) // 2])
+    frames, _ = taken([part(RED), SEEN, torn, 0.1, part(BLUE)], 2)
+    assert [(channel(frame), frame.index) for frame in frames] == [(0, 0), (2, 2)]
+
+
+def test_nothing_but_torn_pictures_is_a_lost_source():
+    torn = [piece for _ in range(15) for piece in (part(GREEN[:-2]), 0.01)]
+    with pytest.raises(SourceLostError, match="torn pictures in a row"):
+        taken([part(RED), 0.1, *torn], 2)
+
+
+def test_a_hang_up_in_mid_picture_is_a_lost_source():
+    with pytest.raises(SourceLostError, match="ended the stream"):
+        taken([part(RED), 0.1, part(GREEN)[:200], None], 2)
+
+
+def test_a_server_that_names_no_kind_is_read_by_its_first_line():
+    header = b"HTTP/1.0 200 OK\r\nContent-Type: application/octet-stream\r\n\r\n"
+    frames, _ = taken([part(RED), 0.1, part(GREEN)], 2, header)
+    assert [channel(frame) for frame in frames] == [0, 1]
+
+
+def test_a_page_is_no_stream():
+    header = b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n"
+    with pytest.raises(SensorError, match="not of the page"):
+        taken([b"<html>", None], 1, header)
+
+
+def test_large_pictures_are_decoded_at_reduced_size():
+    frames, source = taken([part(jpeg((960, 1280)))], 1)
+    assert frames[0].image.shape == (480, 640, 3)
+    assert source.settings == {"width": 1280, "height": 960, "reduced": 2}
+
+
+def test_closing_wakes_a_waiting_reader():
+    with MjpegServer([part(RED)]) as server, Grabber(server.url) as grabber:
+        assert channel(grabber.newest(-1, WAIT_S)) == 0
+        started = time.monotonic()
+        grabber.close()
+        assert grabber.state == "ended"
+    assert time.monotonic() - started < WAIT_S
+
+
+@pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
+def test_a_killed_camera_is_back_when_it_returns():
+    with FfmpegCamera() as camera, Grabber(camera.url) as grabber:
+        frame = grabber.newest(-1, WAIT_S)
+        for _ in range(2):
+            camera.kill()
+            until = time.monotonic() + WAIT_S
+            while grabber.state != "reconnecting":
+                assert time.monotonic() < until
+                time.sleep(0.005)
+            assert (
+                "Nothing answers" in grabber.reason or "lost" in grabber.reason or "ended" in grabber.reason
+            )
+            last = grabber.newest(-1, 0).index
+            camera.start()
+            frame = grabber.newest(last, WAIT_S)
+            assert frame is not None
+            assert frame.index > last
+            assert grabber.state == "running"
+        assert grabber.stats.reopened == 2
+    assert frame.image.shape == (240, 320, 3)
+    assert np.ptp(frame.image) > 100
+
+
+def test_the_door_knows_addresses():
+    with MjpegServer([part(RED)]) as server, open_source(server.url) as source:
+        assert source.live
+        assert source.name.endswith("/stream")
+
+
+CHUNKED = HEADER.replace(b"\r\n\r\n", b"\r\nTransfer-Encoding: chunked\r\n\r\n")
+
+
+def body_of(pieces, header=HEADER, url=lambda url: url):
+    with MjpegServer(pieces, header) as server:
+        body = HttpBody(url(server.url), 2.0)
+        read = b""
+        while data := body.read(2.0):
+            read += data
+        body.close()
+    return read, server.requests[0].decode()
+
+
+def test_the_body_is_what_was_sent():
+    read, request = body_of([b"one", 0.02, b"two", None])
+    assert read == b"onetwo"
+    assert request.startswith("GET /stream HTTP/1.1\r\n")
+    assert "\r\nHost: 127.0.0.1:" in request
+
+
+def test_chunks_are_taken_apart():
+    read, _ = body_of([b"3\r\none\r\n", 0.02, b"8;x=1\r\ntwo", 0.02, b"three\r\n", b"0\r\n\r\n"], CHUNKED)
+    assert read == b"onetwothree"
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 100])
+def test_chunks_may_be_cut_anywhere(size):
+    sent = b"3\r\none\r\nA\r\n0123456789\r\n0\r\n\r\n"
+    dechunk = Dechunker()
+    assert (
+        b"".join(dechunk.feed(sent[at : at + size]) for at in range(0, len(sent), size)) == b"one0123456789"
+    )
+    assert dechunk.ended
+
+
+def test_torn_chunks_are_a_lost_source():
+    with pytest.raises(SourceLostError, match="torn"):
+        Dechunker().feed(b"\xff\xd8zz\r\n")
+
+
+def test_user_and_password_go_into_the_header():
+    _, request = body_of([None], url=lambda url: url.replace("//", "//eve:p%40ss@") + "?a=1")
+    assert "Authorization: Basic ZXZlOnBAc3M=" in request
+    assert "GET /stream?a=1 " in request
+    assert "Host: 127.0.0.1:" in request
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        (b"HTTP/1.1 401 Unauthorized\r\n\r\n", "user and password"),
+        (b"HTTP/1.1 404 Not Found\r\n\r\n", "404 Not Found. Check the path"),
+        (b"HTTP/1.1 302 Found\r\nLocation: http://x/y\r\n\r\n", "http://x/y"),
+        (b"SSH-2.0-OpenSSH\r\n\r\n", "does not speak HTTP"),
+    ],
+)
+def test_other_answers_say_what_to_do(answer, says):
+    with MjpegServer([], answer) as server, pytest.raises(SensorError, match=says):
+        HttpBody(server.url, 2.0)
+
+
+def test_a_closed_port_and_a_wrong_address_say_so():
+    with MjpegServer([]) as server:
+        url = server.url
+    with pytest.raises(SensorError, match=r"Nothing answers at 127\.0\.0\.1"):
+        HttpBody(url, 2.0)
+    for wrong in ("http:///x", "http://host:port/"):
+        with pytest.raises(SensorError, match="Expected an address"):
+            HttpBody(wrong, 2.0)
+
+
+def test_a_connection_to_itself_is_no_server(monkeypatch):
+    """Of many attempts at a port that nobody has, one may get that port as its own end."""
+    with socket.socket() as own:
+        own.bind(("127.0.0.1", 0))
+        own.connect(own.getsockname())
+        url = f"http://127.0.0.1:{own.getsockname()[1]}/"
+        monkeypatch.setattr(socket, "create_connection", lambda *_: own)
+        with pytest.raises(SensorError, match="nobody listens"):
+            HttpBody(url, 2.0)
+
+
+def test_silence_is_a_lost_source():
+    with MjpegServer([b"one"]) as server:
+        body = HttpBody(server.url, 2.0)
+        assert body.read(2.0) == b"one"
+        started = time.monotonic()
+        with pytest.raises(SourceLostError, match=r"nothing for 0\.05 s"):
+            body.read(0.05)
+        assert time.monotonic() - started < 2
+        body.close()
+
+
+BODIES = [b"\xff\xd8one\xff\xd9", b"\xff\xd8" + bytes(3000) + b"\xff\xd9", b"\xff\xd8--fra\r\n\xff\xd9"]
+
+
+@pytest.mark.parametrize("with_length", [True, False])
+@pytest.mark.parametrize("size", [1, 7, 1000, 10**6])
+def test_parts_come_out_whole_however_they_arrive(with_length, size):
+    stream = b"".join(part(body, with_length) for body in BODIES) + b"--frame\r\n"
+    splitter = PartSplitter("frame")
+    found = [one for at in range(0, len(stream), size) for one in splitter.feed(stream[at : at + size])]
+    assert found == BODIES
+
+
+def test_servers_disagree_about_the_dashes():
+    stream = part(BODIES[0], False, "--frame") + part(BODIES[1], False, "--frame") + b"----frame\r\n"
+    for boundary in ("--frame", "frame", '"--frame"', "----frame"):
+        assert PartSplitter(boundary).feed(stream) == BODIES[:2]
+
+
+def test_a_part_longer_than_it_says_is_given_torn_and_the_next_one_whole():
+    lying = part(BODIES[1]).replace(b"Content-Length: 3004", b"Content-Length: 1000")
+    found = PartSplitter("frame").feed(lying + part(BODIES[0]))
+    assert [len(one) for one in found] == [1000, len(BODIES[0])]
+    assert found[1] == BODIES[0]
+
+
+def test_bytes_without_a_boundary_are_refused():
+    with pytest.raises(ValueError, match="64 MB"):
+        PartSplitter("frame").feed(bytes(MAX_PART_BYTES + 1))
