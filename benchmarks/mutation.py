@@ -42,18 +42,17 @@ RELATED = {  # files of tests that hold what a module does beside its own
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),
     "native/gradients/slopes.c": ("tests/test_depth.py",),
-    "native/checks/finite.c": ("tests/checks/test_arrays.py",),
+    "native/checks/finite.c": ("tests/test_checks.py",),
 }
 ROOMS = (
     "background",
     "confidence",
-    "confidence/causes",
     "depth_sigma",
     "color_models",
     "color_models/_shared",
 )
-ROOMS += ("depth", "calibration/selection", "calibration/circles", "contact", "contacts", "markers")
-FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "contact", "markers")
+ROOMS += ("calibration/selection", "calibration/circles", "contact", "markers")
+FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth")
 
 
 def modules() -> list[str]:

@@ -30,13 +30,10 @@ from gelform.confidence import (
     explanation_of,
     with_model_sigma,
 )
-from gelform.confidence.raised import as_levels, either, outside_of_gel
+from gelform.confidence.causes import as_levels, either, outside_of_gel
 from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
-from gelform.depth_sigma.difference import DepthDifference
-from gelform.depth_sigma.inputs import checked_sigma
-from gelform.depth_sigma.sigma import DepthSigma
-from gelform.depth_sigma.total import add_in_proportion
+from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
 from gelform.frames import Frame, check_viewed_image
 from gelform.gradients import slopes_of_solution

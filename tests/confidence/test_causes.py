@@ -3,10 +3,27 @@
 import re
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
+from gelform.background.change import ChangeSettings, gain_from_background
+from gelform.ball import ball_gradients
 from gelform.cli.commands.inspection.explain import explain
-from gelform.confidence.causes import CAUSES
+from gelform.confidence import causes
+from gelform.confidence.causes import (
+    BEND,
+    BEND_FROM,
+    CAUSES,
+    LEAST_CONFIDENCE,
+    OUTLIER,
+    UNKNOWN,
+    UNSEEN,
+    AllAlike,
+    PreparedCauses,
+    outside_of_gel,
+)
+from kernel_agreement import assert_kernel_agrees
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "confidence.md"
 
@@ -30,3 +47,408 @@ def test_page_and_command_list_them_all_in_their_order():
     assert rows == list(CAUSES)
     listed = re.search(r"each named cause: (.*?)\. With", " ".join(explain.__doc__.split()))[1].split(", ")
     assert sorted(listed) == sorted(CAUSES)
+
+
+SHAPE, CLEAN, LAW = (40, 72), 0.04, 0.03
+CHANGE = ChangeSettings(blur_px=1.25)  # compared with slopes 2 px away
+GREY = np.full((*SHAPE, 3), 100, np.uint8)
+NO_SLOPE = np.zeros((*SHAPE, 2), np.float32)
+UNSEEN_SIGMA = UNSEEN * CLEAN
+
+
+def patch(box=np.s_[10:20, 30:44]):
+    """A mask (H, W), True in the box."""
+    mask = np.zeros(SHAPE, dtype=bool)
+    mask[box] = True
+    return mask
+
+
+def causes_of(rest=GREY, **changes):
+    usual = {"clean": CLEAN, "levels": (1.5, 1.5, 1.5), "slope_per_change": 1.5}
+    return PreparedCauses(rest.astype(np.float32), CHANGE, **{**usual, **changes})
+
+
+def raised_by(causes, gradients=NO_SLOPE, unseen=None, image=GREY, step=None):
+    """Sigma, confidence and maps of a frame whose law says LAW everywhere."""
+    sigma, maps = np.full(SHAPE, LAW, np.float32), {}
+    confidence = causes(gradients, sigma, unseen, image, step, maps)
+    return sigma, confidence, maps
+
+
+def step_of(residual, variance=4e-4):
+    """Of a frame: both alike everywhere, or maps."""
+    return tuple(np.broadcast_to(np.float32(one), SHAPE).copy() for one in (residual, variance))
+
+
+def test_where_nothing_is_seen_the_weight_is_below_every_solver_s_floor():
+    sigma, confidence, _ = raised_by(causes_of(), unseen=patch())
+    np.testing.assert_allclose(sigma[patch()], np.hypot(LAW, UNSEEN_SIGMA), rtol=1e-6)
+    assert 0 < confidence[patch()].max() < 1e-5
+    np.testing.assert_array_equal(sigma[~patch()], np.float32(LAW))
+    assert (confidence[~patch()] == 1).all()
+
+
+def test_one_rule_whatever_the_cause():
+    rng = np.random.default_rng(1)
+    slopes = rng.uniform(-0.06, 0.06, (*SHAPE, 2)).astype(np.float32)
+    image = np.clip(GREY + rng.normal(0, 5, GREY.shape), 0, 255).astype(np.uint8)
+    residual = rng.exponential(6, SHAPE).astype(np.float32)
+    step = step_of(residual, rng.uniform(1e-4, 1e-3, SHAPE))
+    sigma, confidence, maps = raised_by(causes_of(), slopes, patch(), image, step)
+    added = sum(np.square(maps[name].astype(float)) for name in ("wall", "outlier", "compression"))
+    wanted = np.sqrt(LAW**2 + added + patch() * UNSEEN_SIGMA**2)
+    np.testing.assert_allclose(sigma, wanted, rtol=1e-5)
+    floor = np.where(sigma < UNSEEN_SIGMA, LEAST_CONFIDENCE, 0)
+    np.testing.assert_allclose(confidence, np.clip((CLEAN / sigma) ** 2, floor, 1), rtol=1e-5)
+    assert all(maps[name].any() for name in maps)
+
+
+def test_asking_why_changes_nothing():
+    slopes = np.random.default_rng(1).uniform(-0.5, 0.5, (*SHAPE, 2)).astype(np.float32)
+    sigma = np.full(SHAPE, LAW, np.float32)
+    confidence = causes_of()(slopes, sigma, patch(), GREY, step_of(12.0))
+    asked, same, _ = raised_by(causes_of(), slopes, patch(), step=step_of(12.0))
+    np.testing.assert_array_equal(sigma, asked)
+    np.testing.assert_array_equal(confidence, same)
+
+
+def test_a_residual_is_doubted_from_half_of_an_outlier_s():
+    residual = np.linspace(0, 4 * OUTLIER, SHAPE[1])
+    sigma, confidence, maps = raised_by(causes_of(), step=step_of(residual))
+    wanted = UNKNOWN * np.maximum(2 * residual / OUTLIER - 1, 0)
+    np.testing.assert_allclose(maps["outlier"][5], wanted, atol=1e-5)
+    np.testing.assert_allclose(sigma[5], np.hypot(LAW, wanted), rtol=1e-5)
+    assert (sigma[:, residual <= OUTLIER / 2] == np.float32(LAW)).all()
+    assert (confidence[:, residual >= OUTLIER] == np.float32(LEAST_CONFIDENCE)).all()
+
+
+@pytest.mark.parametrize("times", [3, 30, 1e6, 1e12])
+def test_outliers_are_never_filled_from_around(times):
+    """A frame full of them would fall to pieces: solvers take a weight of 0.002, and none of 1e-6."""
+    sigma, confidence, maps = raised_by(causes_of(), step=step_of(times * OUTLIER))
+    most = min(UNKNOWN * (2 * times - 1), UNSEEN_SIGMA / 2)
+    np.testing.assert_allclose(maps["outlier"], most, rtol=1e-5)
+    np.testing.assert_allclose(sigma, np.hypot(LAW, most), rtol=1e-5)
+    assert (confidence == np.float32(LEAST_CONFIDENCE)).all()
+
+
+def test_an_outlier_reaches_no_further_than_its_own_pixel():
+    """The color change's blur has taken its residual there already."""
+    residual = np.where(patch(), 3 * OUTLIER, 0)
+    sigma, _, _ = raised_by(causes_of(), step=step_of(residual))
+    np.testing.assert_array_equal(sigma > LAW + 1e-6, patch())
+
+
+def test_without_a_step_there_is_no_outlier():
+    _, confidence, maps = raised_by(causes_of())
+    assert not maps["outlier"].any()
+    assert (confidence == 1).all()
+
+
+def test_pixels_that_say_nothing_anyway_are_no_outliers():
+    corner = patch(np.s_[:12, :9])
+    rest = np.where(corner[..., None], np.uint8(5), GREY)
+    _, _, maps = raised_by(causes_of(rest), unseen=patch(), image=rest, step=step_of(3 * OUTLIER))
+    np.testing.assert_array_equal(maps["outlier"] > 0, ~(patch() | corner))
+
+
+def wall(height=0.8):
+    slopes = NO_SLOPE.copy()
+    slopes[:, 30:32, 0] = height
+    return slopes
+
+
+def test_a_wall_two_pixels_wide():
+    _, _, maps = raised_by(causes_of(), wall())
+    one_side = BEND * (0.8 / np.sqrt(2) - BEND_FROM)
+    both = BEND * (0.8 - BEND_FROM)
+    found = maps["wall"]
+    np.testing.assert_allclose(
+        found[5, 27:35], [0, *[one_side] * 2, *[both] * 2, *[one_side] * 2, 0], rtol=1e-5
+    )
+    assert not found[:, :28].any()
+    assert not found[:, 34:].any()
+
+
+@pytest.mark.parametrize("radius_px", [40.0, 60.0])
+def test_a_ball_is_no_wall_up_to_its_rim(radius_px):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    slopes = ball_gradients(x, y, (36.0, 20.0), radius_px).astype(np.float32)
+    _, _, maps = raised_by(causes_of(), slopes)
+    assert not maps["wall"][np.hypot(x - 36, y - 20) < 0.4 * radius_px].any()
+
+
+def test_nothing_is_a_wall_where_the_blur_is_unknown():
+    slopes = np.random.default_rng(0).normal(0, 1, (*SHAPE, 2)).astype(np.float32)
+    sigma, _, maps = raised_by(causes_of(walls=False), slopes)
+    assert not maps["wall"].any()
+    assert (sigma == np.float32(LAW)).all()
+
+
+def test_a_wall_s_bend_takes_a_residual_for_its_own():
+    """A residual's unit grows by the wall's variance: an edge over which the colour is blurred is no shadow."""
+    variance, residual = 0.02, 10 * OUTLIER
+    _, _, maps = raised_by(causes_of(), wall(0.3), step=step_of(residual, variance))
+    at_wall, beside = maps["wall"][5, 30], maps["outlier"][5, 10]
+    share = residual / OUTLIER * variance / (variance + at_wall**2)
+    assert 0.5 < share < 0.2 * residual / OUTLIER
+    np.testing.assert_allclose(maps["outlier"][5, 30], UNKNOWN * (2 * share - 1), rtol=1e-4)
+    np.testing.assert_allclose(beside, UNKNOWN * (2 * residual / OUTLIER - 1), rtol=1e-4)
+    _, _, usual = raised_by(causes_of(), wall(0.3), step=step_of(2 * OUTLIER, variance))
+    assert not usual["outlier"][:, 30:32].any()
+    assert usual["outlier"][:, :28].min() > UNKNOWN
+
+
+def test_noise_becomes_slope_by_gain_and_worth():
+    """Noise of 6 levels where 1.5 times 1.5 are usual, by the color change of a level and the slope of a change."""
+    rest = np.full((*SHAPE, 3), 100, np.uint8)
+    rest[:, 36:] = 50
+    noise = np.random.default_rng(0).normal(0, 6, rest.shape)
+    _, _, maps = raised_by(causes_of(rest), image=np.clip(rest + noise, 0, 255))
+    gain = gain_from_background(rest.astype(np.float32), CHANGE).mean(axis=-1)
+    wanted = 1.5 * np.sqrt(36 - 2.25**2) * gain
+    np.testing.assert_allclose(maps["compression"], wanted, rtol=0.1)
+    assert maps["compression"][0, 60] > 1.5 * maps["compression"][0, 10]
+    unknown = raised_by(causes_of(rest, levels=None), image=np.clip(rest + noise, 0, 255))[2]
+    assert not unknown["compression"].any(), "of a calibration that does not know its images' noise"
+
+
+def test_an_unlit_corner_and_not_a_speck():
+    background = np.full((*SHAPE, 3), 60, np.float32)
+    corner = patch(np.s_[:12, :9])
+    background[corner] = 5
+    background[30:33, 30:33] = 2
+    assert np.array_equal(outside_of_gel(background), corner)
+    sigma, _, _ = raised_by(causes_of(background), image=background)
+    np.testing.assert_array_equal(sigma > 1, corner)
+    both, _, _ = raised_by(causes_of(background), unseen=patch(), image=background)
+    np.testing.assert_array_equal(both > 1, corner | patch())
+
+
+def test_one_lit_channel_is_light():
+    background = np.zeros((*SHAPE, 3), np.float32)
+    background[..., 2] = 30
+    assert outside_of_gel(background) is None
+
+
+def test_unlit_is_up_to_8_levels_over_25_pixels():
+    background = np.full((*SHAPE, 3), 9, np.float32)
+    background[5:10, 5:10] = 8
+    assert np.array_equal(outside_of_gel(background), patch(np.s_[5:10, 5:10]))
+    background[5, 5] = 9
+    assert outside_of_gel(background) is None
+
+
+def explained(causes=None, image=GREY, step=None, **frame):
+    """What each cause adds to a frame."""
+    causes = causes or causes_of()
+    maps = raised_by(causes, image=image, step=step)[2]
+    usual = {
+        "clipped": None,
+        "markers": None,
+        "lost": None,
+        "color_change": np.zeros((*SHAPE, 3), np.float32),
+    }
+    return causes.maps_of(maps, np.full(SHAPE, LAW, np.float32), image, **{**usual, **frame})
+
+
+def there(maps):
+    return {name for name, one in maps.items() if one.any()}
+
+
+def test_every_cause_has_its_map_in_the_order_that_pictures_colour_them():
+    assert list(explained()) == list(CAUSES)
+    assert there(explained()) == set()
+
+
+@pytest.mark.parametrize(
+    ("colour", "kind"),
+    [
+        ((-0.4, -0.3, -0.35), "shadow"),
+        ((-0.5, 0.0, 0.0), "shadow"),  # of one light
+        ((0.9, 0.7, 0.8), "specular"),
+        ((0.8, -0.6, -0.5), "off_gamut"),
+        ((0.4, -0.4, 0.1), "off_gamut"),
+    ],
+)
+def test_what_the_color_change_has_in_common_names_an_outlier(colour, kind):
+    step, color_change = step_of(np.where(patch(), 3 * OUTLIER, 0)), np.zeros((*SHAPE, 3), np.float32)
+    color_change[...] = colour
+    found = explained(step=step, color_change=color_change)
+    assert there(found) == {kind}
+    np.testing.assert_allclose(found[kind], np.where(patch(), 5 * UNKNOWN, 0), rtol=1e-5)
+
+
+def test_what_markers_hide_and_what_is_not_lit():
+    rest = np.where(patch(np.s_[:12, :9])[..., None], np.uint8(5), GREY)
+    found = explained(causes_of(rest), image=rest, markers=patch())
+    assert there(found) == {"marker", "outside"}
+    np.testing.assert_array_equal(found["marker"], np.where(patch(), np.float32(UNSEEN_SIGMA), 0))
+    np.testing.assert_array_equal(found["outside"] > 0, patch(np.s_[:12, :9]))
+
+
+@pytest.mark.parametrize(
+    ("level", "name"), [(254, "saturated"), (255, "saturated"), (0, "dark"), (2, "dark")]
+)
+def test_a_channel_that_is_left_out_costs_what_the_others_do_not_say(level, name):
+    image, clipped = GREY.copy(), np.zeros((*SHAPE, 3), np.uint8)
+    image[patch(), 1], clipped[patch(), 1] = level, 1
+    clipped[patch(np.s_[10:20, 30:34])] = 1
+    found = explained(image=image, clipped=clipped)
+    assert there(found) - {"compression"} == {name}
+    np.testing.assert_allclose(found[name][10:20, 30:34], UNSEEN_SIGMA)
+    np.testing.assert_allclose(found[name][10:20, 34:44], LAW)
+    assert not found[name][~patch()].any()
+
+
+def test_a_pixel_is_saturated_or_dark_not_both():
+    image, clipped = GREY.copy(), np.zeros((*SHAPE, 3), np.uint8)
+    image[20, 30], image[20, 60] = (0, 100, 255), (0, 0, 0)
+    clipped[18:23, 28:33], clipped[18:23, 58:63] = 1, 1
+    found = explained(image=image, clipped=clipped)
+    np.testing.assert_array_equal(found["saturated"] > 0, patch(np.s_[18:23, 28:33]))
+    np.testing.assert_array_equal(found["dark"] > 0, patch(np.s_[18:23, 58:63]))
+
+
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [(255, "saturated"), (240, "saturated"), (239, "inconsistent"), (128, "inconsistent"), (17, "inconsistent"),
+     (16, "dark"), (0, "dark")],
+)  # fmt: skip
+def test_a_lost_part_is_named_by_how_bright_it_was(level, name):
+    came = GREY.copy()
+    came[:, 30:] = level
+    lost = patch(np.s_[:, 48:])
+    found = explained(causes_of(levels=None), image=came, lost=lost)
+    assert there(found) == {name}
+    np.testing.assert_array_equal(found[name], np.where(lost, np.float32(UNSEEN_SIGMA), 0))
+
+
+def test_where_nothing_is_stated_each_slope_counts_alike():
+    sigma = np.full(SHAPE, LAW, np.float32)
+    confidence = AllAlike()(NO_SLOPE, sigma, patch(), GREY, None, None)
+    assert confidence.shape == SHAPE
+    assert (confidence == 1).all()
+    assert (sigma == np.float32(LAW)).all()
+
+
+def numpy_raise_sigma(
+    gradients, residual, of_step, unseen_at, gain, sigma, confidence, walls, outliers, outlier, unseen, clean, added,
+    per_bend, bend_from, unknown, least, reach,
+):  # fmt: skip
+    """What the kernel should give, in float64."""
+    height, width = sigma.shape
+    square = np.zeros((height, width))
+    for a, b in np.ndindex(height, width):
+        for y, x in ((a - reach, b), (a + reach, b), (a, b - reach), (a, b + reach)):
+            if 0 <= y < height and 0 <= x < width:
+                square[a, b] += ((gradients[y, x].astype(float) - gradients[a, b]) ** 2).sum() / 2
+    bend = (per_bend * np.maximum(np.sqrt(square) - bend_from, 0)) ** 2
+    doubt = np.zeros((height, width))
+    if residual is not None:
+        share = residual.astype(float) * of_step / (of_step + bend) / outlier
+        doubt = np.minimum(unknown * np.maximum(2 * share - 1, 0), unseen / 2) ** 2
+    nothing = np.zeros((height, width), bool) if unseen_at is None else unseen_at
+    doubt[nothing] = 0
+    total = sigma.astype(float) ** 2 + bend + doubt + (added * gain) ** 2 + nothing * unseen**2
+    floor = np.where(total < unseen**2, least, 0)
+    written = np.sqrt(total), np.clip(clean**2 / total, floor, 1)
+    return written if walls is None else (*written, np.sqrt(bend), np.sqrt(doubt))
+
+
+@pytest.mark.parametrize("optional", [True, False])
+@pytest.mark.parametrize("reach", [1, 4])
+@pytest.mark.parametrize("shape", [SHAPE, (9, 33), (1, 1), (1, 5), (3, 1), (2, 64), (4, 65), (6, 129)])
+def test_the_kernel_agrees_with_numpy(optional, reach, shape):
+    rng = np.random.default_rng(0)
+
+    def uniform(low, high):
+        return rng.uniform(low, high, shape).astype(np.float32)
+
+    arguments = [
+        rng.normal(0, 0.3, (*shape, 2)).astype(np.float32),
+        *((uniform(0, 300), uniform(1e-3, 0.3)) if optional else (None, None)),
+        rng.uniform(size=shape) > 0.8 if optional else None,
+        uniform(0.005, 0.02), uniform(0.01, 0.1), np.empty(shape, np.float32),
+    ]  # fmt: skip
+    numbers = 9.0, 40.0, 0.04, 3.0, 1.75, 0.1, 1.0, 0.002, reach
+    maps = [np.empty(shape, np.float32) for _ in range(2)]
+    assert_kernel_agrees(causes._raise_sigma, numpy_raise_sigma, *arguments, *maps, *numbers)
+
+
+def test_the_kernel_writes_no_maps_that_are_not_asked_for(usable_isa):
+    rng = np.random.default_rng(0)
+    slopes, gain = rng.normal(0, 0.3, (7, 65, 2)).astype(np.float32), np.full((7, 65), 0.01, np.float32)
+    runs = []
+    for maps in ((None, None), (np.empty((7, 65), np.float32), np.empty((7, 65), np.float32))):
+        sigma, confidence = np.full((7, 65), 0.03, np.float32), np.empty((7, 65), np.float32)
+        causes._raise_sigma.on(usable_isa)(
+            slopes, None, None, None, gain, sigma, confidence, *maps, 9.0, 40.0, 0.04, 0.0, 1.75, 0.1, 1.0, 0.002, 2
+        )  # fmt: skip
+        runs.append((sigma, confidence))
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+def noisy(levels, seed=0):
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:120, :170]
+    scene = 110 + 40 * np.sin(x / 30)[..., None] + 30 * np.cos(y / 25)[..., None] * np.array([1, 0.5, -1])
+    rest = np.clip(scene, 0, 255).astype(np.uint8)
+    image = np.clip(scene + rng.normal(0, levels, scene.shape), 0, 255).astype(np.uint8)
+    return image, rest
+
+
+@pytest.mark.parametrize("levels", [3.0, 6.0])
+def test_the_noise_of_single_pixels_beyond_the_usual(levels):
+    found = causes.added_levels(*noisy(levels), usual_levels=1.0)
+    assert found == pytest.approx(np.sqrt(levels**2 - 1.5**2), rel=0.1)
+
+
+def test_the_usual_noise_adds_nothing():
+    assert causes.added_levels(*noisy(1.5), usual_levels=1.5) == 0
+    assert causes.added_levels(*noisy(9.0), usual_levels=np.inf) == 0
+
+
+@pytest.mark.parametrize("cut", [0, 3, 6])
+def test_blocks_of_a_jpeg_wherever_it_is_cut(cut):
+    image, rest = noisy(3.0)
+    _, bad = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 10])
+    _, good = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    levels = [
+        causes.added_levels(
+            np.ascontiguousarray(cv2.imdecode(one, cv2.IMREAD_COLOR)[:, cut:]),
+            np.ascontiguousarray(rest[:, cut:]),
+            3.0,
+        )
+        for one in (bad, good)
+    ]
+    assert levels[0] > 1
+    assert levels[1] == 0
+
+
+def test_blocks_that_are_rounded_apart_add_their_deviation():
+    """Each block of 8 pixels is off by 2 levels RMS; the noise in it is the usual 1.5."""
+    _, rest = noisy(0.0)
+    rng = np.random.default_rng(3)
+    off = np.kron(rng.normal(0, 2, (15, 22, 3)), np.ones((8, 8, 1)))[:120, :170]
+    image = np.clip(np.rint(rest + off + rng.normal(0, 1.5, rest.shape)), 0, 255).astype(np.uint8)
+    assert causes.added_levels(image, rest, 1.5) == pytest.approx(2.0, rel=0.25)
+
+
+def test_images_too_narrow_for_blocks():
+    image, rest = noisy(9.0)
+    assert causes.added_levels(image[:, :20].copy(), rest[:, :20].copy(), 1.0) == 0
+
+
+@pytest.mark.parametrize("width", [9, 21, 50])
+def test_jumps_agree_with_numpy(width):
+    rng = np.random.default_rng(1)
+    image, rest = rng.integers(0, 256, (2, 9, width, 3), dtype=np.uint8)
+
+    def by_numpy(image, rest, work, medians, step):
+        apart = image[::step].astype(int) - rest[::step]
+        jumps = np.abs(np.diff(apart, axis=1)).mean(axis=(0, 2))
+        return np.median(jumps[: (width - 1) // 8 * 8].reshape(-1, 8), axis=0)
+
+    work, medians = np.empty(4 * width, np.int32), np.empty(8, np.float32)
+    assert_kernel_agrees(causes._column_jumps, by_numpy, image, rest, work, medians, 4)

@@ -10,7 +10,17 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelform.depth import depth_from_gradients
-from gelform.depth_sigma.sigma import DepthSigma, depth_sigma_from_gradients_sigma
+from gelform.depth_sigma import sigma as sigma_module
+from gelform.depth_sigma.sigma import (
+    DepthDifference,
+    DepthSigma,
+    checked_rest,
+    checked_share,
+    checked_sigma,
+    depth_sigma_from_gradients_sigma,
+)
+from gelform.errors import ConvergenceError
+from kernel_agreement import assert_kernel_agrees
 from scenes import gaussian, scene, with_outliers
 
 SHAPE = (72, 96)
@@ -272,3 +282,70 @@ def test_a_region_of_no_pixel_or_another_shape_is_refused():
         prepared(np.full(SHAPE, 0.05), against=np.zeros(SHAPE, dtype=bool))
     with pytest.raises(ValueError, match="of shape"):
         prepared(np.full(SHAPE, 0.05), against=np.ones((3, 4), dtype=bool))
+
+
+SMALL = (4, 6)
+
+
+def test_rest_is_a_mask_of_the_frame():
+    assert checked_rest(None, SMALL) is None
+    with pytest.raises(ValueError, match=r"Expected rest as bool of shape \(4, 6\), got float64"):
+        checked_rest(np.ones(SMALL), SMALL)
+    with pytest.raises(ValueError, match=r"of \(4, 5\)"):
+        checked_rest(np.ones((4, 5), bool), SMALL)
+
+
+def test_one_map_for_both_slopes_stays_one():
+    one = np.random.default_rng(0).uniform(0.1, 1, SMALL).astype(np.float32)
+    assert checked_sigma(one, SMALL).shape == (*SMALL, 1)
+    assert np.array_equal(checked_sigma(np.broadcast_to(one[..., None], (*SMALL, 2)))[..., 0], one)
+    assert checked_sigma(np.stack([one, one], axis=-1)).shape == (*SMALL, 2)
+
+
+def test_without_a_length_nothing_is_correlated():
+    assert checked_share(0.0, 0.5) == 0
+    assert checked_share(3.0, 0.5) == 0.5
+
+
+@pytest.mark.parametrize("size", [1, 255, 700])
+def test_squares_add_up_within_the_most(size):
+    rng = np.random.default_rng(0)
+    sigma, depth = rng.random(size).astype(np.float32), rng.normal(0, 2, size).astype(np.float32)
+    expected = np.minimum(np.hypot(sigma, 0.3 * depth), 0.8)
+    assert_kernel_agrees(sigma_module._add_in_proportion, lambda *_: expected, sigma, depth, 0.3, 0.8)
+    assert sigma_module.add_in_proportion(sigma, depth, 0.3, 0.8) is sigma
+
+
+@pytest.mark.parametrize(("bad", "share"), [(np.nan, 0.1), (np.inf, 0.1), (3e38, 0.1), (0.1, 1e30)])
+def test_what_float32_does_not_hold_is_named(bad, share):
+    sigma = np.full((2, 300), 0.1, np.float32)
+    sigma[1, 120] = bad
+    with pytest.raises(ConvergenceError, match="Expected a finite standard deviation of depth"):
+        sigma_module.add_in_proportion(sigma, np.ones_like(sigma), share, 1.0)
+
+
+MIDDLE = (40, 56)
+
+
+@pytest.fixture(scope="module")
+def parts():
+    prepared = DepthSigma(MIDDLE, mm_per_px=0.1)
+    return prepared, np.full((*MIDDLE, 2), 0.05, dtype=np.float32), {"zero": "mean"}
+
+
+def test_a_common_gain_moves_only_what_is_apart(parts):
+    """Depth of 2 mm on the left and 3 mm on the right: 10 % of all slopes together are 0.05 mm about the mean of 2.5."""
+    depth = np.full(MIDDLE, 2.0, dtype=np.float32)
+    depth[:, 28:] = 3.0
+    region = np.ones(MIDDLE, dtype=bool)
+    without, with_gain = (DepthDifference(*parts, depth, gain)(region) for gain in (0.0, 0.1))
+    np.testing.assert_allclose(with_gain, np.hypot(without, 0.05), rtol=1e-5)
+
+
+def test_it_is_that_of_the_prepared_sigma_against_the_region(parts):
+    region = np.zeros(MIDDLE, dtype=bool)
+    region[10:20, 10:30] = True
+    depth = np.zeros(MIDDLE, dtype=np.float32)
+    found = DepthDifference(*parts, depth, 0.3)(region)
+    np.testing.assert_array_equal(found, parts[0](parts[1], zero="mean", against=region))
+    assert found[region].mean() < 0.8 * found[30:, 45:].mean()  # known best where it is measured against

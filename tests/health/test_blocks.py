@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gelform.health import blocks
+from gelform.health.blocks import Levels, Torn, torn_finding
 from kernel_agreement import assert_kernel_agrees
-from made.worn_frames import blocks_of
+from made.worn_frames import blocks_of, constant, gel, pressed, with_part
 
 PRIME = np.uint64(0x9E3779B97F4A7C15)
 
@@ -95,3 +96,68 @@ def test_an_image_smaller_than_a_block_has_none():
     found = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
     assert found.means.shape == (0, 0, 3)
     assert not found.pixels(np.zeros((0, 0), dtype=bool), 7).any()
+
+
+def test_a_rest_image_that_is_dark_itself_says_nothing_of_darkness():
+    dim = np.minimum(gel(), 12)
+    assert Levels(blocks_of(dim))(blocks_of(constant(0))) == ((), None)
+
+
+def test_a_rest_image_that_is_saturated_itself_says_nothing_of_saturation():
+    assert Levels(blocks_of(constant(250)))(blocks_of(constant(255))) == ((), None)
+
+
+@pytest.mark.parametrize(("level", "found"), [(7, ["dark"]), (9, []), (251, []), (253, ["saturated"])])
+def test_the_levels_that_count(level, found):
+    findings, blocks = Levels(blocks_of(gel()))(blocks_of(constant(level)))
+    assert [finding.name for finding in findings] == found
+    assert (blocks is not None) == bool(found)
+
+
+def test_what_is_counted_elsewhere_is_left_out():
+    levels = Levels(blocks_of(gel()))
+    black = blocks_of(constant(0))
+    torn = np.ones(black.means.shape[:2], dtype=bool)
+    torn[:3] = False
+    findings, blocks = levels(black, torn)
+    assert findings[0].figure == pytest.approx(0.5)
+    assert not blocks[3:].any()
+
+
+def torn_of(background):
+    return Torn(background.astype(np.float32), blocks_of(background))
+
+
+def test_flat_blocks_with_the_rest_images_colour_are_sound():
+    rest = gel()
+    flat = with_part(
+        rest, (slice(0, 48), slice(0, 48)), rest[:48, :48].mean(axis=(0, 1)).round().astype(np.uint8)
+    )
+    found = torn_of(rest).flat(blocks_of(flat))
+    whole = torn_of(rest).flat(blocks_of(with_part(rest, (slice(0, 48), slice(0, 48)), 20)))
+    assert found is None or np.count_nonzero(found) < 9
+    assert np.count_nonzero(whole) == 9
+
+
+def test_flat_blocks_of_many_colours_are_a_picture():
+    frame = gel()
+    rng = np.random.default_rng(3)
+    for row in range(0, 96, 16):
+        for column in range(0, 128, 16):
+            frame[row : row + 16, column : column + 16] = rng.integers(0, 256, 3)
+    found = torn_of(gel()).flat(blocks_of(frame))
+    assert found is None or found.mean() < 0.1
+
+
+def test_neighbouring_rows_that_are_alike_are_what_video_does():
+    frame = pressed()
+    frame[1::2] = frame[::2]
+    assert torn_of(gel()).repeated_rows(blocks_of(frame), frame) is None
+
+
+def test_the_finding_says_how_much():
+    lost = np.zeros((10, 10), dtype=bool)
+    lost[:4] = True
+    finding = torn_finding(lost)
+    assert (finding.name, finding.figure) == ("torn", 0.4)
+    assert "40 % of the frame is torn" in finding.message

@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.markers.finder import MarkerFinder, _level, evenness, is_grid, markers_from_image
+from gelform.markers.finder import (
+    CandidateFinder,
+    MarkerFinder,
+    _level,
+    evenness,
+    is_grid,
+    markers_from_image,
+)
+from gelform.markers.patches import logs_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
+from made.dots import RADIUS, grid, image_of_dots
 
 
 def marked(name="gelsight-mini", pitch_mm=2.0, radius_mm=0.3):
@@ -212,3 +221,21 @@ def test_dots_are_small_and_compact_whichever_way_the_image_lies(size, found):
 def test_the_level_is_the_mean_of_the_channels():
     assert (_level(np.full((4, 5, 3), [10, 20, 60], dtype=np.uint8)) == 30).all()
     assert (_level(np.full((4, 5, 3), [10.0, 20.0, 60.4])) == 30).all()
+
+
+REST = grid()
+
+
+def test_candidates_stand_on_the_dots():
+    finder = CandidateFinder(logs_from_image(image_of_dots(REST, noise=1.0)), REST, RADIUS)
+    places = np.add(REST, [3.0, 5.0])
+    found = finder(logs_from_image(image_of_dots(places, noise=1.0, seed=1, light=0.5)))
+    apart = np.linalg.norm(found[:, None] - places, axis=-1)
+    inside = np.all((places > 4) & (places < [123, 91]), axis=1)
+    assert apart.min(axis=0)[inside].max() < 1.5
+    assert apart.min(axis=1).max() < 1.5
+
+
+def test_no_candidates_without_dots():
+    finder = CandidateFinder(logs_from_image(image_of_dots(REST)), REST, RADIUS)
+    assert finder(logs_from_image(image_of_dots(REST[:0], noise=2.0, light=0.6))).shape == (0, 2)

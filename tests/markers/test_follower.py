@@ -7,6 +7,7 @@ import pytest
 
 import gelform
 from gelform.markers import MarkerFollower
+from gelform.markers.follower import Neighbours
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, Gel, simulate_background, simulate_sequence, slide_poses
 from made.dots import RADIUS, grid, image_of_dots
@@ -142,3 +143,40 @@ def test_real_markers_in_a_frame(data):
     assert rest.seen.all()
     assert np.sqrt(np.mean(rest.displacement_px**2)) < 0.03
     assert pressed.seen.all()
+
+
+HONEYCOMB = grid()
+LINEAR = HONEYCOMB @ np.array([[0.02, -0.01], [0.03, 0.01]]) + [4.0, -3.0]
+ALL = np.ones(len(HONEYCOMB), dtype=bool)
+
+
+def test_spacing():
+    assert Neighbours(HONEYCOMB).spacing_px == 16
+
+
+def test_linear_motion_is_predicted():
+    sure = ALL.copy()
+    sure[[10, 11, 25]] = False
+    predicted = Neighbours(HONEYCOMB).predicted_px(LINEAR * sure[:, None], sure, ~sure)
+    assert np.abs(predicted - LINEAR[~sure]).max() < 0.15
+
+
+def test_one_sure_dot_predicts_its_own_motion():
+    sure = ~ALL
+    sure[12] = True
+    predicted = Neighbours(HONEYCOMB).predicted_px(LINEAR, sure, ~sure)
+    np.testing.assert_allclose(predicted, np.broadcast_to(LINEAR[12], predicted.shape), atol=1e-9)
+
+
+def test_a_dot_that_moves_otherwise_is_astray():
+    moved = LINEAR.copy()
+    moved[18] += [16, 0]
+    astray = Neighbours(HONEYCOMB).astray_px(moved, ALL)
+    assert astray[18] == pytest.approx(16, abs=0.5)
+    assert np.delete(astray, 18).max() < 1.5
+
+
+def test_no_sure_neighbour_no_opinion():
+    sure = ~ALL
+    sure[0] = True
+    assert Neighbours(HONEYCOMB).astray_px(LINEAR, sure)[0] == 0

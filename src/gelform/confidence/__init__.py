@@ -1,9 +1,9 @@
 """How far each slope of a frame is to be trusted: its standard deviation, what raises it, and the confidence."""
 
+from gelform.confidence.causes import AllAlike, PreparedCauses
 from gelform.confidence.clipped import ClippedChannels
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
-from gelform.confidence.raised import AllAlike, PreparedCauses
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
 from gelform.confidence.solved import SolvedErrors, SolvedSigma, with_solved_factors
 

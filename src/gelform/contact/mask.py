@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.background.change import LANES, blur_taps
+from gelform.background.change import LANES, PreparedBackground, blur_taps
 from gelform.checks import check_map, check_mm_per_px, check_number, check_positive
+from gelform.color_models.seam import PreparedColorModel
 from gelform.contact.contacts import runs_work
+from gelform.medians import medians_where
 
 NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default
 # Standard deviations of a Gaussian, before the surface's bending is taken: the first that leaves no more noise than QUIET.
@@ -229,3 +232,37 @@ def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px:
     maps = found.pressure, found.bed, noise, found.finer, contact, work
     _contact_regions(*maps, NEIGHBOURHOOD_PX, limit, *shares, *least)
     return contact
+
+
+USUAL_LEVELS = 2.0  # grey levels, of a calibration that does not know its images' noise
+SMOOTH_PX = 8.0
+LEAST, MOST = 0.3, 4.0  # times the median: beyond, a color model says more of itself than of noise
+
+
+def noise_by_place(
+    model: PreparedColorModel, untouched: PreparedBackground, levels: Sequence[float] | None
+) -> NDArray[np.float32]:
+    """Standard deviation of the slopes at rest at each place over its median, (H, W), from the image's noise.
+
+    By how much the slopes change when a channel is brighter by its noise: the color model's derivative, by one difference
+    for each channel.
+
+    Parameters
+    ----------
+    model : ready for frames over this background
+    untouched : the background
+    levels : standard deviation of a pixel's red, green, blue, grey levels; None where unknown
+    """
+    rest = model.gradients_from_color(np.zeros_like(untouched.background))[0].copy()
+    variance = np.zeros(rest.shape[:2], dtype=np.float32)
+    for channel, level in enumerate(levels or (USUAL_LEVELS,) * 3):
+        brighter = untouched.background.copy()
+        brighter[..., channel] += np.float32(level)
+        off = model.gradients_from_color(untouched.change(brighter))[0] - rest
+        variance += off[..., 0] ** 2 + off[..., 1] ** 2
+    noise = np.sqrt(cv2.GaussianBlur(variance, (0, 0), SMOOTH_PX, borderType=cv2.BORDER_REPLICATE))
+    # np.median loads numpy.ma, a tenth of a first frame.
+    median = float(medians_where(noise[..., None])[0][0])
+    if median == 0:
+        return np.ones_like(noise)
+    return np.clip(noise / np.float32(median), LEAST, MOST, dtype=np.float32)

@@ -7,13 +7,17 @@ Slope errors have a white part, which integration averages out, and a part that 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform._native import Kernel
 from gelform.checks import (
+    as_array,
+    check_map,
     check_mask,
     check_mm_per_px,
     check_numbers,
@@ -21,6 +25,7 @@ from gelform.checks import (
 )
 from gelform.depth_sigma.blocks import (
     Blocks,
+    ErrorParts,
     block_rows_and_columns,
     less_mean,
     sigma_of_pixels,
@@ -32,19 +37,60 @@ from gelform.depth_sigma.closed_form import (
     variance_of_white,
     variance_within_blocks,
 )
-from gelform.depth_sigma.inputs import (
-    MOST_PX,
-    checked_probes,
-    checked_rest,
-    checked_share,
-    checked_sigma,
-    checked_weights,
-)
-from gelform.depth_sigma.parts import ErrorParts
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
+from gelform.errors import ConvergenceError
 from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR
 from gelform.zero import Level, Zero, fitted_surface, zero_region
+
+MOST_PX, MOST_PROBES = 20_000, 10_000
+
+
+def checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Standard deviations (H, W, 1 or 2)."""
+    sigma = as_array(gradients_sigma, "gradients_sigma")
+    size = sigma.shape[:2]
+    alike = shape is not None and sigma.shape == tuple(shape)
+    if not alike and (sigma.ndim != 3 or sigma.shape[2] != 2 or shape not in (None, size)):
+        wanted = "(H, W, 2)" if shape is None else f"({shape[0]}, {shape[1]}, 2)"
+        raise ValueError(f"Expected gradients_sigma of shape {wanted}, got {sigma.shape}.")
+    if sigma.size == 0:
+        raise ValueError(f"Expected gradients_sigma of some pixels, got none: shape {sigma.shape}.")
+    if sigma.ndim == 3 and sigma.strides[2] == 0:
+        sigma = sigma[..., 0]  # one map, broadcast to both slopes
+    flat = check_map(sigma.reshape(size[0], -1), "gradients_sigma", nonnegative=True)
+    if flat.min() == 0:
+        raise ValueError("Expected gradients_sigma > 0, got 0: no slope is known exactly.")
+    return flat.reshape(*size, -1)
+
+
+def checked_weights(weights: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float32]:
+    array = check_map(weights, "weights", shape=shape, nonnegative=True)
+    if array.ndim != 2:
+        raise ValueError(f"Expected weights of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
+    return array
+
+
+def checked_probes(probes: int) -> int:
+    """Return a number of random draws that tell a deviation."""
+    return int(check_within(probes, "probes", 2, MOST_PROBES))
+
+
+def checked_share(correlation_px: float, correlated_share: float) -> float:
+    check_within(correlation_px, "correlation_px", 0, MOST_PX)
+    check_within(correlated_share, "correlated_share", 0, 1)
+    return correlated_share if correlation_px > 0 else 0.0
+
+
+def checked_rest(rest: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Return pixels (H, W) where nothing touches, which may be none, as bool."""
+    if rest is None:
+        return None
+    array = as_array(rest, "rest")
+    if array.dtype != np.bool_ or array.shape != shape:
+        raise ValueError(f"Expected rest as bool of shape {shape}, got {array.dtype} of {array.shape}.")
+    return np.ascontiguousarray(array)
+
 
 # Probes are solved on blocks (sigma is smooth): about so many of them, of so many pixels across.
 BLOCKS = 2300
@@ -288,3 +334,51 @@ def _against_zero(
         surface = fitted_surface(fields, blocks.region > 0, 1 if level == "plane" else 2)
         depths = np.ascontiguousarray(depths - np.moveaxis(surface, 0, -1))
     return depths if against is None else less_mean(depths, against, blocks.size)
+
+
+_add_in_proportion = Kernel("add_in_proportion", "out f32[...] sigma, f32[...] depth, f32 share, f32 most")
+
+
+def add_in_proportion(
+    sigma: NDArray[np.float32], depth: NDArray[np.float32], share: float, most: float
+) -> NDArray[np.float32]:
+    """A standard deviation of depth (H, W) with an error of a share of the depth beside it, within `most`; in place.
+
+    Raises
+    ------
+    ConvergenceError
+        Beyond what float32 holds.
+    """
+    if _add_in_proportion(sigma, depth, share, most):
+        raise ConvergenceError(
+            "Expected a finite standard deviation of depth, got infinity or NaN. Slopes, their deviation or "
+            "mm_per_px differ by more than float32 holds: check the calibration's scales."
+        )
+    return sigma
+
+
+@dataclass(frozen=True, eq=False)
+class DepthDifference:
+    """How well the depth of a frame is known against its own mean over a region.
+
+    Attributes
+    ----------
+    prepared : DepthSigma
+    gradients_sigma : (H, W, 2), of the slopes as they were read
+    how : weights and anchor, or zero, as the depth was solved with
+    depth_mm : (H, W)
+    gain_sigma : relative standard deviation of all slopes together, which moves differences of depth in proportion
+    """
+
+    prepared: DepthSigma
+    gradients_sigma: NDArray[np.float32]
+    how: dict[str, Any]
+    depth_mm: NDArray[np.float32]
+    gain_sigma: float
+
+    def __call__(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
+        sigma = self.prepared(self.gradients_sigma, **self.how, against=region)
+        apart = self.depth_mm - np.float32(self.depth_mm[region].mean(dtype=np.float64))
+        in_proportion = np.float32(self.gain_sigma) * apart
+        return np.asarray(np.sqrt(np.square(sigma) + np.square(in_proportion)))

@@ -1,6 +1,5 @@
 """What is wrong with a frame itself, in named findings with figures; a degraded frame is never an exception."""
 
-from gelform.health.depth_limit import DepthLimit
-from gelform.health.frame_health import FrameFaults, FrameHealth, check_untouched_image
+from gelform.health.frame_health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 
 __all__ = ["DepthLimit", "FrameFaults", "FrameHealth", "check_untouched_image"]

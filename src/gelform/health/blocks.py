@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.background.check import Finding
 
 BLOCK_PX = 16
 
@@ -71,3 +72,175 @@ def blocks_from_image(image: NDArray[np.uint8], rest: NDArray[np.uint8]) -> Bloc
     )
     _blocks(image, rest, blocks.means, blocks.ranges, blocks.row_digests, blocks.row_jumps)
     return blocks
+
+
+DARK, LIT = 8, 16  # a block's mean grey level; the rest image's, from which on darkness says something
+SATURATED, BELOW = 252, 240
+LEAST_CLIPPED = 0.05  # of the frame; a hard contact saturates or shades less than this on good sensors
+CHANNELS = ("red", "green", "blue")
+
+
+class Levels:
+    """Finds dark and saturated blocks of frames; prepared once for an untouched image.
+
+    A block counts in one channel already: slopes need all three lights.
+
+    Parameters
+    ----------
+    rest : blocks of the untouched image
+
+    Attributes
+    ----------
+    dark_to, saturated_from : (h, w, 3) uint8, means below or from which on a channel of a block counts
+    """
+
+    def __init__(self, rest: Blocks) -> None:
+        # Levels are compared as integers of the blocks' own type: -1 and 256 have no place in it.
+        self.dark_to = np.where(rest.means >= LIT, DARK, 0).astype(np.uint8)
+        self.saturated_from = np.where(rest.means < BELOW, SATURATED, 255).astype(np.uint8)
+        self._may_saturate = rest.means < BELOW
+
+    def __call__(
+        self, blocks: Blocks, torn: NDArray[np.bool_] | None = None
+    ) -> tuple[tuple[Finding, ...], NDArray[np.bool_] | None]:
+        """Findings `dark` and `saturated`, and the blocks (h, w) concerned; None where there are none.
+
+        Parameters
+        ----------
+        blocks : of the frame
+        torn : (h, w) blocks that are counted elsewhere
+        """
+        dark = blocks.means < self.dark_to
+        saturated = blocks.means >= self.saturated_from
+        if not (dark.any() or saturated.any()):
+            return (), None
+        saturated &= self._may_saturate
+        if torn is not None:
+            dark[torn] = saturated[torn] = False
+        findings = [
+            _finding(
+                "dark", dark, f"below {DARK} of 255 grey levels", "Is a light off, or the lens covered?"
+            ),
+            _finding(
+                "saturated", saturated, "at the camera's upper end", "Lower exposure, gain or the lights."
+            ),
+        ]
+        named = tuple(finding for finding in findings if finding is not None)
+        return named, np.any(dark | saturated, axis=-1) if named else None
+
+
+def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Finding | None:
+    """A finding whose figure is the share of the frame, of the channel where that is largest."""
+    shares = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
+    if shares.max() < LEAST_CLIPPED:
+        return None
+    said = ", ".join(
+        f"{channel} {100 * share:.0f} %" for channel, share in zip(CHANNELS, shares) if share > 0
+    )
+    return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(shares.max()))
+
+
+FLAT_RANGE = 2  # grey levels within a block; a camera's noise alone gives more
+ALIKE, UNLIKE = 4, 10  # grey levels: flat blocks among each other; a flat block and the rest image
+LEAST_TORN = 0.03
+JUMP, JUMP_FACTOR = 5.0, 3.0  # grey levels; of the rows' median: a seam against its neighbours
+APART_ROWS = 3  # video that halves the colour's rows makes neighbours equal
+
+
+class Torn:
+    """Finds parts of frames that are no picture; prepared once for an untouched image.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, the untouched image
+    rest : its blocks
+    """
+
+    def __init__(self, background: NDArray[Any], rest: Blocks) -> None:
+        self._background = background
+        self._rest = rest.means.astype(np.int16)
+        _, place, count = np.unique(rest.row_digests, return_inverse=True, return_counts=True)
+        self._own_rows = count.ravel()[place.ravel()] == 1  # rows that the rest image has only once
+
+    def __call__(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Pixels (H, W) that did not arrive; None where all did."""
+        flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
+        displaced = self.displaced_rows(blocks) if flat is None and repeated is None else None
+        if flat is None and repeated is None and displaced is None:
+            return None
+        width = image.shape[1]
+        torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, width)
+        for rows in (repeated, displaced):
+            if rows is not None:
+                torn[rows] = True
+        return torn
+
+    def flat(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+        """Blocks (h, w) of one and the same colour that is not the rest image's; None where they are few."""
+        flat = blocks.ranges <= FLAT_RANGE
+        least = LEAST_TORN * flat.size
+        if np.count_nonzero(flat) <= least:
+            return None
+        means = blocks.means.astype(np.int16)
+        flat &= np.abs(means - self._rest).max(axis=-1) > UNLIKE
+        if np.count_nonzero(flat) <= least:
+            return None
+        common = np.median(means[flat], axis=0)
+        flat &= np.abs(means - common).max(axis=-1) <= ALIKE
+        return flat if np.count_nonzero(flat) > least else None
+
+    def repeated_rows(self, blocks: Blocks, image: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Rows (H,) that repeat another row of the frame; None where they are few.
+
+        Of rows that are alike, the one that fits the rest image best counts as the true one.
+        """
+        order = np.sort(blocks.row_digests)
+        least = LEAST_TORN * len(order)
+        if np.count_nonzero(order[1:] == order[:-1]) <= least:
+            return None
+        repeated = np.zeros(len(order), dtype=bool)
+        for digest in np.unique(order[1:][order[1:] == order[:-1]]):
+            rows = np.flatnonzero((blocks.row_digests == digest) & self._own_rows)
+            if len(rows) > 1 and rows[-1] - rows[0] >= APART_ROWS:
+                away = np.abs(image[rows].astype(np.float32) - self._background[rows]).mean(axis=(1, 2))
+                repeated[np.delete(rows, int(np.argmin(away)))] = True
+        return repeated if np.count_nonzero(repeated) > least else None
+
+    def displaced_rows(self, blocks: Blocks) -> NDArray[np.bool_] | None:
+        """Rows (H,) on the far side of a seam across the whole frame; None where there is no seam.
+
+        The difference to the rest image jumps there from one row to the next. Edges of objects are blurred over more
+        rows than that. Of the two sides, the one that fits the rest image worse counts as displaced; of several seams,
+        what lies between them.
+        """
+        seams = self._seams(blocks.row_jumps)
+        if not len(seams):
+            return None
+        rows = np.arange(len(blocks.row_jumps))
+        far = (rows >= seams[0]) & (rows < (seams[-1] if len(seams) > 1 else len(rows)))
+        away = np.abs(blocks.means.astype(np.int16) - self._rest).mean(axis=(1, 2))
+        blocks_far = far[BLOCK_PX // 2 :: BLOCK_PX][: len(away)]
+        if len(seams) > 1:
+            return far
+        if blocks_far.all() or not blocks_far.any():  # a seam within half a block of the border
+            return far if far.mean() < 0.5 else ~far
+        return far if away[blocks_far].mean() > away[~blocks_far].mean() else ~far
+
+    def _seams(self, jumps: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Rows that jump by far more than a row beside them and the middle one: a contact may begin right at a seam."""
+        if jumps.max() <= JUMP:
+            return np.zeros(0, dtype=np.intp)
+        least = max(JUMP_FACTOR * float(np.median(jumps)), JUMP)
+        beside = np.stack([np.append(jumps[1:], 0), np.append(0, jumps[:-1])])
+        alone = (jumps > beside.min(axis=0) + JUMP) & (jumps > beside.max(axis=0) + JUMP / 2)
+        return np.flatnonzero((jumps > least) & alone)
+
+
+def torn_finding(lost: NDArray[np.bool_]) -> Finding:
+    """The finding; its figure is the share of the frame."""
+    share = float(lost.mean())
+    message = (
+        f"{100 * share:.0f} % of the frame is torn: it holds one colour, rows of another part, or is displaced. "
+        "Check the cable, and whether the camera's bandwidth is shared."
+    )
+    return Finding("torn", message, share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any
 
 import cv2
@@ -11,10 +12,20 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.background.check import Finding
+from gelform.checks import value_range
 from gelform.errors import CalibrationError
-from gelform.health.blocks import BLOCK_PX, Blocks, blocks_from_image, pixels_from_image
-from gelform.health.levels import Levels
-from gelform.health.torn import FLAT_RANGE, JUMP, MIN_SHARE, Torn, torn_finding
+from gelform.health.blocks import (
+    BLOCK_PX,
+    FLAT_RANGE,
+    JUMP,
+    LEAST_TORN,
+    Blocks,
+    Levels,
+    Torn,
+    blocks_from_image,
+    pixels_from_image,
+    torn_finding,
+)
 
 MOST_TORN = 0.95  # a frame of one colour is dark or saturated where that colour is an end of the range
 
@@ -109,7 +120,7 @@ class FrameHealth:
         seen = blocks.means, blocks.ranges, digests, blocks.row_jumps, *ends
         _signs(*seen, work, signs, FLAT_RANGE, JUMP)
         flat, ending, repeated, jumping = signs.tolist()
-        few_flat, few_repeated = flat <= MIN_SHARE * blocks.ranges.size, repeated <= MIN_SHARE * rows
+        few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
         return few_flat and few_repeated and not ending and not jumping
 
     def _is_background(self, blocks: Blocks, image: NDArray[Any]) -> bool:
@@ -138,3 +149,43 @@ def _grown(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
     kernel = np.ones((2 * BLOCK_PX + 1,) * 2, dtype=np.uint8)
     grown: NDArray[np.bool_] = cv2.dilate(lost.view(np.uint8), kernel).view(np.bool_)
     return grown
+
+
+@dataclass(frozen=True)
+class DepthLimit:
+    """The largest depth that is possible, mm.
+
+    Attributes
+    ----------
+    limit_mm : the gel's thickness where that is known, else the shorter side of the field of view
+    is_thickness : which of the two it is
+    """
+
+    limit_mm: float
+    is_thickness: bool
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], mm_per_px: float, thickness_mm: float | None = None) -> DepthLimit:
+        """The limit of images (H, W) of square pixels."""
+        if thickness_mm is not None:
+            return cls(float(thickness_mm), True)
+        return cls(min(shape) * float(mm_per_px), False)
+
+    @property
+    def ignorance_mm(self) -> float:
+        """Standard deviation of a depth of which nothing but the limit is known: that of a uniform distribution."""
+        return self.limit_mm / sqrt(12)
+
+    def bound(self, depth_mm: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[Finding, ...]]:
+        """The depth (H, W) within plus and minus the limit, and a finding where it was not."""
+        low, high = value_range(depth_mm)
+        largest = max(high, -low)
+        if largest <= self.limit_mm:
+            return depth_mm, ()
+        what = "the gel is thick" if self.is_thickness else "the field of view is wide"
+        message = (
+            f"Depth up to {largest:.3g} mm was read, more than {what} ({self.limit_mm:.3g} mm): cut there. "
+            "The image does not fit the calibration; do not trust this depth."
+        )
+        limit = np.float32(self.limit_mm)
+        return np.clip(depth_mm, -limit, limit), (Finding("beyond_gel", message, largest),)
