@@ -11,29 +11,24 @@ the folder is absent.
 from __future__ import annotations
 
 import json
-import os
 import sys
-import tempfile
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import gelform
-from accuracy_heights import heights, heights_drawn, walls_drawn
-from accuracy_objects import anchor, deep, objects, walls
-from accuracy_presses import few, sigma
-from accuracy_real import calibrated, mini_ball, real
-from accuracy_walls import at_least
+from accuracy.heights import at_least, heights, heights_drawn, walls_drawn
+from accuracy.objects import anchor, deep, objects, walls
+from accuracy.real import calibrated, few, real, sigma
 from gelform.background.change import ChangeSettings
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
-from report import RESULTS, table, write
+from presses import DATA, data_is_missing, mini_ball, presses_of, unlabelled
+from report import recorded, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene
 
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PEERS = json.loads((Path(__file__).parent / "peers.json").read_text())
 FIVE = {
     "smooth bump": BUMP,
@@ -98,9 +93,9 @@ def _rmse_by_offset(truth: Any) -> dict[str, float]:
     return errors
 
 
-def whole(data: Path, quick: bool) -> dict[str, Any]:
+def whole(quick: bool) -> dict[str, Any]:
     """All 67 presses of mini-ball end to end, and circles found in single images."""
-    presses, _ = mini_ball(data)
+    presses, _ = mini_ball()
     calibration, seconds = calibrated(presses)
     distance = [
         np.hypot(row.center_x_px - press.label[0], row.center_y_px - press.label[1])
@@ -121,7 +116,7 @@ def _circles() -> dict[str, Any]:
     """Circles found in single images, unchanged on every data set; a gross failure is more than 10 px off."""
     rows = []
     for name in ("mini-ball", "gelsight-ball-deep", "digit-ball"):
-        presses = mini_ball(DATA)[0] if name == "mini-ball" else gelform.read_presses(DATA / name)
+        presses = mini_ball()[0] if name == "mini-ball" else gelform.read_presses(DATA / name)
         wanted = [p.label for p in presses.presses]
         rows.append([name, *_against(presses.background, [p.image for p in presses.presses], wanted)])
     pack = np.load(DATA / "taxim-ball-lowres" / "dataPack.npz")
@@ -173,16 +168,7 @@ def simulated() -> dict[str, Any]:
         presses = simulate_ball_presses(
             sensor, ball_diameters_mm=[5.0, 8.0], count=30, rng=np.random.default_rng(1)
         )
-        with tempfile.TemporaryDirectory() as folder:
-            gelform.save_press_folder(
-                Path(folder) / "presses",
-                background=presses.background,
-                images=[p.image for p in presses.presses],
-                ball_diameters_mm=[p.ball_diameter_mm for p in presses.presses],
-                mm_per_px=sensor.mm_per_px,
-                name=name,
-            )
-            calibration = gelform.calibrate(gelform.read_presses(Path(folder) / "presses"))
+        calibration = gelform.calibrate(unlabelled(presses_of(presses)))
         reconstruct = gelform.Reconstructor(calibration)
         without = gelform.Reconstructor(calibration, solver="dct", depth_sigma=False)
         objects = {
@@ -219,17 +205,17 @@ def simulated() -> dict[str, Any]:
 
 PARTS: dict[str, Any] = {
     "integrators": lambda quick: integrators(),
-    "real": partial(real, DATA),
-    "whole": partial(whole, DATA),
-    "sigma": partial(sigma, DATA),
-    "few": partial(few, DATA),
+    "real": real,
+    "whole": whole,
+    "sigma": sigma,
+    "few": few,
     "simulated": lambda quick: simulated(),
     "anchor": anchor,
     "deep": deep,
     "objects": objects,
     "walls": walls,
     "walls_drawn": walls_drawn,
-    "at_least": partial(at_least, DATA),
+    "at_least": at_least,
     "heights": heights,
     "heights_drawn": heights_drawn,
 }
@@ -240,12 +226,9 @@ def main() -> None:
     """Run the parts that are named, or all; keep the others' last figures. A quick run writes nothing."""
     quick = "--quick" in sys.argv
     wanted = [name for name in sys.argv[1:] if name != "--quick"] or list(PARTS)
-    path = RESULTS / "accuracy.json"
-    figures = json.loads(path.read_text()) if path.is_file() else {}
-    figures.pop("machine", None)
+    figures = recorded("accuracy")
     for name in wanted:
-        if name in NEEDS_DATA and not DATA.is_dir():
-            print(f"\n{name}: left out, no data in {DATA} (set GELFORM_DATA).")
+        if name in NEEDS_DATA and data_is_missing(name):
             continue
         start = time.perf_counter()
         figures[name] = PARTS[name](quick)

@@ -12,128 +12,31 @@ them.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import resource
-import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-import batch_disk
-import batch_faults
-import batch_stages
-import gelform
-from batch_bare import bare_rate
-from gelform.batch import BatchSettings, verify_output
+from batch.disk import disk
+from batch.faults import corrupt, kills, lossy
+from batch.rates import DIFFERENT, SETTINGS, make_input, rate, rates
+from batch.stages import stages_of_a_frame
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
 from gelform.batch.records import PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
 from gelform.batch.table import COLUMNS
-from gelform.exporters.folders import write_png
-from gelform.exporters.press_folder import save_simulated_presses
-from gelform.simulate import LAYOUTS, simulate_ball_presses
-from report import RESULTS, write
-
-SHAPE, DIFFERENT = (240, 320), 40
-PER_FOLDER = 2000
-WORKERS = os.cpu_count() or 1
-FAST: dict[str, Any] = {"solver": "dct", "depth_sigma": False, "keep": ("depth",)}
-SETTINGS = {
-    "dct, depth only, npz": BatchSettings(**FAST),
-    "dct, depth only, Zarr uint16": BatchSettings("zarr", dtype="uint16", **FAST),
-    "dct, depth only, png": BatchSettings("png", **FAST),
-    "default (weighted), npz": BatchSettings(),
-}
-REACH_PER_S = {
-    "dct, depth only, npz": 600,
-    "dct, depth only, Zarr uint16": 500,
-    "default (weighted), npz": 250,
-}
-ON_RAY = "dct, depth only, Zarr uint16"
-RATE = """
-import sys, time, resource
-from gelform.batch import Engine, run_batch
-source, calibration, output, name, engine, workers, here = sys.argv[1:]
-sys.path.insert(0, here)
-from batch import SETTINGS
-if __name__ == "__main__":
-    begin = time.perf_counter()
-    summary = run_batch(source, calibration, output, SETTINGS[name], engine=Engine(engine, int(workers)))
-    seconds = time.perf_counter() - begin
-    assert summary.complete and not summary.errors
-    print(summary.frames / seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
-"""
-
-
-def make_input(folder: Path, count: int) -> Path:
-    """`count` PNG files of a simulated sensor, and its calibration; gives the calibration's path."""
-    sensor = replace(LAYOUTS["three-edges"], shape=SHAPE, mm_per_px=0.0634, name="benchmark")
-    presses = simulate_ball_presses(
-        sensor, ball_diameters_mm=(6, 9), count=DIFFERENT, rng=np.random.default_rng(0), oversample=1
-    )
-    pressed = save_simulated_presses(folder / "presses", presses)
-    gelform.calibrate(gelform.read_presses(pressed), color_model="polynomial").save(folder / "cal.npz")
-    contents = []
-    for k, press in enumerate(presses.presses):
-        write_png(folder / f"{k}.png", press.image)
-        contents.append((folder / f"{k}.png").read_bytes())
-    for k in range(count):
-        path = folder / "in" / f"{k // PER_FOLDER:04d}" / f"{k:07d}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(contents[k % DIFFERENT])
-    return folder / "cal.npz"
-
-
-def rate(folder: Path, source: Path, name: str, engine: str = "pool") -> dict[str, Any]:
-    """Frames a second from the start of the run to its table, and the most that a worker's memory held."""
-    with tempfile.TemporaryDirectory(dir=folder) as output:
-        program, written = folder / "run.py", Path(output) / "out"
-        program.write_text(RATE)
-        here = Path(__file__).parent
-        arguments = [source, folder / "cal.npz", written, name, engine, WORKERS, here]
-        command = [sys.executable, program, *map(str, arguments)]
-        ran = subprocess.run(command, check=True, capture_output=True, text=True)
-        frames_per_s, worker_mb = map(float, ran.stdout.split())
-        assert verify_output(written)[1:] == (0, [])
-    measured = {"settings": name, "engine": engine, "workers": WORKERS, "frames_per_s": frames_per_s}
-    return measured | ({"worker_mb": worker_mb} if engine == "pool" else {})
-
-
-def rates(folder: Path, quick: bool) -> dict[str, Any]:
-    """Of a bare loop; of each setting; of Ray beside the pool."""
-    count = 1000 if quick else 20_000
-    make_input(folder, count)
-    bare = bare_rate(folder / "in", folder / "bare", WORKERS)
-    shutil.rmtree(folder / "bare")
-    rows = [rate(folder, folder / "in", name) for name in SETTINGS]
-    rows = [row | {"of_bare": row["frames_per_s"] / bare} for row in rows]
-    found: dict[str, Any] = {"frames": count, "shape": SHAPE, "reach_frames_per_s": REACH_PER_S, "rows": rows}
-    found["bare_loop_frames_per_s"] = bare
-    if find_spec("ray") is None:
-        return found | {"ray": "not installed"}
-    rows.append(rate(folder, folder / "in", ON_RAY, "ray"))
-    pool = next(row for row in rows if row["settings"] == ON_RAY)
-    return found | {
-        "ray_over_pool": rows[-1]["frames_per_s"] / pool["frames_per_s"],
-        "reach_ray_over_pool": 0.6,
-    }
+from report import recorded, write
 
 
 def stages(folder: Path, quick: bool) -> dict[str, Any]:
     """Of a worker's frame, beside the bare loop's."""
     make_input(folder, 1000)
-    return batch_stages.stages(folder, SETTINGS, quick)
+    return stages_of_a_frame(folder, SETTINGS, quick)
 
 
 def memory(folder: Path, quick: bool) -> dict[str, Any]:
@@ -197,11 +100,11 @@ def parts(quick: bool) -> dict[str, Callable[[Path], dict[str, Any]]]:
         "stages": lambda folder: stages(folder, quick),
         "memory": lambda folder: memory(folder, quick),
         "scan": lambda folder: scan(folder, quick),
-        "kills": with_input(batch_faults.kills, 400, 20, quick),
-        "kills_ray": with_input(partial(batch_faults.kills, engine="ray"), 400, 20, quick),
-        "corrupt": with_input(batch_faults.corrupt, 2000, 1, quick),
-        "disk": with_input(batch_disk.disk, 80, 1, quick),
-        "lossy": with_input(batch_faults.lossy, DIFFERENT, 1, False),
+        "kills": with_input(kills, 400, 20, quick),
+        "kills_ray": with_input(partial(kills, engine="ray"), 400, 20, quick),
+        "corrupt": with_input(corrupt, 2000, 1, quick),
+        "disk": with_input(disk, 80, 1, quick),
+        "lossy": with_input(lossy, DIFFERENT, 1, False),
     }
 
 
@@ -217,9 +120,7 @@ def main() -> None:
     parser.add_argument("part", nargs="*", help=f"of {', '.join(parts(True))}; all without")
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
-    there = RESULTS / "batch.json"
-    figures = json.loads(there.read_text()) if there.exists() else {}
-    figures.pop("machine", None)
+    figures = recorded("batch")
     for name in arguments.part or parts(True):
         begin = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:

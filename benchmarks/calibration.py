@@ -9,13 +9,9 @@ others. Read from GELFORM_DATA (default ../shared/data).
 
 from __future__ import annotations
 
-import csv
-import json
-import os
 import sys
 import time
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,9 +27,9 @@ from gelform.calibration.report.record import summary
 from gelform.calibration.selection.candidates import Candidate, candidates_for, training_samples
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
-from report import RESULTS, dct_pair, median_ms, table, write
+from presses import DATA, by_name, reference_circles
+from report import RESULTS, dct_pair, median_ms, recorded, table, write
 
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
 PRESSES = 60  # what is tried with so many
 TRAINED_WITH = {"mlp": "torch"}  # left out where it is not installed
 MODELS = {
@@ -52,19 +48,12 @@ class Bench:
     """mini-ball, prepared once for each offset of the division, and the circles that score."""
 
     def __init__(self) -> None:
-        self.presses = gelform.read_presses(DATA)
+        self.presses = gelform.read_presses(DATA / "mini-ball")
         self.prepared = {offset: prepare(self.presses, offset) for offset in (10.0, 0.0)}
         self.found = [find_contact(press.color_change) for press in self.prepared[10.0]]
-        with (DATA / "reference_circles.csv").open() as file:
-            circles = {
-                row["image"]: tuple(
-                    float(row[key]) for key in ("center_x_px", "center_y_px", "contact_radius_px")
-                )
-                for row in csv.DictReader(file)
-            }
-        self.circles: list[Any] = [circles[press.name] for press in self.presses.presses]
-        names = [press.name for press in self.presses.presses]
-        self.order = sorted(range(len(names)), key=names.__getitem__)
+        circles = reference_circles()
+        self.circles = [circles[press.name] for press in self.presses.presses]
+        self.order = by_name(self.presses)
 
     def splits(self) -> dict[str, tuple[list[int], list[int]]]:
         """Calibrating and testing presses."""
@@ -145,9 +134,7 @@ def main() -> None:
     if not DATA.is_dir():
         sys.exit(f"No data in {DATA}: set GELFORM_DATA.")
     bench, wanted = Bench(), sys.argv[1:]
-    path = RESULTS / "calibration.json"
-    content = json.loads(path.read_text()) if path.is_file() else {"splits": {}}
-    content.pop("machine", None)
+    content = {"splits": {}} | recorded("calibration")
     splits = bench.splits()
     for split in wanted or splits:
         used, contacts = bench.refined(splits[split][0])

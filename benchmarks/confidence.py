@@ -13,7 +13,6 @@ with other seeds than these figures.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import tempfile
 import time
@@ -27,8 +26,8 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-import faults
 import gelform
+from confidence import faults
 from gelform.ball import fit_sphere
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
@@ -48,9 +47,9 @@ from gelform.simulate import (
     simulate_press,
     text_relief,
 )
-from report import RESULTS, table, write
+from presses import DATA, by_name, data_is_missing, presses_of
+from report import recorded, table, write
 
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 REPORTED = ("ring-120", "homemade")
 DEPTHS_UM = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
 FOUND = 0.95
@@ -82,16 +81,14 @@ def _simulated_presses(name: str, count: int = 24) -> Any:
     made = simulate_ball_presses(
         LAYOUTS[name], ball_diameters_mm=[5.0, 8.0], count=count, rng=rng, oversample=1
     )
-    with tempfile.TemporaryDirectory() as folder:
-        gelform.save_simulated_presses(Path(folder) / "presses", made)
-        return gelform.read_presses(Path(folder) / "presses")
+    return presses_of(made)
 
 
 @cache
 def _real_presses(name: str) -> tuple[Any, Any]:
     """The presses that calibrate and the others."""
     presses = gelform.read_presses(DATA / name)
-    order = sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
+    order = by_name(presses)
     return presses.subset(order[0::2]), presses.subset(order[1::2])
 
 
@@ -416,14 +413,11 @@ def main() -> None:
     arguments = sys.argv[1:]
     quick = "--quick" in arguments
     kept = arguments[arguments.index("--calibrations") + 1] if "--calibrations" in arguments else None
-    path = RESULTS / "confidence.json"
-    figures = json.loads(path.read_text()) if path.is_file() else {}
-    figures.pop("machine", None)
+    figures = recorded("confidence")
     with tempfile.TemporaryDirectory() as folder:
         run = Run(quick, Path(kept or folder))
         for name in [one for one in arguments if one in PARTS] or list(PARTS):
-            if name in REAL and not DATA.is_dir():
-                print(f"\n{name}: left out, no data in {DATA} (set GELFORM_DATA).")
+            if name in REAL and data_is_missing(name):
                 continue
             started = time.monotonic()
             figures[name] = PARTS[name](run)

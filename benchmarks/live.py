@@ -3,6 +3,8 @@
     python benchmarks/live.py            # about four minutes on a quiet machine
     python benchmarks/live.py --quick    # about one and a half: shorter spans, six presses; writes nothing
     python benchmarks/live.py --rates    # one: the rates in the browser alone; writes nothing
+    python benchmarks/live.py --pictures docs/images/live    # two: takes the pictures of docs/live.md instead
+    python benchmarks/live.py --calibration                  # makes that of the simulated sensor, which is shipped
 
 `gelform live` runs as a user starts it; its clients are a headless Chromium and websockets. Chromium has the flags that it
 needs to start here and to compute WebGL2 at all without a graphics processor (SwiftShader); the rest of the page it then
@@ -17,15 +19,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import statistics
-import subprocess
-import sys
-import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,50 +29,15 @@ from websockets.sync.client import connect
 
 from gelform.live.web.app import page_files
 from gelform.live.wire import read_message
-from live_guided import WANTED, guided
+from live.calibration import make_calibration
+from live.guided import WANTED, guided
+from live.pictures import take_pictures
+from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live, running
 from report import table, write
 
-FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--no-first-run"]
-CHROMIUM = os.environ.get("GELFORM_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags", "image"], "encoding": "raw"}
 STARTS, SETTLE_S = 3, 5.0
-COMPUTED_S = (
-    25.0  # by when the simulated objects are there, which are computed while the first ones are shown
-)
-
-
-class Live:
-    """`gelform live` as a process of its own, in a folder of its own; `words` are more of its command line."""
-
-    def __init__(self, folder: str, *words: str) -> None:
-        self.started = time.monotonic()
-        command = [sys.executable, "-m", "gelform", "live", *words, "--quiet", "--folder", folder]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        self.url = self.process.stdout.readline().strip()
-        self.address = self.url.removeprefix("http://").rstrip("/")
-
-    def resident_mb(self) -> float:
-        """Memory of the process, where the system tells it."""
-        status = Path(f"/proc/{self.process.pid}/status").read_text(encoding="ascii")
-        return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
-
-    def close(self) -> None:
-        """End it as Ctrl-C does."""
-        self.process.terminate()
-        self.process.wait(10)
-
-
-@contextmanager
-def running() -> Iterator[tuple[Live, Path]]:
-    """The server and its folder."""
-    with tempfile.TemporaryDirectory() as folder:
-        live = Live(folder)
-        try:
-            yield live, Path(folder)
-        finally:
-            live.close()
 
 
 class Viewer(threading.Thread):
@@ -238,7 +199,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="shorter; results/live.json stays as it is")
     parser.add_argument("--rates", action="store_true", help="the rates in the browser alone")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="take the pictures of docs/live.md")
+    parser.add_argument("--calibration", action="store_true", help="make the shipped calibration again")
     asked = parser.parse_args()
+    if asked.pictures or asked.calibration:
+        take_pictures(asked.pictures) if asked.pictures else make_calibration()
+        return
     seconds, presses = (6.0, 6) if asked.quick else (30.0, WANTED)
     if asked.rates:
         with running() as (live, folder):

@@ -10,12 +10,9 @@ places of the same gel without dots.
 
 from __future__ import annotations
 
-import os
 import sys
-import tempfile
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,9 +30,9 @@ from gelform.simulate import (
     simulate_sequence,
     slide_poses,
 )
+from presses import DATA, presses_of, unlabelled
 from report import table, write
 
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 SEEDS = (0, 1)
 REST_FRAMES = 12  # of the video, before anything touches
 
@@ -143,13 +140,7 @@ def dent(seed: int) -> dict[str, float]:
     rng = np.random.default_rng(seed)
     how = {"ball_diameters_mm": [6.0, 8.0], "count": 12, "rng": rng, "oversample": 1}
     simulated = simulate_ball_presses(plain, **how)
-    with tempfile.TemporaryDirectory() as place:
-        kept = gelform.save_press_folder(
-            Path(place) / "presses", background=simulated.background, name="simulated",
-            images=[p.image for p in simulated.presses], mm_per_px=plain.mm_per_px,
-            ball_diameters_mm=[p.ball_diameter_mm for p in simulated.presses],
-        )  # fmt: skip
-        calibration = gelform.calibrate(gelform.read_presses(kept), color_model="hierarchical")
+    calibration = gelform.calibrate(unlabelled(presses_of(simulated)), color_model="hierarchical")
     background = np.mean([simulate_background(sensor, rng) for _ in range(8)], axis=0).astype(np.float32)
     reconstruct = gelform.Reconstructor(replace(calibration, background=background))
     bare = gelform.Reconstructor(calibration)

@@ -65,6 +65,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join(lines)
 
 
+def recorded(name: str) -> dict[str, Any]:
+    """The figures of `results/<name>.json` so far, without the machine; a part that is measured again replaces its own."""
+    path = RESULTS / f"{name}.json"
+    figures: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
+    figures.pop("machine", None)
+    return figures
+
+
 def write(name: str, figures: dict[str, Any]) -> None:
     """Write `results/<name>.json` with the machine and the date."""
     RESULTS.mkdir(exist_ok=True)

@@ -1,7 +1,7 @@
 """The robots' doors: bags, zenoh, the Taxim export, PyTorch, LeRobot; what each keeps, and how fast.
 
     python benchmarks/robots.py                                    # writes results/robots.json; about 4 minutes
-        --torch PYTHON      a Python with torch, where this one has none: benchmarks/robots_torch.py runs in it
+        --torch PYTHON      a Python with torch, where this one has none: that part runs in it
         --lerobot PYTHON    a Python 3.12 with LeRobot and the camera, as integrations/lerobot_camera_gelform/test.sh makes
     python benchmarks/robots.py --quick                            # fewer frames, simulated presses, writes nothing
 
@@ -20,11 +20,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import robots_bag
-import robots_taxim
-import robots_torch
-import robots_zenoh
-from report import RESULTS, table, write
+from report import recorded, table, write
+from robots import bag, taxim, torch_module, zenoh_link
 
 ROOT = Path(__file__).parents[1]
 LEROBOT = ROOT / "integrations" / "lerobot_camera_gelform" / "record.py"
@@ -49,28 +46,30 @@ def lerobot_rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
 def main() -> None:
     """Measure what can be measured here, print the table, write the figures."""
     given = _arguments()
+    if given.alone_torch:
+        print(json.dumps(torch_module.measure(given.quick)))
+        return
+    quick = ["--quick"] if given.quick else []
     parts: dict[str, tuple[str | None, Callable[[], Any], Callable[[Any], Any]]] = {
         "bag": (
             _missing("rosbags", "mcap_ros2"),
-            lambda: robots_bag.measure(robots_bag.reconstructor(), given.quick),
-            robots_bag.rows,
+            lambda: bag.measure(bag.reconstructor(), given.quick),
+            bag.rows,
         ),
-        "zenoh": (_missing("zenoh", "rosbags"), lambda: robots_zenoh.measure(given.quick), robots_zenoh.rows),
-        "taxim": (None, lambda: robots_taxim.measure(given.quick), robots_taxim.rows),
+        "zenoh": (_missing("zenoh", "rosbags"), lambda: zenoh_link.measure(given.quick), zenoh_link.rows),
+        "taxim": (None, lambda: taxim.measure(given.quick), taxim.rows),
         "torch": (
             None if given.torch else _missing("torch"),
-            lambda: _in(given.torch or sys.executable, Path(robots_torch.__file__), given.quick),
-            robots_torch.rows,
+            lambda: _in(given.torch or sys.executable, Path(__file__), "--alone-torch", *quick),
+            torch_module.rows,
         ),
         "lerobot": (
             None if given.lerobot else "give --lerobot PYTHON",
-            lambda: _in(given.lerobot, LEROBOT, False),
+            lambda: _in(given.lerobot, LEROBOT),
             lerobot_rows,
         ),
     }
-    before = RESULTS / "robots.json"
-    figures: dict[str, Any] = json.loads(before.read_text()) if before.is_file() else {}
-    figures.pop("machine", None)
+    figures = recorded("robots")
     lines: list[Any] = []
     for name, (missing, measure, rows) in parts.items():
         if missing:
@@ -87,6 +86,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--torch", metavar="PYTHON")
+    parser.add_argument("--alone-torch", action="store_true", help="the part of torch alone, as JSON")
     parser.add_argument("--lerobot", metavar="PYTHON")
     return parser.parse_args()
 
@@ -96,11 +96,9 @@ def _missing(*modules: str) -> str | None:
     return f"{', '.join(absent)} is not installed" if absent else None
 
 
-def _in(python: str, script: Path, quick: bool) -> dict[str, Any]:
+def _in(python: str, script: Path, *options: str) -> dict[str, Any]:
     """What a script prints in another environment, as JSON, in its last line."""
-    ran = subprocess.run(
-        [python, str(script), *(["--quick"] if quick else [])], stdout=subprocess.PIPE, text=True, check=True
-    )
+    ran = subprocess.run([python, str(script), *options], stdout=subprocess.PIPE, text=True, check=True)
     last: dict[str, Any] = json.loads(ran.stdout.splitlines()[-1])
     return last
 

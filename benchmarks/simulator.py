@@ -11,12 +11,10 @@ digit-ball; without them they are made, which takes minutes.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
-import os
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,8 +48,7 @@ from gelform.simulate import (
     slide_poses,
 )
 from gelform.simulate.twin import Twin, press_depth_of_rim
-
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+from presses import DATA, Circle, reference_circles
 
 
 def far_lights() -> tuple[SimulatedSensor, np.ndarray]:
@@ -187,19 +184,13 @@ def backgrounds() -> dict[str, Any]:
     return result
 
 
-def half_calibrated(path: Path | None) -> gelform.Calibration:
-    """A calibration of the presses 0, 2, 4 ... of mini-ball."""
+def half_calibrated(name: str, path: Path | None) -> gelform.Calibration:
+    """A calibration of the presses 0, 2, 4 ... of mini-ball or digit-ball."""
     if path is not None:
         return gelform.load_calibration(path)
-    presses = gelform.read_presses(DATA / "mini-ball")
+    presses = gelform.read_presses(DATA / name)
     half = presses.subset(range(0, len(presses.presses), 2))
     return gelform.calibrate(half, color_model="polynomial")
-
-
-def reference_circles() -> dict[str, dict[str, str]]:
-    """Circles of mini-ball, for scoring."""
-    with (DATA / "mini-ball" / "reference_circles.csv").open(encoding="utf-8") as file:
-        return {row["image"]: row for row in csv.DictReader(file)}
 
 
 def likeness(calibration: gelform.Calibration) -> dict[str, Any]:
@@ -269,25 +260,20 @@ def likeness(calibration: gelform.Calibration) -> dict[str, Any]:
     }
 
 
-def _cut_out(change: np.ndarray, circle: Mapping[str, Any]) -> list[np.ndarray]:
+def _cut_out(change: np.ndarray, circle: Circle) -> list[np.ndarray]:
     """81x81 pixels of a change about a circle's middle, in a list; none where they leave the image."""
-    x, y = round(float(circle["center_x_px"])), round(float(circle["center_y_px"]))
+    x, y = round(circle[0]), round(circle[1])
     cut = change[max(y - 40, 0) : y + 41, max(x - 40, 0) : x + 41]
     return [cut] if cut.shape[:2] == (81, 81) else []
 
 
-def digit_likeness(calibration_path: Path | None) -> dict[str, Any]:
+def digit_likeness(calibration: gelform.Calibration) -> dict[str, Any]:
     """Held-out presses of a DIGIT beside its own `--like`, Taxim's tables of another DIGIT, and the preset.
 
     Inside 0.8 of the contact radius that `evaluate` finds, in grey levels. The scale of these presses is not
     verified: the figures say which look is nearer, not how near.
     """
     presses = gelform.read_presses(DATA / "digit-ball")
-    if calibration_path is None:
-        half = presses.subset(range(0, len(presses.presses), 2))
-        calibration = gelform.calibrate(half, color_model="polynomial")
-    else:
-        calibration = gelform.load_calibration(calibration_path)
     held_out = presses.subset(range(1, len(presses.presses), 2))
     twin, preset = Twin(calibration), SENSORS["digit"].simulated()
     turned = np.ascontiguousarray(np.rot90(calibration.background, -1))
@@ -298,14 +284,14 @@ def digit_likeness(calibration_path: Path | None) -> dict[str, Any]:
     for press, row in zip(held_out.presses, gelform.evaluate(calibration, held_out).rows):
         if row["reason"] is not None:
             continue
-        circle = dict(zip(("center_x_px", "center_y_px", "contact_radius_px"), row["circle_px"]))
+        circle = tuple(map(float, row["circle_px"]))
         pose, ball = _pose_of(press, circle, twin.sensor)
         made = twin.press(ball, pose, rng=None)
         by_taxim = _levels_of_turned(taxim, made)
         by_preset = simulate_press(
             preset, ball, depth_mm=pose.depth_mm, center_mm=pose.center_mm, rng=None, quantise=False
         )
-        inside = _inside({**circle, "contact_radius_px": 0.8 * circle["contact_radius_px"]}, rest.shape)
+        inside = _inside((*circle[:2], 0.8 * circle[2]), rest.shape)
         real = press.image.astype(np.float64)
         for name, image in (
             ("like", made.image),
@@ -338,35 +324,30 @@ def transfer(calibration: gelform.Calibration) -> dict[str, Any]:
     for press, row in zip(training.presses, gelform.evaluate(calibration, training).rows):
         if row["reason"] is not None:
             continue
-        circle = dict(zip(("center_x_px", "center_y_px", "contact_radius_px"), row["circle_px"]))
+        circle = tuple(map(float, row["circle_px"]))
         pose, ball = _pose_of(press, circle, twin.sensor)
         made.append(replace(press, image=twin.press(ball, pose, rng=rng).image, label=None))
     pretended = replace(presses, presses=tuple(made), background=calibration.background)
     by_twin = gelform.calibrate(pretended, color_model="polynomial")
     held_out = presses.subset(range(1, len(presses.presses), 2))
-    labelled = replace(held_out, presses=tuple(_labelled(p, circles[p.name]) for p in held_out.presses))
+    labelled = tuple(replace(press, label=circles[press.name]) for press in held_out.presses)
     found = {
-        name: gelform.evaluate(one, labelled).summary
+        name: gelform.evaluate(one, replace(held_out, presses=labelled)).summary
         for name, one in (("real", calibration), ("like", by_twin))
     }
     ratio = {key: found["like"][key] / found["real"][key] for key in found["real"] if key not in ("presses",)}
     return {**found, "ratio": ratio, "rejected_by_like": len(made) - by_twin.settings["presses"]}
 
 
-def _labelled(press: Any, circle: dict[str, str]) -> Any:
-    label = tuple(float(circle[key]) for key in ("center_x_px", "center_y_px", "contact_radius_px"))
-    return replace(press, label=label)
-
-
-def _inside(circle: dict[str, str], shape: tuple[int, ...]) -> np.ndarray:
-    x, y, a = (float(circle[key]) for key in ("center_x_px", "center_y_px", "contact_radius_px"))
+def _inside(circle: Circle, shape: tuple[int, ...]) -> np.ndarray:
+    x, y, a = circle
     rows, columns = np.ogrid[: shape[0], : shape[1]]
     return np.asarray((columns - x) ** 2 + (rows - y) ** 2 < a**2)
 
 
-def _pose_of(press: Any, circle: Mapping[str, Any], sensor: SimulatedSensor) -> tuple[Pose, Ball]:
+def _pose_of(press: Any, circle: Circle, sensor: SimulatedSensor) -> tuple[Pose, Ball]:
     """The pose whose visible rim is the circle that is known of a real press."""
-    x, y, a = (float(circle[key]) for key in ("center_x_px", "center_y_px", "contact_radius_px"))
+    x, y, a = circle
     radius = press.ball_diameter_mm / 2
     height, width = sensor.shape
     center = (x - (width - 1) / 2) * sensor.mm_per_px, (y - (height - 1) / 2) * sensor.mm_per_px
@@ -382,9 +363,9 @@ def main() -> None:
     arguments = parser.parse_args()
     figures: dict[str, Any] = {"exactness": exactness(), "speed": speed(), "same_bytes": same_bytes()}
     if DATA.is_dir():
-        half = half_calibrated(arguments.calibration)
+        half = half_calibrated("mini-ball", arguments.calibration)
         figures |= {"backgrounds": backgrounds(), "likeness": likeness(half), "transfer": transfer(half)}
-        figures["digit_likeness"] = digit_likeness(arguments.digit_calibration)
+        figures["digit_likeness"] = digit_likeness(half_calibrated("digit-ball", arguments.digit_calibration))
     text = json.dumps(figures, indent=1)
     print(text)
     if arguments.output is not None:

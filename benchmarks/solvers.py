@@ -1,6 +1,7 @@
 """The solvers' tables and picture: accuracy, lies, noise, sigma, speed, memory, first start.
 
     python benchmarks/solvers.py [--quick] [--only WORD] [-o benchmarks/results]
+    python benchmarks/solvers.py --pictures docs/images     # draws those of docs/choosing-a-solver.md instead
 
 Times are CPU times of one thread, 10 % quantile, as ratios to D: a bare float32 scipy.fft dctn + idctn pair
 of the same size, taken in turn with what is measured, so that a busy machine hits both.
@@ -10,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import platform
 import resource
 import time
@@ -26,6 +26,7 @@ import gelform
 from gelform.solvers import SOLVERS, MultigridSolver, RobustSolver, SparseSolver
 from gelform.solvers.multigrid import Grid
 from gelform.solvers.system import problem_from_gradients
+from presses import DATA
 from scenes import (
     BALL,
     BALLS,
@@ -40,7 +41,7 @@ from scenes import (
     with_outliers,
     with_patches,
 )
-from solver_start import start_and_memory
+from solvers.start import start_and_memory
 
 NOISE = 0.05
 SIZES = [(240, 320), (480, 640), (960, 1280), (2048, 2048)]
@@ -298,7 +299,7 @@ def correlated_errors(shape: tuple[int, int], length: float, rng: np.random.Gene
 
 def groove() -> Table:
     """Gradients of the measured groove, integrated back: largest error as a share of the range."""
-    folder = Path(os.environ.get("GELFORM_DATA", "../shared/data")) / "groove"
+    folder = DATA / "groove"
     files = sorted(folder.glob("*.np[yz]")) if folder.is_dir() else []
     if not files:
         return {}
@@ -379,7 +380,15 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer repeats, up to 480x640")
     parser.add_argument("--only", help="measure the tables whose title contains this; keep the others")
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
+    parser.add_argument(
+        "--pictures", type=Path, metavar="FOLDER", help="draw those of docs/choosing-a-solver.md"
+    )
     options = parser.parse_args()
+    if options.pictures:
+        from solvers.pictures import draw_failures
+
+        draw_failures(options.pictures)
+        return
     few = 2 if options.quick else 5
     results: dict[str, Table] = {}
     tables: dict[str, Callable[[], Table]] = {

@@ -40,6 +40,7 @@ from gelform.depth_sigma.sigma import DepthSigma
 from gelform.gradients import slopes_of_solution
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from gelform.view import View
+from presses import DATA
 from report import dct_pair, median_ms, table, write
 
 SIZES = ((240, 320), (480, 640), (960, 1280))
@@ -161,10 +162,9 @@ def first_frame_s(calibration: gelform.Calibration, image: np.ndarray, bytecode:
 
 def calibration_cpu_s() -> float | None:
     """CPU seconds of calibrating the 67 presses of mini-ball; None without them."""
-    data = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    if not (data / "mini-ball").is_dir():
+    if not (DATA / "mini-ball").is_dir():
         return None
-    presses = gelform.read_presses(data / "mini-ball")
+    presses = gelform.read_presses(DATA / "mini-ball")
     started = time.process_time()
     gelform.calibrate(presses)
     return time.process_time() - started

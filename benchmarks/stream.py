@@ -19,11 +19,9 @@ import argparse
 import json
 import os
 import secrets
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -33,16 +31,17 @@ import cv2
 import numpy as np
 
 import gelform
-from ffmpeg_camera import why_absent
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS, simulate_ball_presses
 from gelform.simulate.background import simulate_background
-from live_streams import live, slow_consumer, soak
-from report import RESULTS, table, write
-from sensor_faults import FAULTS, Gel, found_in, frames_with
-from slow_gel import drawn_sensor
-from slow_streams import Sensors, drift, slow_presses
-from sources import large_stream, restarts
+from presses import DATA, presses_of, unlabelled
+from report import recorded, table, write
+from stream.ffmpeg_camera import why_absent
+from stream.rates import live, slow_consumer, soak
+from stream.sensor_faults import FAULTS, Gel, found_in, frames_with
+from stream.slow_gel import drawn_sensor
+from stream.slow_streams import Sensors, drift, slow_presses
+from stream.sources import large_stream, restarts
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
 FULL = LAYOUTS["three-edges"]
@@ -51,23 +50,13 @@ NAMED = {
     "brightness_shift", "camera_moved", "color_shift", "dust", "frozen",
     "other_gel", "room_light", "scratch", "tear", "torn",
 }  # fmt: skip
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 def calibrated(sensor: Any) -> gelform.Calibration:
     """A calibration of a simulated sensor, made as a user does; its background is the mean of ten frames."""
     rng = np.random.default_rng(3)
     simulated = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=14, rng=rng)
-    with tempfile.TemporaryDirectory() as folder:
-        presses = gelform.save_press_folder(
-            folder,
-            background=simulated.background,
-            images=[press.image for press in simulated.presses],
-            ball_diameters_mm=[press.ball_diameter_mm for press in simulated.presses],
-            mm_per_px=sensor.mm_per_px,
-            name="simulated",
-        )
-        calibration = gelform.calibrate(gelform.read_presses(presses), color_model="hierarchical")
+    calibration = gelform.calibrate(unlabelled(presses_of(simulated)), color_model="hierarchical")
     return replace(calibration, background=simulate_background(sensor, rng, frames=10))
 
 
@@ -211,13 +200,11 @@ def main() -> None:
     asked = parser.parse_args()
     cv2.setNumThreads(1)
     parts = parts_of(asked, np.random.default_rng(asked.seed))
-    written = RESULTS / "stream.json"
-    figures = json.loads(written.read_text()) if written.exists() else {}
+    figures = recorded("stream")
     for name in ["soak"] if asked.soak else asked.only or PARTS:
         figures[name] = {"seed": asked.seed, **parts[name]()}
         print(f"{name}: {json.dumps(figures[name], default=float)}", flush=True)
         if not asked.quick:
-            figures.pop("machine", None)
             write("stream", figures)
     print(shown(figures))
 

@@ -9,13 +9,9 @@ say so, where they are absent. Every press that is judged was not there when the
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 import sys
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +19,9 @@ import numpy as np
 import gelform
 from gelform.metrics import angle_deg, score_slopes
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
-from report import RESULTS, table, write
+from presses import DATA, data_is_missing, mini_ball, presses_of, unlabelled
+from report import recorded, table, write
 
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 SCORED_ZONE = 0.8  # of the contact radius: beyond it the gel leaves the ball
 PLACES = (3, 4)
@@ -35,24 +31,12 @@ class Bench:
     """mini-ball, its scoring circles, and the two ways to calibrate on half of it."""
 
     def __init__(self) -> None:
-        presses = gelform.read_presses(DATA)
-        with (DATA / "reference_circles.csv").open() as file:
-            circles = {
-                row["image"]: tuple(
-                    float(row[k]) for k in ("center_x_px", "center_y_px", "contact_radius_px")
-                )
-                for row in csv.DictReader(file)
-            }
-        self.presses = replace(
-            presses, presses=tuple(replace(p, label=circles[p.name]) for p in presses.presses)
-        )
-        self.order = sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
+        self.presses, self.order = mini_ball()
         self._halves: list[tuple[gelform.Calibration, list[int]]] = []
 
     def calibrated(self, training: list[int]) -> gelform.Calibration:
         """A calibration that was told no circle."""
-        unlabelled = tuple(replace(self.presses.presses[i], label=None) for i in training)
-        return gelform.calibrate(replace(self.presses, presses=unlabelled))
+        return gelform.calibrate(unlabelled(self.presses, training))
 
     def halves(self) -> list[tuple[gelform.Calibration, list[int]]]:
         """Either half calibrates, the other is judged."""
@@ -222,9 +206,7 @@ def _presses(sensor: SimulatedSensor, count: int, seed: int) -> Any:
     made = simulate_ball_presses(
         sensor, ball_diameters_mm=[5.0, 8.0], count=count, rng=np.random.default_rng(seed)
     )
-    with tempfile.TemporaryDirectory() as folder:
-        gelform.save_simulated_presses(Path(folder) / "presses", made)
-        return gelform.read_presses(Path(folder) / "presses")
+    return presses_of(made)
 
 
 PARTS = {"sigma": sigma, "gain": gain, "few": few, "second_unit": second_unit}
@@ -232,13 +214,10 @@ PARTS = {"sigma": sigma, "gain": gain, "few": few, "second_unit": second_unit}
 
 def main() -> None:
     """Run the parts that are named, or all; keep the others' last figures."""
-    path = RESULTS / "trust.json"
-    figures = json.loads(path.read_text()) if path.is_file() else {}
-    figures.pop("machine", None)
+    figures = recorded("trust")
     bench = Bench() if DATA.is_dir() else None
     for name in sys.argv[1:] or list(PARTS):
-        if bench is None and name != "second_unit":
-            print(f"\n{name}: left out, no data in {DATA} (set GELFORM_DATA).")
+        if name != "second_unit" and data_is_missing(name):
             continue
         figures[name] = PARTS[name](bench)  # type: ignore[operator]
         write("trust", figures)

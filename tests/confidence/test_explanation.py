@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import faults
 import gelform
+from confidence import faults
 from gelform.confidence.causes import CAUSES
 from gelform.confidence.explanation import LAW, explanation_of
 from gelform.simulate import Ball, Punch, simulate_press

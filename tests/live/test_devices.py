@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from ffmpeg_camera import FfmpegCamera, why_absent
 from gelform.errors import GelformError, SensorError
 from gelform.live import actions
 from gelform.live.devices import Devices, camera_facts, set_camera
@@ -18,6 +17,7 @@ from gelform.sensors.cameras.settings import SETTABLE
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import open_source
 from live_waiting import until
+from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 LEFT = Camera("DIGIT", "/dev/video0", "D1", by_path="usb-1")
 RIGHT = Camera("DIGIT", "/dev/video2", "D2", by_path="usb-2")

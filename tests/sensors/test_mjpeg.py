@@ -6,12 +6,12 @@ import time
 import numpy as np
 import pytest
 
-from ffmpeg_camera import FfmpegCamera, why_absent
 from gelform.errors import SensorError, SourceLostError
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter
 from gelform.sensors.source import open_source
 from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
+from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 RED, GREEN, BLUE = jpeg(color=(200, 0, 0)), jpeg(color=(0, 200, 0)), jpeg(color=(0, 0, 200))
 WAIT_S = 20.0

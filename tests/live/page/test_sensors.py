@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ffmpeg_camera import FfmpegCamera, why_absent
 from gelform.live.devices import Devices
 from gelform.live.hub import Hub
 from gelform.live.setup import Setup
@@ -13,6 +12,7 @@ from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import open_source
 from live_waiting import until
+from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 pytestmark = pytest.mark.slow
 

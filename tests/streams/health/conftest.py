@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sensor_faults import Gel, found_in, frames_with
+from stream.sensor_faults import Gel, found_in, frames_with
 
 
 @pytest.fixture(scope="session")

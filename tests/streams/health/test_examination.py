@@ -2,7 +2,7 @@
 
 import pytest
 
-from sensor_faults import CHANGES, ONSET_S
+from stream.sensor_faults import CHANGES, ONSET_S
 
 
 @pytest.mark.parametrize("fault", [*CHANGES, "other_gel", "frozen", "torn"])

@@ -5,7 +5,7 @@ import pytest
 
 from gelform.streams.evidence import Evidence
 from gelform.streams.health.marks import Marks
-from sensor_faults import dust, scratch, tear
+from stream.sensor_faults import dust, scratch, tear
 
 SHAPE = (160, 200)
 REST = np.full((*SHAPE, 3), 100.0)

@@ -9,7 +9,7 @@ from gelform.simulate import simulate_background
 from gelform.simulate.sensor.coating import Coating
 from gelform.streams.evidence import Evidence
 from gelform.streams.health.place import Place
-from sensor_faults import Gel, moved
+from stream.sensor_faults import Gel, moved
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from gelform.background.check import Finding
 from gelform.streams.memory import Memory
 from gelform.streams.rest.background_drift import AFTER_S, BackgroundDrift
 from gelform.streams.rest.smooth_light import block_means
-from slow_gel import SlowGel, Touch
+from stream.slow_gel import SlowGel, Touch
 
 STEP_S = 5.0
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gelform.calibration.presses.press_set import Presses
 
 BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11
-SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by benchmarks/live_calibration.py
+SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by `benchmarks/live.py --calibration`
 COLOR_MODEL = "polynomial"  # half the time that choosing takes; 0.2 degrees worse than the best here
 
 

@@ -1,11 +1,7 @@
-"""Draw the pictures of docs/choosing-a-solver.md: one for each way in which integration fails.
-
-python benchmarks/solver_pictures.py [-o docs/images]
-"""
+"""The pictures of docs/choosing-a-solver.md: one for each way in which integration fails."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import gelform
-from naive_integrators import NAIVE, depth_along_lines
 from scenes import BALL, BALLS, MM_PER_PX, SHAPE, rmse_um, scene, with_noise, with_outliers
+from solvers.naive_integrators import NAIVE, depth_along_lines
 
 Panels = dict[str, Any]
 
@@ -95,16 +91,10 @@ def draw(truth: Any, panels: Panels, path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/images"))
-    folder = parser.parse_args().output
+def draw_failures(folder: Path) -> None:
+    """All of them, into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for make in (noise, outliers, border, hole, wall):
         truth, panels = make()
         draw(truth, panels, folder / f"solver-{make.__name__}.png")
         print(make.__name__, {name: round(rmse_um(depth, truth), 2) for name, depth in panels.items()})
-
-
-if __name__ == "__main__":
-    main()

@@ -1,13 +1,10 @@
-"""Take the pictures of docs/live.md: `gelform live` on the simulated sensor in a headless Chromium.
-
-    python benchmarks/live_pictures.py [-o docs/images/live]     # about two minutes
+"""The pictures of docs/live.md: `gelform live` on the simulated sensor in a headless Chromium.
 
 Playwright drives the Chromium that GELFORM_CHROMIUM names, or the one on PATH.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Iterator
@@ -26,8 +23,8 @@ from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.simulated.source import IMAGE_RATE_HZ, programme
 from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
-from live import CHROMIUM, COMPUTED_S, FLAGS, Live
-from live_guided import wait_for
+from live.guided import wait_for
+from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live
 
 DESKTOP, GUIDE, LARGE, PHONE = (1360, 1010), (1360, 900), (1300, 1145), (390, 844)
 QUALITY = 88
@@ -121,12 +118,8 @@ def of_a_recording(folder: Path) -> None:
             keep(page, folder / "replay.jpg")
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("-o", type=Path, default=Path("docs/images/live"), help="folder of the pictures")
-    asked = parser.parse_args()
-    asked.o.mkdir(parents=True, exist_ok=True)
-    of_the_sensor(asked.o)
-    of_a_recording(asked.o)
+def take_pictures(folder: Path) -> None:
+    """All of them, as JPEG files of a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    of_the_sensor(folder)
+    of_a_recording(folder)

@@ -11,7 +11,7 @@ import numpy as np
 import gelform
 from gelform.simulate import SimulatedSensor
 from gelform.streams.memory import Memory
-from slow_gel import SlowGel, Touch
+from stream.slow_gel import SlowGel, Touch
 
 STEP_S = 1.0  # between simulated frames
 PRESS_MM, PRESS_S, HOLD_S = 0.2, 180.0, 5.0

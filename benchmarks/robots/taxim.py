@@ -6,8 +6,6 @@ levels: mean absolute difference inside three quarters of the contact's radius, 
 
 from __future__ import annotations
 
-import csv
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -18,15 +16,14 @@ import numpy as np
 import gelform
 from gelform.ball import ball_gradients
 from gelform.exporters.taxim import save_taxim
+from presses import DATA, Circle, by_name, reference_circles
 
-DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mini-ball"
 INSIDE = 0.75  # of the contact's radius
-Circle = tuple[float, float, float]
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """Grey levels of the export and of the forward response itself."""
-    on_simulated = quick or not DATA.is_dir()
+    on_simulated = quick or not (DATA / "mini-ball").is_dir()
     calibration, held_out = _simulated() if on_simulated else _real()
     with tempfile.TemporaryDirectory() as folder:
         table = save_taxim(calibration, Path(folder) / "taxim")
@@ -88,13 +85,8 @@ def _errors(
 
 
 def _real() -> tuple[gelform.Calibration, list[tuple[np.ndarray, float, Circle]]]:
-    presses = gelform.read_presses(DATA)
-    with (DATA / "reference_circles.csv").open() as file:
-        circles = {
-            row["image"]: tuple(float(row[k]) for k in ("center_x_px", "center_y_px", "contact_radius_px"))
-            for row in csv.DictReader(file)
-        }
-    order = sorted(range(len(presses.presses)), key=lambda k: presses.presses[k].name)
+    presses, circles = gelform.read_presses(DATA / "mini-ball"), reference_circles()
+    order = by_name(presses)
     calibration = gelform.calibrate(presses.subset(order[::2]), color_model="polynomial")
     held_out = presses.subset(order[1::2]).presses
     return calibration, [(one.image, one.ball_diameter_mm, circles[one.name]) for one in held_out]
@@ -102,7 +94,7 @@ def _real() -> tuple[gelform.Calibration, list[tuple[np.ndarray, float, Circle]]
 
 def _simulated() -> tuple[gelform.Calibration, list[tuple[np.ndarray, float, Circle]]]:
     from gelform.simulate import simulate_ball_presses
-    from robots_bag import SENSOR, reconstructor
+    from robots.bag import SENSOR, reconstructor
 
     made = simulate_ball_presses(
         SENSOR, ball_diameters_mm=[4, 6], count=8, rng=np.random.default_rng(5), oversample=1

@@ -1,6 +1,4 @@
-"""Make the calibration that `gelform live` shows its simulated sensor with: src/gelform/live/simulated/three-edges.npz.
-
-    python benchmarks/live_calibration.py
+"""The calibration that `gelform live` shows its simulated sensor with: src/gelform/live/simulated/three-edges.npz.
 
 It is made as any calibration is, from presses of a ball, and shipped so that the first picture needs no wait. Its
 background is the sensor's without noise: whole grey levels, which pack into a few kilobytes.
@@ -25,7 +23,7 @@ from gelform.simulate import simulate_background
 PRESSES = 24
 
 
-def main() -> None:
+def make_calibration() -> None:
     """Calibrate, save, pack."""
     sensor = simulated_sensor_named(DEFAULT_SENSOR)
     presses = presses_of(simulated_presses(sensor, PRESSES))
@@ -35,7 +33,7 @@ def main() -> None:
         background=np.asarray(simulate_background(sensor, None), dtype=np.float32),
     )
     calibration = calibrate(presses)
-    path = Path(__file__).parents[1] / "src" / "gelform" / "live" / "simulated" / SHIPPED
+    path = Path(__file__).parents[2] / "src" / "gelform" / "live" / "simulated" / SHIPPED
     calibration.save(path, overwrite=True)
     _pack(path)
     print(load_calibration(path).held_out, f"{path.stat().st_size / 1e3:.0f} kB")
@@ -48,7 +46,3 @@ def _pack(path: Path) -> None:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name, content in members.items():
             archive.writestr(name, content)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,18 +1,13 @@
-"""The module for PyTorch against the numpy path, and a batch against single calls.
-
-python benchmarks/robots_torch.py [--quick]    # with a Python that has torch; prints JSON, which robots.py reads
-"""
+"""The module for PyTorch against the numpy path, and a batch against single calls."""
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import Any
 
 import numpy as np
 
 from report import median_ms
-from robots_bag import frames_and_results, reconstructor
+from robots.bag import frames_and_results, reconstructor
 
 BATCH = 64
 
@@ -59,7 +54,3 @@ def rows(figures: dict[str, Any]) -> list[tuple[str, Any, Any]]:
         (f"torch: {count} calls over a batch of {count}, one thread", 1.0, figures["calls_over_batch"]),
         ("torch: ms a frame in the batch", "-", figures["batch_ms"] / count),
     ]
-
-
-if __name__ == "__main__":
-    print(json.dumps(measure("--quick" in sys.argv)))

@@ -5,16 +5,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import gelform
-from accuracy_presses import MIN_PIXELS, SLOPES, shares_within
+from accuracy.real import MIN_PIXELS, SLOPES, shares_within
 from gelform.calibration.coverage import COARSE, tile_of
 from gelform.depth import integrate
 from gelform.metrics import angle_deg
@@ -34,6 +32,7 @@ from gelform.simulate import (
     simulate_press,
 )
 from gelform.simulate.presets import gelsight_mini
+from presses import presses_of
 from report import table
 
 OBJECTS: dict[str, tuple[Any, tuple[float, float, float]]] = {
@@ -241,10 +240,3 @@ def _deep(sensor: SimulatedSensor, count: int) -> SimulatedPresses:
         ball, deep_mm = Ball(DEEP_BALL_MM / 2), DEEP_BALL_MM / 2 * rng.uniform(*DEEP)
         presses.append(simulate_press(sensor, ball, depth_mm=deep_mm, center_mm=(x, y), rng=rng))
     return SimulatedPresses(sensor, simulate_background(sensor, rng), tuple(presses))
-
-
-def presses_of(made: SimulatedPresses) -> gelform.Presses:
-    """Simulated presses as calibration reads them."""
-    with tempfile.TemporaryDirectory() as folder:
-        gelform.save_simulated_presses(Path(folder) / "presses", made, truth=False)
-        return gelform.read_presses(Path(folder) / "presses")

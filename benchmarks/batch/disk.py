@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import gelform
-from batch_faults import tree
+from batch.faults import tree
 from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.errors import DataError
 

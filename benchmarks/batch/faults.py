@@ -26,7 +26,7 @@ import sys
 from gelform.batch import Engine, run_batch
 source, calibration, output, engine, here = sys.argv[1:]
 sys.path.insert(0, here)
-from batch_faults import SETTINGS
+from batch.faults import SETTINGS
 if __name__ == "__main__":
     run_batch(source, calibration, output, SETTINGS, engine=Engine(engine, 2), table="csv")
 """
@@ -74,7 +74,7 @@ def kills(folder: Path, rounds: int, engine: str = "pool") -> dict[str, Any]:
 
 def started(folder: Path, output: Path, engine: str) -> subprocess.Popen[bytes]:
     """The same command each time."""
-    arguments = [folder / "in", folder / "cal.npz", output, engine, Path(__file__).parent]
+    arguments = [folder / "in", folder / "cal.npz", output, engine, Path(__file__).parents[1]]
     command = [sys.executable, folder / "driver.py", *arguments]
     return subprocess.Popen(list(map(str, command)), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 

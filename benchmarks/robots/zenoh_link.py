@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -111,7 +112,7 @@ def publish(address: str, topics: str, count: str) -> None:
     """Publish prepared results at 60 Hz: in a process of its own."""
     from gelform.robots.zenoh_node import ZenohNode
     from gelform.sensors.pace import Pace
-    from robots_bag import frames_and_results, reconstructor
+    from robots.bag import frames_and_results, reconstructor
 
     pairs = frames_and_results(reconstructor())
     with ZenohNode("gel", topics=tuple(topics.split(",")), router=address) as node:
@@ -144,7 +145,8 @@ def _session(mode: str, **endpoints: str) -> Any:
 
 
 def _beside(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, __file__, *arguments], stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, "-m", "robots.zenoh_link", *arguments]
+    return subprocess.Popen(command, cwd=Path(__file__).parents[1], stdout=subprocess.PIPE, text=True)
 
 
 def _ros_type(kind: str) -> str:

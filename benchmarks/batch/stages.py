@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 
 import gelform
-from batch_bare import bare_loop
+from batch.rates import bare_loop
 from gelform.batch import BatchSettings
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import Part, plan_of
@@ -50,7 +50,7 @@ class Clock:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin
 
 
-def stages(folder: Path, settings: Mapping[str, BatchSettings], quick: bool) -> dict[str, Any]:
+def stages_of_a_frame(folder: Path, settings: Mapping[str, BatchSettings], quick: bool) -> dict[str, Any]:
     """Milliseconds of processor time a frame, by stage, for each setting; and bare loop over worker."""
     cv2.setNumThreads(1)
     parts = plan_of(listing_of(folder / "in"), PART)[: 3 if quick else 6]

@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 
 import gelform
-from ffmpeg_camera import FFMPEG, FfmpegCamera
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import SimulatedSource
 from gelform.view import View
-from live_streams import resident_mb
+from stream.ffmpeg_camera import FFMPEG, FfmpegCamera
+from stream.rates import resident_mb
 
 LARGE, LARGE_HZ = (2448, 3264), 25
 SMALL_HZ = 60

@@ -1,0 +1,61 @@
+"""Presses that benchmarks share: mini-ball with the circles that score it; simulated ones as calibration reads them."""
+
+from __future__ import annotations
+
+import csv
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import gelform
+from gelform.simulate import SimulatedPresses
+
+DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+Circle = tuple[float, float, float]
+
+
+def data_is_missing(part: str) -> bool:
+    """Whether there is no real data; says then that the part is left out."""
+    if not DATA.is_dir():
+        print(f"\n{part}: left out, no data in {DATA} (set GELFORM_DATA).")
+    return not DATA.is_dir()
+
+
+def reference_circles() -> dict[str, Circle]:
+    """Centre and radius (px) of the contacts of mini-ball, for scoring, by the names of the presses."""
+    with (DATA / "mini-ball" / "reference_circles.csv").open(encoding="utf-8") as file:
+        return {
+            row["image"]: (
+                float(row["center_x_px"]),
+                float(row["center_y_px"]),
+                float(row["contact_radius_px"]),
+            )
+            for row in csv.DictReader(file)
+        }
+
+
+def mini_ball() -> tuple[gelform.Presses, list[int]]:
+    """The presses, labelled with the circles that score them, and their order by name."""
+    presses, circles = gelform.read_presses(DATA / "mini-ball"), reference_circles()
+    labelled = tuple(replace(p, label=circles[p.name]) for p in presses.presses)
+    return replace(presses, presses=labelled), by_name(presses)
+
+
+def by_name(presses: gelform.Presses) -> list[int]:
+    """The numbers of the presses in the order of their names."""
+    return sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
+
+
+def unlabelled(presses: gelform.Presses, indices: Sequence[int] | None = None) -> gelform.Presses:
+    """These presses, or all, without their circles."""
+    chosen = presses.presses if indices is None else [presses.presses[i] for i in indices]
+    return replace(presses, presses=tuple(replace(press, label=None) for press in chosen))
+
+
+def presses_of(made: SimulatedPresses) -> gelform.Presses:
+    """Simulated presses as calibration reads them."""
+    with tempfile.TemporaryDirectory() as folder:
+        gelform.save_simulated_presses(Path(folder) / "presses", made, truth=False)
+        return gelform.read_presses(Path(folder) / "presses")
