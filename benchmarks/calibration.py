@@ -18,13 +18,13 @@ import numpy as np
 
 import gelform
 from gelform.background.untouched import untouched_from_color_change
+from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, find_contact
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.draft import untouched_change
+from gelform.calibration.fitted import untouched_change
 from gelform.calibration.report.record import summary
-from gelform.calibration.selection.candidates import Candidate, candidates_for, training_samples
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from presses import DATA, by_name, reference_circles

@@ -51,7 +51,7 @@ ROOMS = (
     "color_models",
     "color_models/_shared",
 )
-ROOMS += ("calibration/selection", "calibration/circles", "contact", "markers")
+ROOMS += ("calibration/held_out", "calibration/circles", "contact", "markers")
 FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import gelform
 from gelform import color_models
-from gelform.calibration.selection.candidates import candidates_for, color_model_names
+from gelform.calibration.candidates import candidates_for, color_model_names
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "adding-a-color-model.md"

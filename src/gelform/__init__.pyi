@@ -51,12 +51,12 @@ from .calibration.geometry.scale import scale_from_profile as scale_from_profile
 from .calibration.geometry.scale import scale_from_points as scale_from_points
 from .calibration.geometry.scale_images import scale_from_punch as scale_from_punch
 from .calibration.geometry.scale_images import scale_from_thread as scale_from_thread
-from .calibration.geometry.scale_stage import scale_from_stage as scale_from_stage
+from .calibration.geometry.scale_images import scale_from_stage as scale_from_stage
 from .calibration.geometry.crosstalk import crosstalk_from_frames as crosstalk_from_frames
 from .calibration.geometry.lens import view_from_grid as view_from_grid
-from .calibration.presses.adjust import with_scale as with_scale
-from .calibration.presses.adjust import with_crosstalk as with_crosstalk
-from .calibration.presses.adjust import with_view as with_view
+from .calibration.presses.folder import with_scale as with_scale
+from .calibration.presses.folder import with_crosstalk as with_crosstalk
+from .calibration.presses.folder import with_view as with_view
 from .calibration.fit import calibrate as calibrate
 from .calibration.evaluate import evaluate as evaluate
 from .importers.calibrations import import_calibration as import_calibration

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
+from gelform.ball import ball_gradients
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.prepare import prepare
+from gelform.calibration.fitted import untouched_change
+from gelform.calibration.held_out.folds import make_folds
+from gelform.calibration.held_out.measure import HeldOutSample
+from gelform.calibration.held_out.scores import HeldOutPresses
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page.page import report_page
-from gelform.calibration.selection.folds import make_folds
 
 
 @pytest.fixture(scope="session")
@@ -41,3 +45,26 @@ def content(presses, calibration, learning, made_once):
 @pytest.fixture(scope="session")
 def page(content, presses, calibration):
     return report_page(content, presses, calibration)
+
+
+@pytest.fixture(scope="session")
+def held_out(prepared, found, folds):
+    return HeldOutPresses({10.0: prepared}, found, folds, {10.0: untouched_change(prepared, found)})
+
+
+@pytest.fixture(scope="session")
+def sample():
+    """Makes the pixels of a ball of radius 40 px in an image of 60x80 px, read with a gain, a bias and noise."""
+    return _sample
+
+
+def _sample(index=0, *, gain=1.0, noise=0.0, bias=(0.0, 0.0), circle=(40.0, 30.0, 25.0), rng=None):
+    y, x = (axis.ravel() for axis in np.mgrid[:60, :80])
+    inside = np.hypot(x - circle[0], y - circle[1]) < circle[2] - 2
+    x, y = x[inside].astype(np.float32), y[inside].astype(np.float32)
+    true = ball_gradients(x, y, circle[:2], 40.0)
+    seen = gain * true + np.asarray(bias)
+    if noise:
+        seen = seen + noise * rng.standard_normal(true.shape)
+    empty = np.zeros((3, 3), dtype=np.float32)
+    return HeldOutSample(index, circle, x, y, true.astype(np.float32), seen.astype(np.float32), empty)

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
-from gelform.calibration.presses.adjust import with_view
-from gelform.calibration.presses.folder import Press, Presses, as_presses
+from gelform.calibration.held_out.measure import errors_of, sample_of
+from gelform.calibration.presses.folder import Press, Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import FlatPress
-from gelform.calibration.report.held_out import errors_of, sample_of
 from gelform.calibration.report.record import summary
-from gelform.calibration.report.where import errors_where
+from gelform.calibration.report.statistics import errors_where
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
 from gelform.progress import Progress, no_progress

@@ -8,25 +8,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 
+from gelform.calibration.candidates import candidates_for, candidates_from, start_from
 from gelform.calibration.circles.edge import contact_radius_ratio
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.other_ball import other_ball_note
+from gelform.calibration.circles.locate import other_ball_note
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
 from gelform.calibration.circles.refine import Refined, refine
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.circles.sigma import circle_sigmas
 from gelform.calibration.coverage import coverage_notes
-from gelform.calibration.draft import fit_all, untouched_change
+from gelform.calibration.fitted import fit_all, untouched_change
+from gelform.calibration.held_out.folds import circle_sigmas, make_folds
+from gelform.calibration.held_out.measure import measure_held_out, solved_by_place
+from gelform.calibration.held_out.scores import HeldOutPresses, Selection, select
+from gelform.calibration.held_out.sigma import share_seen
 from gelform.calibration.inputs import check_inputs, input_notes, repeated_images
 from gelform.calibration.presses.folder import Presses, as_presses
-from gelform.calibration.report.held_out import measure_held_out
 from gelform.calibration.report.record import report_of_run
-from gelform.calibration.report.solved import solved_by_place
-from gelform.calibration.selection.candidates import candidates_for, candidates_from
-from gelform.calibration.selection.folds import make_folds
-from gelform.calibration.selection.select import HeldOutPresses, Selection, select
-from gelform.calibration.selection.slope_errors import share_seen
-from gelform.calibration.start import start_from
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS, HierarchicalModel
 from gelform.errors import CalibrationError, GelformError

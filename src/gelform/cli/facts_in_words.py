@@ -123,7 +123,7 @@ def _noise(sigma: Facts | None) -> str:
 
 
 def _said(value: Any) -> str:
-    from gelform.calibration.report.page.words import (
+    from gelform.calibration.report.page.sections import (
         setting_in_words,
     )  # imports numpy, which --help does not wait for
 

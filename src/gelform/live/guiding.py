@@ -68,7 +68,7 @@ def _session(hub: Hub, station: int) -> GuideSession:
 
 
 def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: float) -> Asked:
-    from gelform.calibration.presses.tables import check_ball_diameter
+    from gelform.calibration.presses.press_set import check_ball_diameter
     from gelform.live.guide.guide import Asked
 
     assert station.newest is not None

@@ -2,19 +2,25 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 import gelform
-from gelform.background.change import PreparedBackground
+from gelform.background.change import ChangeSettings, PreparedBackground, color_change_from_image
 from gelform.calibration.circles.prepare import (
     USUAL_OFFSET,
     ColorChanges,
     change_settings,
+    change_without_markers,
     find_contacts,
     prepare,
     prepared_by_offset,
 )
+from gelform.design.study import _as_read
+from gelform.markers import MarkerFinder
+from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence
+from made.dots import grid, image_of_dots
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +104,134 @@ def test_the_press_that_is_of_another_sensor_is_named(few):
     turned = replace(few.presses[1], image=np.ascontiguousarray(few.presses[1].image[::-1, ::-1]))
     with pytest.raises(gelform.CalibrationError, match=few.presses[1].name):
         prepare(replace(few, presses=(few.presses[0], turned)))
+
+
+def presses_of(sensor, pitch_mm):
+    coating = replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25)
+    made = simulate_ball_presses(
+        replace(sensor, coating=coating, gel=replace(sensor.gel, bulge=0.5)),  # a bulge moves the dots
+        ball_diameters_mm=[5.0],
+        count=20,
+        rng=np.random.default_rng(3),
+        oversample=1,
+    )
+    return made, _as_read(made.presses, made.background, made.sensor)
+
+
+@pytest.fixture(scope="module")
+def plain(sensor):
+    return presses_of(sensor, 0.0)
+
+
+@pytest.fixture(scope="module")
+def dotted(sensor):
+    return presses_of(sensor, 2.2)
+
+
+def test_the_change_is_that_of_the_unmarked_gel(plain, dotted):
+    settings = ChangeSettings("divide", 10, 0.7)
+    background = dotted[1].background
+    finder = MarkerFinder(background)
+    spoilt, errors, left_out = [], [], []
+    for clean, press in zip(plain[0].presses, dotted[0].presses):
+        change, usable = change_without_markers(
+            press.image, PreparedBackground(background, settings), None, finder
+        )
+        wanted = color_change_from_image(clean.image, plain[1].background, settings)
+        raw = color_change_from_image(press.image, background, settings)
+        spoilt.append(np.abs(raw - wanted).mean(axis=-1))
+        errors.append(np.abs(change - wanted).mean(axis=-1))
+        left_out.append(~usable)
+    spoilt, errors, left_out = (np.stack(maps) for maps in (spoilt, errors, left_out))
+    assert np.count_nonzero(spoilt > 0.2) > 40  # dots that moved
+    assert left_out[spoilt > 0.2].mean() > 0.95
+    assert left_out.mean() < 0.4
+    assert np.mean(errors[spoilt > 0.2]) < 0.5 * np.mean(spoilt[spoilt > 0.2])
+
+
+def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(sensor):
+    images = []
+    for pitch_mm in (0.0, 2.2):
+        coating = replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25)
+        gel = replace(sensor, coating=coating, noise_sd=0, noise_gain=0)
+        poses = [Pose(0.8, (-3 + 0.25 * k, 0.0)) for k in range(8)]
+        *_, last = simulate_sequence(gel, Ball(4), poses, rng=None)
+        images.append((simulate_background(gel, None).astype(np.float32), last))
+    (clean_rest, clean), (rest, press) = images
+    assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
+    settings = ChangeSettings("divide", 10, 0.7)
+    finder = MarkerFinder(rest)
+    _, usable = change_without_markers(press.image, PreparedBackground(rest, settings), None, finder)
+    raw = color_change_from_image(press.image, rest, settings)
+    spoilt = np.abs(raw - color_change_from_image(clean.image, clean_rest, settings)).mean(axis=-1)
+    assert np.count_nonzero(spoilt > 0.2) > 50
+    assert np.mean(usable[spoilt > 0.2]) < 0.05
+    assert np.mean(usable) > 0.6
+    assert np.mean(finder.mask(press.image, 2)[spoilt > 0.2]) > 0.95  # the fast way sees them too
+
+
+def test_an_unmarked_gel_is_left_as_it_is(plain):
+    made, presses = plain
+    settings = ChangeSettings("divide", 10, 0.7)
+    image = made.presses[0].image
+    change, usable = change_without_markers(
+        image, PreparedBackground(presses.background, settings), None, MarkerFinder(presses.background)
+    )
+    assert usable is None
+    np.testing.assert_array_equal(change, color_change_from_image(image, presses.background, settings))
+
+
+@pytest.mark.parametrize(("blur_px", "size"), [(0.0, 3), (0.7, 5), (2.0, 9)])
+def test_dots_and_twice_the_blur_around_are_left_out_and_the_rest_is_as_ever(blur_px, size):
+    background, press = (
+        image_of_dots(grid(), noise=1.0),
+        image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1),
+    )
+    settings, finder = ChangeSettings("divide", 10, blur_px), MarkerFinder(background)
+    change, usable = change_without_markers(press, PreparedBackground(background, settings), None, finder)
+    dark = finder.untouched.mask | finder(press).mask
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    np.testing.assert_array_equal(~usable, cv2.dilate(dark.view(np.uint8), disc) > 0)
+    far = cv2.erode(usable.view(np.uint8), np.ones((11, 11), np.uint8)) > 0
+    assert np.count_nonzero(far) > 50
+    plain = PreparedBackground(background, settings).change(press)
+    np.testing.assert_allclose(change[far], plain[far], atol=1e-3)
+
+
+def test_samples_leave_the_dots_out(dotted):
+    made, presses = dotted
+    for true, press in zip(made.presses, prepare(presses, 10.0)):
+        from gelform.calibration.circles.find import ContactCircle
+
+        contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
+        rows, cols = press.pixels(contact, 0.8)
+        assert len(rows) > 30
+        assert true.albedo[rows, cols].min() > 0.9
+        assert (true.albedo < 0.5).any()
+
+
+def slope_error(calibration, made, presses):
+    """Median slope error in the contacts against the exact truth, on the pixels without dots."""
+    errors = []
+    for true, press in zip(made.presses, prepare(presses, calibration.change.offset)):
+        usable = np.ones(true.contact.shape, bool) if press.usable is None else press.usable
+        inside = np.argwhere(true.contact & usable)
+        found = press.gradients(calibration.color_model, inside[:, 0], inside[:, 1])
+        errors.append(np.linalg.norm(found - true.gradients[inside[:, 0], inside[:, 1]], axis=1))
+    return float(np.median(np.concatenate(errors)))
+
+
+def test_calibration_and_evaluation_of_a_marked_gel(dotted):
+    """Slopes as good as without dots: there the median error is 0.038."""
+    made, presses = dotted
+    calibration = gelform.calibrate(presses.subset(range(0, 20, 2)), color_model="polynomial")
+    assert sum(row.accepted for row in calibration.report.presses) >= 9
+    for row, true in zip(calibration.report.presses, made.presses[::2]):
+        if row.accepted:
+            off = np.hypot(row.center_x_px - true.center_px[0], row.center_y_px - true.center_px[1])
+            assert off < 4
+    others, unseen = replace(made, presses=made.presses[1::2]), presses.subset(range(1, 20, 2))
+    assert slope_error(calibration, others, unseen) < 1.5 * 0.038
+    circles = np.array([row["circle_px"] for row in gelform.evaluate(calibration, unseen).rows])
+    true = np.array([press.center_px for press in others.presses])
+    assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.calibration.candidates import START_RIDGES, Start
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.report import learning as learning_module
 from gelform.calibration.report.learning import (
@@ -16,7 +17,6 @@ from gelform.calibration.report.learning import (
     learning_curve,
     sizes_for,
 )
-from gelform.calibration.selection.candidates import START_RIDGES, Start
 from gelform.color_models import PolynomialModel
 
 

@@ -11,8 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.presses.press_set import Listed, ReadOptions, Source
-from gelform.calibration.presses.tables import check_ball_diameter, diameter, number, table_rows
+from gelform.calibration.presses.press_set import (
+    Listed,
+    ReadOptions,
+    Source,
+    check_ball_diameter,
+    diameter,
+    number,
+    table_rows,
+)
 from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
 from gelform.npz_files import DAMAGED_ARCHIVE

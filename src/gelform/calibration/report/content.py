@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 
 from gelform.ball import followed_radius
 from gelform.calibration.coverage import DIRECTIONS, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.held_out.measure import HeldOutSample, stated_sigma
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.held_out import HeldOutSample
 from gelform.calibration.report.record import CalibrationReport, PressReport
-from gelform.calibration.report.residuals import (
+from gelform.calibration.report.statistics import (
     DRAWS,
     error_map,
+    errors_where,
     gain_curve,
     share_within_sigma,
     square_error_by_direction,
-    stated_sigma,
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
-from gelform.calibration.report.where import errors_where
 from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
 

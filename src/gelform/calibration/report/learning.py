@@ -10,21 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from gelform.calibration.circles.alike import groups_alike
-from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
-from gelform.calibration.circles.refine import refine
-from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.reading import SlopeReader
-from gelform.calibration.selection.candidates import (
+from gelform.calibration.candidates import (
     Candidate,
+    SlopeReader,
     candidates_for,
     candidates_from,
     fitted_responses,
     training_samples,
 )
-from gelform.calibration.selection.select import SAMPLES_OF_FOLD, score_of
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
+from gelform.calibration.circles.refine import refine
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.held_out.folds import groups_alike
+from gelform.calibration.held_out.scores import SAMPLES_OF_FOLD, score_of
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS
 from gelform.progress import Progress, no_progress

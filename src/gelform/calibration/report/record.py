@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from gelform.calibration.candidates import Start
 from gelform.calibration.circles.refine import Refined
+from gelform.calibration.held_out.measure import HeldOut, HeldOutSample
+from gelform.calibration.held_out.scores import Selection
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.held_out import HeldOut, HeldOutSample
-from gelform.calibration.selection.candidates import Start
-from gelform.calibration.selection.select import Selection
 from gelform.metrics import PressErrors
 
 

@@ -75,8 +75,8 @@ def _columns_rows(text: str) -> tuple[int, int]:
 def _write_grid(
     place: Path, images: list[Path], pattern: tuple[int, int], pitch_mm: float, kind: Any
 ) -> dict[str, Any]:
+    from gelform.calibration.geometry.files import save_grid_view
     from gelform.calibration.geometry.lens import view_from_grid
-    from gelform.calibration.geometry.save import save_grid_view
     from gelform.sensors.files import read_image
 
     frames = [read_image(path) for path in images]
@@ -89,7 +89,7 @@ def _write_grid(
 
 def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path]) -> dict[str, Any]:
     from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
-    from gelform.calibration.geometry.save import save_crosstalk
+    from gelform.calibration.geometry.files import save_crosstalk
     from gelform.sensors.files import read_image, read_sensor_toml
 
     settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)

@@ -12,8 +12,8 @@ from gelform.cli.failures import mistakes_in
 from gelform.cli.options import Background, Json, Quiet, Sensor, numbers
 
 if TYPE_CHECKING:
+    from gelform.calibration.geometry.files import Setup
     from gelform.calibration.geometry.scale import Scale
-    from gelform.calibration.geometry.setup import Setup
 
 
 def scale(
@@ -63,12 +63,12 @@ def scale(
         for option, text in (("--punch", punch), ("--thread", thread), ("--stage", stage))
         if text is not None
     }
-    from gelform.calibration.geometry.save import save_scale
+    from gelform.calibration.geometry.files import save_scale
     from gelform.calibration.geometry.scale import combined_scale
 
     scales = [] if marked is None else [_scale_of_points(marked)]
     if pressed:
-        from gelform.calibration.geometry.setup import read_setup
+        from gelform.calibration.geometry.files import read_setup
 
         setup = read_setup(place, background=background, sensor=sensor)
         scales += [_scale_of_images(setup, option, *given) for option, given in pressed.items()]
@@ -99,8 +99,11 @@ def _scale_of_points(marked: tuple[float, ...]) -> Scale:
 
 
 def _scale_of_images(setup: Setup, option: str, paths: list[Path], mm: float) -> Scale:
-    from gelform.calibration.geometry.scale_images import scale_from_punch, scale_from_thread
-    from gelform.calibration.geometry.scale_stage import scale_from_stage
+    from gelform.calibration.geometry.scale_images import (
+        scale_from_punch,
+        scale_from_stage,
+        scale_from_thread,
+    )
 
     with mistakes_in(option):
         images = [setup.image(path) for path in paths]

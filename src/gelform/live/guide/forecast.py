@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.learning import floor_and_slope
-from gelform.calibration.selection.candidates import Candidate, candidates_for, training_samples
 from gelform.metrics import score_slopes
 
 LEAST, HELD_OUT_EVERY, MORE = 6, 4, 5

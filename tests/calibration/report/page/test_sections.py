@@ -2,13 +2,18 @@
 
 import re
 
+import pytest
+
 from gelform.calibration.report.page.sections import (
     coverage_section,
+    digits,
     figures_section,
     learning_section,
     models_section,
+    place_in_words,
+    setting_in_words,
+    where_section,
 )
-from gelform.calibration.report.page.words import digits, place_in_words
 
 
 def test_digits_keep_their_zeros():
@@ -66,3 +71,57 @@ def test_places_to_press_are_listed_in_order(content):
 def test_the_learning_sentence_is_there_or_why_not(content):
     assert content["learning"]["sentence"] in learning_section(content)
     assert "There is no learning curve" in learning_section({**content, "learning": None})
+
+
+WHERE = {
+    "contact_radius_ratio": 0.84,
+    "contact": {
+        "normal_deg": 2.12,
+        "by_slope": [
+            {"slope_from": 0.1, "slope_to": 0.2, "normal_deg": 1.11, "gain": 1.02, "pixels": 500},
+            {"slope_from": 0.7, "slope_to": 0.8, "normal_deg": 4.44, "gain": 0.91, "pixels": 90},
+        ],
+        "by_place": {"rows": 2, "columns": 2, "normal_deg": [1.0, 2.0, None, 3.0], "pixels": [99, 99, 0, 99]},
+    },
+    "rim": {
+        "normal_deg": 3.36,
+        "by_slope": [{"slope_from": 0.1, "slope_to": 0.2, "normal_deg": 1.99, "gain": 1.01, "pixels": 600}],
+        "by_place": {"rows": 2, "columns": 2, "normal_deg": [1.5, 2.6, 7.0, None], "pixels": [99, 99, 70, 5]},
+    },
+}
+
+
+def test_slopes_stand_in_their_rows_and_a_missing_bin_is_a_dash():
+    page = where_section({"where": WHERE})
+    assert (
+        "2.12° inside the edge of the contact, at 0.84 of the visible radius; 3.36° up to 3 px inside" in page
+    )
+    assert "<td>0.1 – 0.2</td><td>1.11°</td><td>1.99°</td><td>1.02</td><td>500</td>" in page
+    assert "<td>0.7 – 0.8</td><td>4.44°</td><td>–</td><td>0.91</td><td>90</td>" in page
+
+
+def test_places_stand_row_by_row():
+    page = where_section({"where": WHERE})
+    assert (
+        "<tr><td>1.00° / 1.50°</td><td>2.00° / 2.60°</td></tr><tr><td>– / 7.00°</td><td>3.00° / –</td></tr>"
+        in page
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (0.8500000000000001, "0.85"),
+        (3e-4, "0.0003"),
+        ([1.2345678, 0.98765432], "1.235 / 0.9877"),
+        ((3, 2, 0), "3 / 2 / 0"),
+        ({"exposure": 33.33333333, "led": "on"}, "exposure: 33.33, led: on"),
+        ({}, "none"),
+        (None, "none"),
+        ("0123456789abcdef" * 4, "0123456789ab…"),
+        (True, "True"),
+        ("three-edges", "three-edges"),
+    ],
+)
+def test_settings_are_said_for_people(value, said):
+    assert setting_in_words(value) == said

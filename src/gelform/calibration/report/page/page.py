@@ -17,9 +17,9 @@ from gelform.calibration.report.page.sections import (
     learning_section,
     models_section,
     sigma_section,
+    where_section,
 )
 from gelform.calibration.report.page.style import STYLE
-from gelform.calibration.report.page.where import where_section
 from gelform.calibration_file import Calibration
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

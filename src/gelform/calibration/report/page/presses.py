@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.report.held_out import HeldOutSample
-from gelform.calibration.report.page.images import cap_scale_um, cap_url, press_urls
+from gelform.calibration.held_out.measure import HeldOutSample
 
 WORSE = 2.0
 SHOWN = (
@@ -120,3 +121,52 @@ def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> s
         "a scratch or a shadow.</p>"
         f'<div class="caps">{"".join(tiles)}</div>'
     )
+
+
+BUDGET_BYTES = 1_300_000
+WIDTHS_PX = (320, 240, 160, 112, 80, 56)
+QUALITY = 82
+TILE_PX = 56
+HIGH, LOW = (214, 69, 65), (40, 110, 200)
+
+
+def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
+    """An RGB image, not wider than `width_px`, as a JPEG data URL."""
+    height, width = image.shape[:2]
+    if width > width_px:
+        size = (width_px, max(1, round(height * width_px / width)))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    settings = [int(cv2.IMWRITE_JPEG_QUALITY), QUALITY]
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), settings)
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def press_urls(images: Sequence[NDArray[np.uint8]], budget_bytes: int = BUDGET_BYTES) -> list[str]:
+    """All presses as wide as the budget of the page allows: hundreds become small."""
+    for width in WIDTHS_PX:
+        each = len(jpeg_url(images[len(images) // 2], width))
+        if each * len(images) <= budget_bytes:
+            break
+    return [jpeg_url(image, width) for image in images]
+
+
+def cap_scale_um(maps: Sequence[NDArray[np.float32]]) -> float:
+    """The depth error that all the tiles show in full colour: a round figure that few pixels exceed."""
+    typical = float(np.nanquantile(np.abs(np.concatenate([one[::2, ::2].ravel() for one in maps])), 0.97))
+    power = 10.0 ** np.floor(np.log10(max(typical, 1e-3)))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= typical))
+
+
+def cap_url(error_um: NDArray[np.float32], scale_um: float) -> str:
+    """Depth minus the cap as a PNG data URL: red above the ball, blue below, clear where it agrees or is unknown."""
+    known = np.isfinite(error_um)
+    ratio = np.where(known, np.clip(np.nan_to_num(error_um) / scale_um, -1, 1), 0)
+    color = np.where(ratio[..., None] > 0, HIGH, LOW)
+    alpha = np.where(known, 255 * np.abs(ratio), 0)
+    pixels = np.dstack([color[..., ::-1], alpha]).astype(np.uint8)
+    longest = max(pixels.shape[:2])
+    if longest > TILE_PX:
+        size = tuple(max(1, round(n * TILE_PX / longest)) for n in pixels.shape[1::-1])
+        pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    _, data = cv2.imencode(".png", pixels)
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode()

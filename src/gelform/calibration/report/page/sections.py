@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.report.page.charts import (
+    coverage_map,
     gain_chart,
     learning_chart,
     limit_bar,
     range_bar,
+    scale_of_errors,
+    share_map,
     sigma_chart,
+    slope_error_map,
 )
-from gelform.calibration.report.page.images import jpeg_url
-from gelform.calibration.report.page.maps import coverage_map, scale_of_errors, share_map, slope_error_map
-from gelform.calibration.report.page.words import digits, place_in_words, setting_in_words
+from gelform.calibration.report.page.presses import jpeg_url
 from gelform.calibration.report.verdict import shown
 
 CARDS = (
@@ -273,3 +275,74 @@ def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
     ]
     told = [(name, escape(str(value))) for name, value in listed]
     return [*told, ("Digest", f"<code>{escape(facts['digest'])}</code>")]
+
+
+def where_section(content: dict[str, Any]) -> str:
+    """Normal errors inside the contact and up to the visible rim, by slope and by place, as two tables."""
+    where = content["where"]
+    zone = "up to the rim"
+    return (
+        '<section id="where"><h2>At which slopes and places?</h2>'
+        "<p class='lead'>Mean angle between the normals of the solved depth and the ball's, over held-out pixels: "
+        f"{_deg(where['contact']['normal_deg'])} inside the edge of the contact, at {where['contact_radius_ratio']:.2f} of "
+        f"the visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has "
+        "left the ball: that difference is mostly not the color model's.</p>"
+        f'<div class="two"><div class="scroll">{_slope_table(where, zone)}</div>'
+        f'<div class="scroll">{_place_table(where)}<p class="muted">The image in cells, row by row: contact / '
+        f"{zone}, degrees. A dash: hardly a held-out press.</p></div></div></section>"
+    )
+
+
+def _slope_table(where: dict[str, Any], zone: str) -> str:
+    up_to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
+    rows = []
+    for b in where["contact"]["by_slope"]:
+        part = up_to_rim.get(b["slope_from"])
+        rows.append(
+            f"<tr><td>{b['slope_from']:g} – {b['slope_to']:g}</td><td>{_deg(b['normal_deg'])}</td>"
+            f"<td>{_deg(part['normal_deg'] if part else None)}</td><td>{b['gain']:.2f}</td><td>{b['pixels']}</td></tr>"
+        )
+    return (
+        f"<table><thead><tr><th>the ball's slope</th><th>contact</th><th>{zone}</th><th>gain, contact</th>"
+        f"<th>pixels</th></tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    )
+
+
+def _place_table(where: dict[str, Any]) -> str:
+    whole, part = (where[name]["by_place"] for name in ("contact", "rim"))
+    cells = [f"<td>{_deg(a)} / {_deg(b)}</td>" for a, b in zip(whole["normal_deg"], part["normal_deg"])]
+    columns = whole["columns"]
+    rows = ["".join(cells[k : k + columns]) for k in range(0, len(cells), columns)]
+    return f"<table><tbody>{''.join(f'<tr>{row}</tr>' for row in rows)}</tbody></table>"
+
+
+def _deg(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}°"
+
+
+DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
+
+
+def digits(value: float) -> str:
+    """Three significant digits, zeros at the end included."""
+    return f"{value:#.3g}".removesuffix(".")
+
+
+def place_in_words(place: dict[str, Any], mm_per_px: float) -> str:
+    """A place as a user finds it: part of the image, px, and mm from its left and its top."""
+    x, y = place["x_px"], place["y_px"]
+    from_left, from_top = x * mm_per_px, y * mm_per_px
+    return f"{place['name']}: ({x:.0f}, {y:.0f}) px, {from_left:.1f} mm from the left, {from_top:.1f} mm from the top"
+
+
+def setting_in_words(value: Any) -> str:
+    """A setting as a person reads it: four significant digits, lists joined, the beginning of a digest; none: nothing."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {setting_in_words(one)}" for name, one in value.items()) or "none"
+    if isinstance(value, (list, tuple)):
+        return " / ".join(setting_in_words(one) for one in value) or "none"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    text = "none" if value in (None, "") else str(value)
+    is_digest = len(text) == 64 and set(text) <= set("0123456789abcdef")
+    return f"{text[:DIGEST_SHOWN]}…" if is_digest else text

@@ -1,0 +1,271 @@
+"""What calibration fits: a color model with its settings, and the forward response that its slopes get a step by.
+
+Which settings a color model is tried with is said by the model's own class (`variants`); here nothing is listed again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.change import ChangeSettings, gain_from_background
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.samples import (
+    TOTAL_SAMPLES,
+    PreparedPress,
+    contact_samples,
+    with_rest_samples,
+)
+from gelform.calibration_file import Calibration, as_calibration
+from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse, HierarchicalModel, Samples
+from gelform.color_models.forward_response import Step
+from gelform.color_models.stepped import SteppedSlopes
+from gelform.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from gelform.calibration.presses.folder import Presses
+
+AUTO = "auto"
+ENOUGH_FOR_HIERARCHICAL = (
+    12  # presses: of fewer a polynomial of few terms is the better one (7.6 against 10.5 degrees at 5)
+)
+START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
+STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
+LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The model of another unit of the same sensor, where a fit begins; two are equal only if they are the same one.
+
+    Attributes
+    ----------
+    model : HierarchicalModel
+    digest : of the calibration that it comes from
+    """
+
+    model: HierarchicalModel
+    digest: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A color model with its settings, what it starts from, and the forward response of its step.
+
+    Attributes
+    ----------
+    model : a name in `COLOR_MODELS`
+    settings : keywords of the model's `fit`, as pairs
+    start : another unit's model, or None
+    step_ridge : of the forward response; None: slopes stay as the model reads them
+    """
+
+    model: str
+    settings: tuple[tuple[str, Any], ...] = ()
+    start: Start | None = None
+    step_ridge: float | None = None
+
+    @property
+    def change_offset(self) -> float:
+        """Grey levels that are added to the background where its color changes are divided by it."""
+        return float(COLOR_MODELS[self.model].change_offset)
+
+    def fit(self, samples: Samples) -> ColorModel:
+        """The color model, fitted on samples."""
+        start = {} if self.start is None else {"start": self.start.model}
+        return COLOR_MODELS[self.model].fit(samples, **dict(self.settings), **start)
+
+    def describe(self) -> str:
+        """Name and settings, short."""
+        said = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
+        step = [] if self.step_ridge is None else [f"step {self.step_ridge:g}"]
+        return " ".join([self.model, *said, *step])
+
+
+def training_samples(
+    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], *, total: int = TOTAL_SAMPLES
+) -> Samples:
+    """What color models are fitted on: pixels inside the contacts' edges, and untouched ones."""
+    return with_rest_samples(contact_samples(presses, contacts, total=total), presses, contacts)
+
+
+def fitted_responses(
+    model: ColorModel,
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    ridges: Sequence[float],
+    untouched: float,
+    *,
+    total: int = TOTAL_SAMPLES,
+) -> list[ForwardResponse]:
+    """Forward responses of presses, one for each ridge, with the depths that a color model reads there.
+
+    Parameters
+    ----------
+    model : fitted on the presses
+    presses, contacts : prepared, and their circles
+    ridges : of `ForwardResponse.fit_each`
+    untouched : color changes up to it say untouched gel
+    total : how many pixels are used, about
+    """
+    reader = SlopeReader(model, None, presses[0], untouched)
+    depths = [reader.depth_px(press) for press in presses]
+    inside = contact_samples(presses, contacts, total=total, depths_px=depths)
+    samples = with_rest_samples(inside, presses, contacts, depths)
+    return ForwardResponse.fit_each(samples, ridges, step_sigma=step_sigma_of(model, samples))
+
+
+def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
+    """Of a step's prior: how far off a component of the slopes is that a model reads, at rest and per slope."""
+    error = model.gradients_at(samples.color_change, samples.x_px, samples.y_px) - samples.gradients
+    square, slope = np.mean(error**2, axis=1), np.sum(np.square(samples.gradients), axis=1)
+    at_rest, pressed = (float(square[part].mean()) if part.any() else 0.0 for part in (slope == 0, slope > 0))
+    growth = max(pressed - at_rest, 0.0) / float(slope[slope > 0].mean())
+    return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
+
+
+def color_model_names() -> list[str]:
+    """What `calibrate` takes as its color model."""
+    return [AUTO, *COLOR_MODELS]
+
+
+def candidates_for(color_model: str, presses: int) -> list[Candidate]:
+    """What is tried with so many training presses, the simplest first.
+
+    Parameters
+    ----------
+    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto": `hierarchical` at every ridge, and a polynomial
+        of few presses
+    presses : number of presses that train
+
+    Raises
+    ------
+    ValueError
+        The name is unknown.
+    """
+    if color_model not in color_model_names():
+        raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
+    if color_model == AUTO and presses < ENOUGH_FOR_HIERARCHICAL:
+        few = [v for v in COLOR_MODELS["polynomial"].variants(presses) if len(v["position_degrees"]) <= 2]
+        return [Candidate("polynomial", tuple(few[-1].items()))]
+    name = "hierarchical" if color_model == AUTO else color_model
+    return [Candidate(name, tuple(variant.items())) for variant in COLOR_MODELS[name].variants(presses)]
+
+
+def candidates_from(start: Start) -> list[Candidate]:
+    """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
+    return [Candidate("hierarchical", (("ridge", ridge),), start) for ridge in START_RIDGES]
+
+
+class SlopeReader:
+    """Reads whole presses of one sensor.
+
+    Parameters
+    ----------
+    model : fitted
+    forward : fitted with it, for a step; None, or one without `step_sigma`: slopes stay as the model reads them
+    press : any of those that it will read
+    untouched : color changes up to it say untouched gel
+    """
+
+    def __init__(
+        self, model: ColorModel, forward: ForwardResponse | None, press: PreparedPress, untouched: float
+    ) -> None:
+        shape = press.size.shape
+        rest = np.zeros((*shape, 3), np.float32) if press.background is None else press.background
+        self._model = model.prepare(rest, shape)
+        self._stepped = SteppedSlopes(forward, shape, untouched)
+
+    def frame(self, press: PreparedPress) -> Step:
+        """Slopes of the whole press; where no step is taken their variance is 1 and their residual 0."""
+        change = np.ascontiguousarray(press.color_change)
+        read, _ = self._model.gradients_from_color(change)
+        step = self._stepped(change, read)
+        if step is None:
+            return Step(read, np.ones(read.shape[:2], np.float32), np.zeros(read.shape[:2], np.float32))
+        return step
+
+    def depth_px(self, press: PreparedPress) -> NDArray[np.float32]:
+        """Depth (H, W), px, by the slopes that the color model reads: what forward responses are fitted with."""
+        change = np.ascontiguousarray(press.color_change)
+        return self._stepped.depth_px(change, self._model.gradients_from_color(change)[0])
+
+
+TRANSLATED_SAMPLES = 20_000
+STEEPEST = 0.7  # mm/mm, of translated slopes, where the first unit does not say up to which it was measured
+
+
+def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
+    """What a first unit's calibration gives a second one to begin with.
+
+    Parameters
+    ----------
+    start : the calibration or its file
+    presses : of the second unit
+    color_model : that the second unit's calibration asks for
+
+    Raises
+    ------
+    ValueError
+        The second unit asks for another color model than `hierarchical`, or its images are of another size.
+    CalibrationError
+        The first unit's calibration was imported and does not say what colour a slope gives.
+    """
+    first = as_calibration(start)
+    if color_model not in ("auto", "hierarchical"):
+        raise ValueError(
+            f"Expected the color model hierarchical, which can be drawn to another unit's, got {color_model}. "
+            "Leave it out, or give --model hierarchical."
+        )
+    model = first.color_model
+    if isinstance(model, HierarchicalModel):
+        model.check_like(model.degree, presses.image_shape)
+    elif tuple(first.image_shape) != tuple(presses.image_shape):
+        (height, width), (rows, columns) = presses.image_shape, first.image_shape
+        raise ValueError(
+            f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
+        )
+    else:
+        model = translated(first)
+    return Start(model, first.digest)
+
+
+def translated(first: Calibration) -> HierarchicalModel:
+    """A `hierarchical` that reads the slopes that a calibration's model reads, where its gel gives colours.
+
+    Places and slopes are drawn at random, always the same ones; the forward response gives their colours, its noise
+    is added, and the model says which slopes it reads there.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration has no forward response.
+    """
+    if first.forward is None:
+        raise CalibrationError(
+            f"Expected a first unit that was calibrated on presses of a ball, got {first.sensor_name} with the imported "
+            f"color model {first.color_model.name}: it does not say what colour a slope gives. Calibrate it on presses."
+        )
+    rng, shape = np.random.default_rng(0), first.image_shape
+    x, y = (rng.integers(0, n, TRANSLATED_SAMPLES) for n in (shape[1], shape[0]))
+    steepest = STEEPEST if first.slope_sigma is None else first.slope_sigma.slopes[-1]
+    size = steepest * np.sqrt(rng.uniform(size=TRANSLATED_SAMPLES))
+    turn = rng.uniform(0, 2 * np.pi, TRANSLATED_SAMPLES)
+    slopes = size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    noise = rng.multivariate_normal(np.zeros(3), first.forward.covariance, len(x))
+    change = first.forward.color_from_gradients(slopes, x, y) + noise
+    usual = ChangeSettings(
+        offset=HierarchicalModel.change_offset,
+        crosstalk=first.change.crosstalk,
+        response=first.change.response,
+    )
+    gains = (gain_from_background(first.background, settings)[y, x] for settings in (usual, first.change))
+    usual_change = (change * (next(gains) / next(gains))).astype(np.float32)
+    read = first.color_model.gradients_at(change.astype(np.float32), x, y)
+    samples = Samples(usual_change, x, y, read, np.ones(len(x)), shape, first.background)
+    return HierarchicalModel.fit(samples)

@@ -1,0 +1,220 @@
+"""The chosen color model fitted on every accepted press: a calibration that does not know its errors yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+import scipy  # its parts load at first use
+from numpy.typing import NDArray
+
+from gelform import __version__
+from gelform.background.average import noise_from_image
+from gelform.calibration.candidates import Candidate, fitted_responses, training_samples
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.prepare import change_settings
+from gelform.calibration.circles.refine import Refined
+from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration_file import Calibration
+from gelform.color_models import ColorModel, ForwardResponse
+from gelform.color_models.forward_response import RIDGES
+from gelform.confidence import SlopeSigma
+from gelform.confidence.clipped import ends_shown
+
+UNTOUCHED_PERCENTILE = 99.0
+UNTOUCHED_DISTANCE = 3  # contact radii
+USUAL_UNTOUCHED_CHANGE = 0.03  # where no press leaves room for it
+CLIPPED_SHARE = 0.01  # of the training pixels: fewer teach nothing of what a clipped channel means
+MAX_NOISE_IMAGES = 12
+# What a Reconstructor weighs slopes by until the held-out presses have told.
+FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
+
+
+def fit_all(
+    presses: Presses,
+    prepared: Sequence[PreparedPress],
+    refined: Refined,
+    chosen: Candidate,
+    untouched: float,
+) -> Calibration:
+    """The calibration of every accepted press; its errors and its slope sigma are filled in later.
+
+    Parameters
+    ----------
+    presses : as read
+    prepared : with the color changes that the candidate wants
+    refined : their circles, and which presses are accepted
+    chosen : the color model, its settings and its step
+    untouched : from `untouched_change`
+    """
+    used, contacts = refined.of_accepted(prepared)
+    own = [presses.presses[i] for i in refined.accepted]
+    noise = presses.background_noise
+    model = chosen.fit(training_samples(used, contacts))
+    ridge = RIDGES[0] if chosen.step_ridge is None else chosen.step_ridge
+    (forward,) = fitted_responses(model, used, contacts, [ridge], untouched)
+    images = [press.image for press in own]
+    forward = replace(
+        forward,
+        step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
+        clipped=_clipped(images, used, contacts),
+    )
+    relaxation_mm = relaxation_from_presses(model, used, contacts, presses.background, presses.mm_per_px)
+    return Calibration(
+        sensor_name=presses.sensor_name,
+        serial=presses.serial,
+        gel_id=presses.gel_id,
+        view=presses.view,
+        image_shape=presses.image_shape,
+        mm_per_px=presses.mm_per_px,
+        mm_per_px_sigma=presses.mm_per_px_sigma,
+        background=presses.background,
+        background_noise=noise_from_image(presses.background) if noise is None else noise,
+        change=change_settings(presses, chosen.change_offset),
+        color_model=model,
+        forward=forward,
+        slope_sigma=_first_guess(forward),
+        untouched_change=untouched,
+        held_out={},
+        training_digests=tuple(press.digest for press in own),
+        settings=_settings(presses, chosen, images, used[0].contact_radius_ratio, relaxation_mm),
+        library_version=__version__,
+        created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+
+
+def _first_guess(forward: ForwardResponse) -> SlopeSigma:
+    """By which slopes are weighed until the held-out presses have told: the step's own deviation, or a usual one."""
+    if forward.step_sigma is None:
+        return FIRST_GUESS
+    return replace(FIRST_GUESS, sigmas=(1.0, 1.0))
+
+
+def _clipped(
+    images: Sequence[NDArray[Any]], presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
+) -> NDArray[np.bool_]:
+    """(2, 3): which channels more than a hundredth of the training pixels show at the camera's lower and upper end."""
+    levels = [image[press.pixels(contact, ZONE)] for image, press, contact in zip(images, presses, contacts)]
+    return np.asarray(ends_shown(np.concatenate(levels)) > CLIPPED_SHARE)
+
+
+def _settings(
+    presses: Presses,
+    chosen: Candidate,
+    images: Sequence[Any],
+    contact_radius_ratio: float,
+    relaxation_mm: float | None = None,
+) -> dict[str, Any]:
+    """What the run chose and was given and how the gel relaxes, as the calibration records it."""
+    return {
+        "contact_radius_ratio": contact_radius_ratio,
+        **dict(chosen.settings),
+        **({} if chosen.step_ridge is None else {"step_ridge": chosen.step_ridge}),
+        **({} if chosen.start is None else {"start": chosen.start.digest}),
+        "presses": len(images),
+        "response": presses.response,
+        **({"camera": dict(presses.camera)} if presses.camera else {}),
+        **presses.geometry.settings(),
+        **({} if relaxation_mm is None else {"relaxation_mm": relaxation_mm}),
+        "image_noise": image_noise(images, presses.background).tolist(),
+    }
+
+
+def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
+    """Size of the color change that untouched pixels stay under, beyond three contact radii."""
+    sizes = []
+    for press, contact in zip(presses, contacts):
+        height, width = press.size.shape
+        rows, cols = np.ogrid[:height, :width]
+        reach = UNTOUCHED_DISTANCE * contact.radius_px
+        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > reach**2
+        if far.any():
+            sizes.append(float(np.percentile(press.size[far], UNTOUCHED_PERCENTILE)))
+    return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
+
+
+def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Standard deviation (3,) of an image's pixel, grey levels: the median over some of the images.
+
+    A background is often an average of frames, and quieter than the images that are taken beside it.
+    """
+    some = images[:: max(1, len(images) // MAX_NOISE_IMAGES)]
+    found = [noise_from_image(image.astype(np.float32) - background) for image in some]
+    return np.asarray(np.median(found, axis=0), dtype=np.float64)
+
+
+LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
+BLURRED_PX = 4.0  # beside a contact the blurred image still shows the ball
+REACH_MM = 3.0
+LEAST_SEEN = 0.75  # of a ring's pixels: over a whole ring a tilt of all slopes cancels
+LEAST_RINGS = 5
+LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
+MOST_PRESSES = 24
+
+
+def relaxation_from_presses(
+    model: ColorModel,
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    background: NDArray[np.float32],
+    mm_per_px: float,
+) -> float | None:
+    """The gel's relaxation length L in mm; None where the surroundings of the contacts do not tell.
+
+    Around a ball's contact a membrane under tension on an elastic bed, `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31,
+    1964), has the depth A K0(r/L) and the slope -A/L K1(r/L) at the distance r of the ball's axis. One L is fitted to the
+    slopes of all presses by least squares, and an A to each.
+
+    Parameters
+    ----------
+    model : fitted on the presses
+    presses, contacts : prepared, and their circles
+    background : (H, W, 3), the untouched image
+    mm_per_px : mm
+    """
+    prepared, step = model.prepare(background, presses[0].size.shape), -(-len(presses) // MOST_PRESSES)
+    errors, squares = np.zeros(LENGTHS_MM.size), 0.0
+    for press, contact in zip(presses[::step], contacts[::step]):
+        slopes = prepared.gradients_from_color(np.ascontiguousarray(press.color_change))[0]
+        r, slope, pixels = slopes_around(slopes, contact, press.usable, mm_per_px)
+        if r.size >= LEAST_RINGS:
+            errors += [_misfit(r, slope, pixels, length) for length in LENGTHS_MM]
+            squares += float(pixels @ slope**2)
+    best = int(np.argmin(errors))
+    told = 0 < best < errors.size - 1 and errors[best] < (1 - LEAST_EXPLAINED) * squares
+    return float(LENGTHS_MM[best]) if told else None
+
+
+def slopes_around(
+    gradients: NDArray[np.float32], contact: ContactCircle, usable: NDArray[np.bool_] | None, mm_per_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Distance (mm), mean outward slope and number of pixels of rings around a contact, 1 px wide, that are seen."""
+    height, width = gradients.shape[:2]
+    dx = np.arange(width, dtype=np.float32) - np.float32(contact.x_px)
+    dy = (np.arange(height, dtype=np.float32) - np.float32(contact.y_px))[:, None]
+    r = np.hypot(dx, dy)
+    outward = (gradients[..., 0] * dx + gradients[..., 1] * dy) / np.maximum(r, 1)
+    ring = r.astype(np.intp)
+    first, last = int(contact.radius_px + BLURRED_PX) + 1, int(contact.radius_px + REACH_MM / mm_per_px)
+    inside = (ring >= first) & (ring < last) & (True if usable is None else usable)
+    at, size = ring[inside] - first, max(last - first, 1)
+    count, sums, far = (
+        np.bincount(at, weights=of, minlength=size)
+        for of in (None, outward[inside].astype(np.float64), r[inside].astype(np.float64))
+    )
+    seen = count > LEAST_SEEN * 2 * np.pi * (first + np.arange(size) + 0.5)
+    n = count[seen].astype(np.float64)
+    return far[seen] / n * mm_per_px, sums[seen] / n, n
+
+
+def _misfit(
+    r_mm: NDArray[np.float64], slope: NDArray[np.float64], weight: NDArray[np.float64], length_mm: float
+) -> float:
+    """Sum of squares that the best -A K1(r/L) with A >= 0 leaves."""
+    shape = scipy.special.k1e(r_mm / length_mm) * np.exp((r_mm[0] - r_mm) / length_mm)
+    size = max(-float(weight @ (slope * shape)) / float(weight @ shape**2), 0.0)
+    return float(weight @ (slope + size * shape) ** 2)

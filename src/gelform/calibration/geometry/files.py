@@ -1,0 +1,198 @@
+"""Write what was measured beside the presses where it is read again: a `sensor.toml`, or a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.geometry.crosstalk import Crosstalk
+from gelform.calibration.geometry.lens import GridView
+from gelform.calibration.geometry.scale import Scale
+from gelform.calibration.geometry.toml_text import Table, edited_toml
+from gelform.calibration_file import load_calibration
+from gelform.errors import CalibrationError, DataError
+from gelform.npz_files import written_file
+from gelform.sensors.backgrounds import background_in, read_background
+from gelform.sensors.files import read_image, read_sensor_toml
+from gelform.sensors.profiles import profile_named
+from gelform.view import View, image_from_frame
+
+
+def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
+    """Write a scale into a `sensor.toml` or an imported calibration.
+
+    Parameters
+    ----------
+    scale : from `scale_from_punch` and the like
+    place : a folder, its `sensor.toml` (made where there is none), or a calibration
+    sensor_name : for a new `sensor.toml`; the folder's name by default
+
+    Returns
+    -------
+    Path
+        The file that was written; it is replaced in one step.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration was fitted on presses: its slopes hold at the scale of that time.
+    DataError
+        The file cannot be read, edited or written.
+    """
+    place = Path(place)
+    if place.suffix == ".npz":
+        return _save_in_calibration(scale, place)
+    return _save_in_toml(place, _scale_values(scale), sensor_name)
+
+
+def save_grid_view(found: GridView, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
+    """Write the lens and the scale that a grid told into a `sensor.toml`; a lens that was there is replaced.
+
+    Parameters and errors as in `save_scale`; also a DataError where the `[view]` there crops, flips or resizes
+    without a lens, and a CalibrationError for a calibration: its background and its color model are of other images.
+    """
+    place = Path(place)
+    if place.suffix == ".npz":
+        raise CalibrationError(
+            f"Expected a folder or a sensor.toml for a lens, got the calibration {place}: it was made for images that "
+            "the lens has not been undone in. Write the lens into sensor.toml and calibrate again."
+        )
+    file = _toml_in(place)
+    if file.is_file():
+        view = read_sensor_toml(file).view
+        if view.lens is None and not view.is_identity:
+            raise DataError(
+                f"Expected {file} without a [view], or with that of an earlier lens, got a crop, flip or size. Take the "
+                "[view] out: the lens brings its own."
+            )
+    view_values = found.view.to_dict()
+    lens_values = view_values.pop("lens")
+    changes: dict[Table, dict[str, Any]] = {**_scale_values(found.scale)}
+    changes[("measured",)] = {**changes[("measured",)], "lens": found.describe()}
+    changes |= {("view",): view_values, ("view", "lens"): lens_values}
+    return _save_in_toml(place, changes, sensor_name, drop=[("view",)])
+
+
+def save_crosstalk(crosstalk: Crosstalk, place: str | PathLike[str]) -> Path:
+    """Write a crosstalk into an existing `sensor.toml`; parameters and errors as in `save_scale`."""
+    place = Path(place)
+    if place.suffix == ".npz" or not _toml_in(place).is_file():
+        raise DataError(
+            f"Expected a folder with a sensor.toml, or that file, for a crosstalk, got {place}. Write name and mm_per_px "
+            "into sensor.toml first."
+        )
+    values = {"crosstalk": crosstalk.matrix, "crosstalk_spread": crosstalk.spread}
+    return _save_in_toml(place, {("measured",): values})
+
+
+def _scale_values(scale: Scale) -> dict[Table, dict[str, Any]]:
+    values = {"mm_per_px": scale.mm_per_px, "mm_per_px_sigma": scale.sigma}
+    return {(): values, ("measured",): {"scale": scale.source}}
+
+
+def _toml_in(place: Path) -> Path:
+    return place if place.suffix == ".toml" else place / "sensor.toml"
+
+
+def _save_in_toml(
+    place: Path,
+    changes: Mapping[Table, Mapping[str, Any]],
+    sensor_name: str | None = None,
+    drop: Sequence[Table] = (),
+) -> Path:
+    file = _toml_in(place)
+    if file.is_file():
+        read_sensor_toml(file)  # what is wrong in it is said as always
+        text = file.read_bytes().decode("utf-8")
+    else:
+        text = edited_toml("", {(): {"name": sensor_name or file.parent.resolve().name}})
+    try:
+        edited = edited_toml(text, changes, drop)
+    except ValueError as problem:
+        raise DataError(f"{file}: {problem}") from problem
+    with written_file(file, overwrite=True) as handle:
+        handle.write(edited.encode("utf-8"))
+    return file
+
+
+def _save_in_calibration(scale: Scale, place: Path) -> Path:
+    calibration = load_calibration(place)
+    if calibration.training_digests:
+        raise CalibrationError(
+            f"Expected a calibration without presses of its own (an imported one), got {place}, whose slopes were read "
+            f"off balls at {calibration.mm_per_px:g} mm/px: another scale would leave them wrong. Write the scale into "
+            "the presses' sensor.toml and calibrate again."
+        )
+    settings = {**calibration.settings, "scale_source": scale.source}
+    replace(calibration, mm_per_px=scale.mm_per_px, mm_per_px_sigma=scale.sigma, settings=settings).save(
+        place, overwrite=True
+    )
+    return place
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A sensor as it is set up.
+
+    Attributes
+    ----------
+    view : from its frames to images
+    background : (H, W, 3) float32, the untouched image, after the view
+    """
+
+    view: View
+    background: NDArray[np.float32]
+
+    def image(self, path: str | PathLike[str]) -> NDArray[Any]:
+        """The image (H, W, 3) of a frame in a file."""
+        return image_from_frame(read_image(Path(path)), self.view)
+
+
+def read_setup(
+    place: str | PathLike[str],
+    *,
+    background: str | PathLike[str] | None = None,
+    sensor: str | None = None,
+) -> Setup:
+    """The view and the untouched image that a press folder, its `sensor.toml` or a calibration says.
+
+    Parameters
+    ----------
+    place : a folder with an image of the untouched gel, its `sensor.toml`, or a calibration
+    background : the untouched frame, where it is not the folder's `background.png`
+    sensor : name of a profile, for the view of a folder without a `sensor.toml`
+
+    Raises
+    ------
+    DataError, CalibrationError
+        There is none, or it cannot be read.
+    """
+    place = Path(place)
+    if place.suffix == ".npz":
+        calibration = load_calibration(place)
+        if background is None:
+            return Setup(calibration.view, calibration.background)
+        view = calibration.view
+        return Setup(view, image_from_frame(read_background(Path(background)), view).astype(np.float32))
+    folder = place.parent if place.suffix == ".toml" else place
+    if not folder.is_dir():
+        raise DataError(
+            f"Expected a folder, its sensor.toml or a calibration, got {place}, which is not there."
+        )
+    frame = read_background(Path(background) if background is not None else background_in(folder))
+    view = _view_of(folder / "sensor.toml", sensor, (frame.shape[0], frame.shape[1]))
+    return Setup(view, image_from_frame(frame, view).astype(np.float32))
+
+
+def _view_of(settings: Path, sensor: str | None, frame_shape: tuple[int, int]) -> View:
+    if settings.is_file():
+        view = read_sensor_toml(settings).view
+        if not view.is_identity:
+            return view
+    return View() if sensor is None else profile_named(sensor).view(frame_shape)

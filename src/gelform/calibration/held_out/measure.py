@@ -1,0 +1,341 @@
+"""Errors on held-out presses: each is reconstructed once, by what was chosen and fitted without it.
+
+Some of its pixels are kept with their slopes and the ball's own, and the depth minus the cap. They stay in the report of
+the run, unsaved; the report's statistics are binned from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
+from gelform.calibration.candidates import Candidate
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.prepare import change_settings
+from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.held_out.folds import Fold
+from gelform.calibration.held_out.scores import HeldOutPresses, Selection
+from gelform.calibration.held_out.sigma import slope_sigma_from_folds
+from gelform.calibration.presses.press_set import Press, Presses
+from gelform.calibration_file import Calibration
+from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, solved_factor, with_solved_factors
+from gelform.metrics import PressErrors, angle_deg, press_errors, score_slopes
+from gelform.progress import Progress, no_progress
+from gelform.reconstruct import Reconstructor
+from gelform.reconstruction import Reconstruction
+
+MAX_PIXELS = 2000
+CENTER_PIXELS = 1500
+SLOPE_STEP_PX = 2
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutSample:
+    """Pixels of one press, reconstructed with a model that has not seen it; the ball's centre is free.
+
+    Attributes
+    ----------
+    index : of the press in its folder
+    circle_px : (centre x, centre y, contact radius), px; of a press too deep for that, the radius that the gel follows
+    x_px, y_px : (N,) float32, inside the contact, 3 px (at 240 rows) inside its rim
+    true_gradients, gradients : (N, 2) float32, the ball's slopes there and those that were reconstructed
+    cap_error_um : (h, w) float32, depth minus the ball's cap in the contact's box, mean 0, NaN outside it;
+        empty where the fitted ball lies outside the frame
+    """
+
+    index: int
+    circle_px: tuple[float, float, float]
+    x_px: NDArray[np.float32]
+    y_px: NDArray[np.float32]
+    true_gradients: NDArray[np.float32]
+    gradients: NDArray[np.float32]
+    cap_error_um: NDArray[np.float32]
+
+    @property
+    def errors(self) -> NDArray[np.float32]:
+        """(N, 2) reconstructed minus true slopes."""
+        return self.gradients - self.true_gradients
+
+    @property
+    def true_slope(self) -> NDArray[np.float32]:
+        """(N,) magnitude of the ball's slope."""
+        slope: NDArray[np.float32] = np.linalg.norm(self.true_gradients, axis=1)
+        return slope
+
+    @property
+    def normal_deg(self) -> float:
+        """Mean angle to the ball's normals."""
+        return float(angle_deg(self.gradients, self.true_gradients).mean())
+
+    def within(self, zone: float) -> HeldOutSample:
+        """The pixels inside a share of the contact radius."""
+        x, y, radius = self.circle_px
+        keep = np.hypot(self.x_px - x, self.y_px - y) < zone * radius
+        return HeldOutSample(
+            self.index,
+            self.circle_px,
+            self.x_px[keep],
+            self.y_px[keep],
+            self.true_gradients[keep],
+            self.gradients[keep],
+            self.cap_error_um,
+        )
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What the held-out presses tell.
+
+    Attributes
+    ----------
+    errors : index of the press -> its errors through the whole path, by what was chosen without its fold
+    saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
+    samples : some pixels of each
+    slope_sigma : standard deviation of the slopes of the chosen color model
+    residual_scale : of the forward response
+    """
+
+    errors: Mapping[int, PressErrors]
+    saved_errors: Mapping[int, PressErrors]
+    samples: tuple[HeldOutSample, ...]
+    slope_sigma: SlopeSigma
+    residual_scale: float
+
+
+def measure_held_out(
+    draft: Calibration,
+    presses: Presses,
+    held_out: HeldOutPresses,
+    selection: Selection,
+    *,
+    progress: Progress = no_progress,
+) -> HeldOut:
+    """Errors of every usable press, with what was chosen and fitted without its fold.
+
+    Parameters
+    ----------
+    draft : the calibration of all presses; its color model is replaced by each fold's
+    presses : as read
+    held_out : the same, prepared and dealt into folds
+    selection : what was chosen by all presses, and without each fold
+    progress : called with (done, total, what)
+    """
+    errors: dict[int, PressErrors] = {}
+    saved_errors: dict[int, PressErrors] = {}
+    samples: list[HeldOutSample] = []
+    slope_errors: list[list[NDArray[np.float64]]] = []
+    found, folds, chosen = held_out.found, held_out.folds, selection.chosen
+    prepared, mm_per_px = held_out.presses[chosen.change_offset], draft.known_mm_per_px
+    readers = [held_out.reader(fold, chosen) for fold in folds]
+    sigma, residual_scale = slope_sigma_from_folds(readers, folds, prepared, found)
+    if draft.forward is not None:
+        draft = replace(draft, forward=replace(draft.forward, residual_scale=residual_scale))
+    for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
+        runs = [(candidate, errors)]
+        if candidate != chosen:
+            runs.append((chosen, saved_errors))
+        for one, into in runs:
+            for i, circle, result in _reconstructed(draft, presses, held_out, one, fold):
+                how = presses.presses[i], circle, result, mm_per_px, prepared[i].contact_radius_ratio
+                into[i] = errors_of(*how)
+                if into is errors:
+                    samples.append(sample_of(i, *how))
+                    slope_errors.append(_slope_errors(result, circle, prepared[i]))
+        if candidate == chosen:
+            saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
+        progress(done + 1, len(folds), "measuring on held-out presses")
+    observed, solved = (np.concatenate(parts) for parts in zip(*slope_errors))
+    sigma = replace(sigma, solved_factor=solved_factor(observed, solved))
+    return HeldOut(errors, saved_errors, tuple(samples), sigma, residual_scale)
+
+
+def _reconstructed(
+    calibration: Calibration,
+    presses: Presses,
+    held_out: HeldOutPresses,
+    candidate: Candidate,
+    fold: Fold,
+) -> Iterator[tuple[int, tuple[float, float, float], Reconstruction]]:
+    """Index, circle and result of each press of a fold, by a calibration that was fitted without the fold."""
+    suited = held_out.presses[candidate.change_offset]
+    ((model, forward),) = held_out.fit(fold, [candidate])
+    change = change_settings(presses, candidate.change_offset)
+    if (known := calibration.forward) is not None:
+        own = replace(known, step_sigma=None) if forward is None else forward
+        forward = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
+    fitted = replace(calibration, color_model=model, forward=forward, change=change)
+    reconstruct = Reconstructor(fitted, depth_sigma=False)
+    for i in fold.held_out:
+        result = reconstruct.from_image(presses.presses[i].image)
+        yield i, _free_circle(suited[i], held_out.found[i], result), result
+
+
+def _slope_errors(
+    result: Reconstruction, circle_px: tuple[float, float, float], press: PreparedPress
+) -> list[NDArray[np.float64]]:
+    """Errors (N, 2) of the slopes that were read and of those of the solved depth, inside the contact.
+
+    Each has its own free centre, as everywhere.
+    """
+    x, y, radius = circle_px
+    height, width = result.shape
+    rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
+    inside = np.hypot(cols - x, rows - y) < press.contact_radius_ratio * followed_radius(
+        radius, press.ball_radius_px
+    )
+    rows, cols = rows[inside], cols[inside]
+    assert result.observed_gradients is not None
+    maps = result.observed_gradients, result.gradients
+    return [score_slopes(one[rows, cols], cols, rows, (x, y), press.ball_radius_px).errors for one in maps]
+
+
+def _free_circle(
+    press: PreparedPress, found: ContactCircle, result: Reconstruction
+) -> tuple[float, float, float]:
+    """The held-out press's circle: found in its own image, its centre that of the solved slopes, its radius not refined."""
+    rows, cols = press.pixels(found, ZONE, CENTER_PIXELS)
+    start = found.x_px, found.y_px
+    x, y = ball_center(result.gradients[rows, cols], cols, rows, start, press.ball_radius_px)
+    return x, y, found.radius_px
+
+
+def errors_of(
+    press: Press,
+    circle_px: tuple[float, float, float],
+    result: Reconstruction,
+    mm_per_px: float,
+    contact_radius_ratio: float,
+) -> PressErrors:
+    """Errors of a reconstructed press whose visible circle (centre x, centre y, radius, px) is known."""
+    return press_errors(
+        result.depth_mm,
+        result.gradients,
+        circle_px=circle_px,
+        ball_radius_mm=press.ball_diameter_mm / 2,
+        mm_per_px=mm_per_px,
+        contact_radius_ratio=contact_radius_ratio,
+    )
+
+
+def sample_of(
+    index: int,
+    press: Press,
+    circle_px: tuple[float, float, float],
+    result: Reconstruction,
+    mm_per_px: float,
+    contact_radius_ratio: float,
+    *,
+    max_pixels: int = MAX_PIXELS,
+) -> HeldOutSample:
+    """Pixels of a reconstructed press that tell how far off it is, up to the visible rim.
+
+    That region and the free centres, fitted inside the contact's edge, are those of `gelform.metrics.press_errors`.
+
+    Parameters
+    ----------
+    index : of the press in its folder
+    press, circle_px, result, mm_per_px, contact_radius_ratio : as in `errors_of`
+    max_pixels : how many pixels are kept, about
+    """
+    ball_px = press.ball_diameter_mm / 2 / mm_per_px
+    height, width = result.depth_mm.shape
+    followed = followed_radius(circle_px[2], ball_px)
+    reach = min(followed - 3 * min(height, width) / 240, STEEPEST_FRACTION * ball_px)
+    y, x = np.mgrid[:height, :width]
+    start = circle_px[:2]
+    inside = np.hypot(x - start[0], y - start[1]) < min(contact_radius_ratio * followed, reach)
+    center = ball_center(result.gradients[inside], x[inside], y[inside], start, ball_px)
+    rows, cols = _thinned(np.hypot(x - center[0], y - center[1]) < reach, max_pixels)
+    return HeldOutSample(
+        index,
+        (*center, followed),
+        cols.astype(np.float32),
+        rows.astype(np.float32),
+        ball_gradients(cols, rows, center, ball_px).astype(np.float32),
+        result.gradients[rows, cols],
+        _cap_error_um(result.depth_mm, inside, start, reach, ball_px, mm_per_px),
+    )
+
+
+def _thinned(region: NDArray[np.bool_], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of at most about `count` pixels of a region, on a regular lattice."""
+    rows, cols = np.nonzero(region)
+    stride = -(-len(rows) // count)
+    keep = (cols + 3 * rows) % max(stride, 1) == 0
+    return rows[keep], cols[keep]
+
+
+def _cap_error_um(
+    depth_mm: NDArray[Any],
+    inside: NDArray[np.bool_],
+    start_px: tuple[float, float],
+    reach_px: float,
+    ball_px: float,
+    mm_per_px: float,
+) -> NDArray[np.float32]:
+    """Depth minus the cap of a ball whose centre is fitted to the slopes of the depth, in the contact's box."""
+    along_y, along_x = np.gradient(depth_mm.astype(np.float64), mm_per_px)
+    slopes = np.stack([along_x, along_y], axis=-1)[inside]
+    y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
+    center = ball_center(slopes, x[inside], y[inside], start_px, ball_px)
+    square = (x - center[0]) ** 2 + (y - center[1]) ** 2
+    error = 1e3 * (depth_mm - mm_per_px * np.sqrt(np.maximum(ball_px**2 - square, 0)))
+    region = square < reach_px**2
+    if not region.any():
+        return np.empty((0, 0), dtype=np.float32)
+    error = np.where(region, error - error[region].mean(), np.nan).astype(np.float32)
+    rows, cols = np.nonzero(region)
+    box: NDArray[np.float32] = error[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
+    return box
+
+
+def solved_by_place(
+    draft: Calibration, sigma: SlopeSigma, presses: Presses, samples: Sequence[HeldOutSample], seen: float
+) -> SlopeSigma:
+    """The deviation of slopes with factors by slope and place for those of the solved depth.
+
+    As in `slope_sigma_from_folds`, errors are taken down by the root of the share of presses that a fold has seen.
+
+    Parameters
+    ----------
+    draft : the calibration of all presses
+    sigma : what it is to state, but for the factors
+    presses : as read
+    samples : of the held-out presses, reconstructed by models that have not seen them
+    seen : share of the presses that such a model has seen
+    """
+    without = replace(sigma, solved_factor=1.0)
+    reconstruct = Reconstructor(replace(draft, slope_sigma=without), depth_sigma=False)
+    no_walls = copy(reconstruct)
+    no_walls.solved_sigma = SolvedSigma(without, draft.image_shape, None)
+    height, width = draft.image_shape
+    parts = []
+    ratio = draft.settings["contact_radius_ratio"]
+    for one in (sample.within(ratio) for sample in samples):
+        stated, by_reading = (
+            stated_sigma(each, presses.presses[one.index].image, one)[:, 0]
+            for each in (reconstruct, no_walls)
+        )
+        beyond = np.sqrt(np.maximum(stated**2 - by_reading**2, 0))
+        place = (one.x_px + 0.5) / width, (one.y_px + 0.5) / height
+        slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
+        parts.append((slopes, np.sqrt(seen) * one.errors, stated, beyond, *place, press))
+    return with_solved_factors(sigma, SolvedErrors(*(np.concatenate(column) for column in zip(*parts))))
+
+
+def stated_sigma(
+    reconstruct: Reconstructor, image: NDArray[Any], sample: HeldOutSample
+) -> NDArray[np.float32]:
+    """(N, 2) standard deviation of the slopes that a Reconstructor states at the pixels of a sample."""
+    sigma = reconstruct.from_image(image).gradients_sigma
+    if sigma is None:
+        raise ValueError("Expected a calibration that states a standard deviation of its slopes, got none.")
+    rows, cols = sample.y_px.astype(np.intp), sample.x_px.astype(np.intp)
+    stated: NDArray[np.float32] = sigma[rows, cols]
+    return stated

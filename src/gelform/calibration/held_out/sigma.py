@@ -1,0 +1,205 @@
+"""Errors of held-out slopes: their standard deviation by slope and place, their correlation, their gain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.candidates import SlopeReader
+from gelform.calibration.circles.find import ContactCircle, scale_of
+from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
+from gelform.calibration.held_out.folds import Fold
+from gelform.confidence import SlopeErrors, SlopeSigma
+from gelform.metrics import score_slopes
+
+LAGS = 24
+PER_PRESS = 2_000
+ROWS = 8  # of untouched gel, whose errors' correlation is looked at
+SHORTEST_PX, LONGEST_PX = 0.3, 6.0  # of it, by noise and blur
+MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84  # of squared residuals of 1 degree of freedom
+
+
+@dataclass(frozen=True)
+class PressResiduals:
+    """What a model that has not seen a press reads there, and how far off it is.
+
+    Attributes
+    ----------
+    slopes, errors : (h, w, 2) in the contact's bounding box, mm/mm, NaN outside its edge
+    stated : (N,) standard deviation by the step; 1 where none is taken
+    residual : (N,) squared, of the color change after the step
+    rows, cols : (N,) of the pixels of that part, in the image
+    untouched : (M, 2) slopes read far from the contact, where 0 is true, their median removed
+    untouched_rows : (rows, W, 2) the same of whole rows of the image, NaN near the contact
+    """
+
+    slopes: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    stated: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    rows: NDArray[np.intp]
+    cols: NDArray[np.intp]
+    untouched: NDArray[np.float64]
+    untouched_rows: NDArray[np.float64]
+
+    def columns(self, shape: tuple[int, int], press: int) -> tuple[NDArray[np.float64], ...]:
+        """Slope, errors, x and y in parts of the image, and the press's index, of some 2000 pixels."""
+        thin = slice(None, None, max(1, len(self.rows) // PER_PRESS))
+        rows, cols = self.rows[thin], self.cols[thin]
+        at = rows - self.rows.min(), cols - self.cols.min()
+        x, y = (cols + 0.5) / shape[1], (rows + 0.5) / shape[0]
+        slopes = np.linalg.norm(self.slopes[at], axis=-1)
+        return (
+            slopes,
+            self.errors[at],
+            x,
+            y,
+            np.full(len(rows), press),
+            self.stated[thin],
+            self.residual[thin],
+        )
+
+
+def slope_sigma_from_folds(
+    readers: Sequence[SlopeReader],
+    folds: Sequence[Fold],
+    presses: Sequence[PreparedPress],
+    found: Sequence[ContactCircle],
+) -> tuple[SlopeSigma, float]:
+    """Standard deviation and correlation of the slopes, and the residual's scale, on presses left out.
+
+    A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
+    the root of the number of presses, the rate at which errors of estimation fall.
+
+    Returns
+    -------
+    sigma : SlopeSigma
+    residual_scale : as `ForwardResponse` has it
+    """
+    seen = share_seen(folds)
+    shape = presses[0].size.shape
+    step = max(1, round(scale_of(shape)))
+    residuals = {
+        i: press_residuals(presses[i], found[i], reader)
+        for reader, fold in zip(readers, folds)
+        for i in fold.held_out
+    }
+    gains = [gain_of(one.slopes, one.slopes - one.errors) for one in residuals.values()]
+    products = [_lag_products(one.errors, step) for one in residuals.values()]
+    parts = [one.columns(shape, i) for i, one in residuals.items()]
+    slopes, errors, x, y, press, stated, residual = (np.concatenate(column) for column in zip(*parts))
+    untouched = np.concatenate([one.untouched for one in residuals.values()])
+    held_out = SlopeErrors(slopes, np.sqrt(seen) * errors, x, y, press, untouched, stated)
+    gain_sigma = float(np.sqrt(seen * np.mean((np.array(gains) - 1) ** 2)))
+    length, share = correlation_from_products(np.mean(products, axis=0), step)
+    fitted = SlopeSigma.fit(held_out, length, share, gain_sigma)
+    at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
+    rest_length, rest_share = rest_correlation(at_rest, length)
+    fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_share)
+    return fitted, max(float(np.quantile(residual, MOST)) / CHI_SQUARE_AT_MOST, 1.0)
+
+
+def share_seen(folds: Sequence[Fold]) -> float:
+    """Mean share of the presses that a fold's model has seen."""
+    return float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
+
+
+def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Slopes over true ones, by least squares; both (..., 2), NaN where nothing is known."""
+    known = np.isfinite(truth)
+    return float((seen[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
+
+
+def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
+    """Length (px) and share (0-1) of the correlated part of errors: `share exp(-lag^2 / (2 length^2))` from lag 1 on.
+
+    The rest, 1 - share, is white: its correlation is gone at the first lag.
+
+    Parameters
+    ----------
+    products : mean products of errors at lags of 0, 1, 2 ... steps
+    step : px
+    """
+    correlation = products / max(products[0], 1e-30)
+    below = np.nonzero(correlation[1:] < 0.05)[0]
+    last = max(3, int(below[0]) + 1 if below.size else LAGS)
+    lags = step * np.arange(1, last)
+    best = (np.inf, float(step), 0.0)
+    for length in step * np.geomspace(0.7, LAGS, 60):
+        shape = np.exp(-(lags**2) / (2 * length**2))
+        share = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
+        misfit = float(np.square(share * shape - correlation[1:last]).sum())
+        best = min(best, (misfit, float(length), share))
+    return best[1], best[2]
+
+
+def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
+    """Short length (px) and share (0-1) of errors of untouched gel: `(1 - share) exp(-lag^2/(2 short^2)) + share exp(...)`.
+
+    The second term falls off over the length that is given, as errors in a contact do.
+
+    Parameters
+    ----------
+    products : mean products of errors at lags of 0, 1, 2 ... px
+    length : px
+    """
+    if products[0] <= 0:
+        return 0.0, 0.0
+    lags = np.arange(1, len(products))
+    wanted = products[1:] / products[0]
+    far = np.exp(-(lags**2) / (2 * length**2))
+    best = (np.inf, 0.0, 0.0)
+    for short in np.geomspace(SHORTEST_PX, max(min(LONGEST_PX, length / 2), SHORTEST_PX), 60):
+        near = np.exp(-(lags**2) / (2 * short**2))
+        share = float(np.clip((far - near) @ (wanted - near) / max((far - near) @ (far - near), 1e-30), 0, 1))
+        misfit = float(np.square(near + share * (far - near) - wanted).sum())
+        best = min(best, (misfit, float(short), share))
+    return best[1], best[2]
+
+
+def press_residuals(press: PreparedPress, found: ContactCircle, reader: SlopeReader) -> PressResiduals:
+    """What is read on a press that was left out, and how far off it is; its centre is free: labels are off by a pixel."""
+    rows, cols = press.pixels(found, 1.0)
+    frame = reader.frame(press)
+    gradients = frame.gradients[rows, cols].astype(np.float64)
+    error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
+    box = (int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2)
+    maps = np.full((2, *box), np.nan)
+    for values, into in zip((gradients, error), maps):
+        into[rows - rows.min(), cols - cols.min()] = values
+    stated, residual = np.sqrt(frame.variance[rows, cols]), frame.residual[rows, cols]
+    untouched = _untouched_slopes(press, found, frame.gradients)
+    return PressResiduals(maps[0], maps[1], stated, residual, rows, cols, *untouched)
+
+
+def _untouched_slopes(
+    press: PreparedPress, found: ContactCircle, gradients: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Slopes (N, 2) read far from the contact, their median removed as the Reconstructor does; and (rows, W, 2) of rows."""
+    height, width = press.size.shape
+    step = max(1, int(np.sqrt(height * width / PER_PRESS)))
+    apart = max(1, height // ROWS)
+    y, x = np.ogrid[:height, :width]
+    far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
+    if press.usable is not None:
+        far &= press.usable
+    slopes = np.where(far[..., None], gradients, np.nan).astype(np.float64)
+    some, bias = slopes[::step, ::step], np.zeros(2)
+    known = some[np.isfinite(some[..., 0])]
+    if len(known):
+        bias = np.median(known, axis=0)
+    return known - bias, slopes[apart // 2 :: apart] - bias
+
+
+def _lag_products(error: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Mean product of errors `lag * step` pixels apart along a row, for lags 0 .. LAGS-1."""
+    width = error.shape[1]
+    products = np.zeros(LAGS)
+    for lag in range(min(LAGS, (width - 1) // step)):
+        product = error[:, lag * step :] * error[:, : width - lag * step]
+        known = np.isfinite(product)
+        products[lag] = product[known].mean() if known.any() else 0.0
+    return products

@@ -1,0 +1,189 @@
+"""Statistics of held-out residuals: gain by slope, errors by place, and whether the stated sigma is right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration.coverage import COARSE, DIRECTIONS, direction_of, tile_of
+from gelform.calibration.held_out.measure import HeldOutSample
+from gelform.metrics import angle_deg
+
+SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
+MIN_PRESSES, MIN_PIXELS = 3, 60
+DRAWS = 1000
+PRIOR_PIXELS = 200
+
+
+def resampled(count: int, rng: np.random.Generator, draws: int = DRAWS) -> NDArray[np.float64]:
+    """How often each of `count` presses is drawn in each bootstrap, (draws, count)."""
+    return rng.multinomial(count, np.full(count, 1 / count), size=draws).astype(np.float64)
+
+
+def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Recovered over true slope, by bins of the true slope, with a 95 % interval over presses.
+
+    The gain of a bin is `sum g . t / sum t . t` over its pixels, g the reconstructed and t the true gradient:
+    noise does not raise it, and a regression to the mean at the rim shows as less than 1.
+    """
+    sums = np.zeros((3, len(samples), len(SLOPE_EDGES) - 1))
+    for k, one in enumerate(samples):
+        bins, true = one.true_slope, one.true_gradients.astype(np.float64)
+        for row, weights in enumerate(((one.gradients * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
+            sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
+    drawn = resampled(len(samples), rng)
+    curve = []
+    for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
+        projected, square, pixels = sums[:, :, b]
+        if np.count_nonzero(pixels) < MIN_PRESSES or pixels.sum() < MIN_PIXELS:
+            continue
+        among = drawn @ square
+        gains = (drawn @ projected)[among > 0] / among[among > 0]
+        curve.append(
+            {
+                "slope_from": low,
+                "slope_to": high,
+                "gain": float(projected.sum() / square.sum()),
+                "interval": [float(v) for v in np.percentile(gains, (2.5, 97.5))],
+                "presses": int(np.count_nonzero(pixels)),
+                "pixels": int(pixels.sum()),
+            }
+        )
+    return curve
+
+
+def error_map(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]
+) -> dict[str, Any]:
+    """Held-out slope errors by tile: mean (dx, dy), RMS length and number of pixels, None where there are few."""
+    tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
+    errors = np.concatenate([one.errors for one in samples]).astype(np.float64)
+    count = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = [np.bincount(tile, w, count.size) for w in (errors[:, 0], errors[:, 1], (errors**2).sum(1))]
+    full = count >= 10
+    mean = [
+        [float(sums[0][i] / count[i]), float(sums[1][i] / count[i])] if full[i] else None
+        for i in range(count.size)
+    ]
+    rms = [float(np.sqrt(sums[2][i] / count[i])) if full[i] else None for i in range(count.size)]
+    return {"rows": grid[0], "columns": grid[1], "mean": mean, "rms": rms, "pixels": count.tolist()}
+
+
+def square_error_by_direction(
+    samples: Sequence[HeldOutSample], shape: tuple[int, int], tiles: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(rows, columns, 8) mean square slope error, drawn to the overall mean where few pixels tell."""
+    size = tiles[0] * tiles[1] * DIRECTIONS
+    total, count = np.zeros(size), np.zeros(size)
+    for one in samples:
+        index = tile_of(one.x_px, one.y_px, shape, tiles) * DIRECTIONS + direction_of(one.true_gradients)
+        total += np.bincount(index, (one.errors.astype(np.float64) ** 2).sum(axis=1), size)
+        count += np.bincount(index, minlength=size)
+    overall = total.sum() / count.sum() if count.any() else 1.0
+    mean: NDArray[np.float64] = (total + PRIOR_PIXELS * overall) / (count + PRIOR_PIXELS)
+    return mean.reshape(*tiles, DIRECTIONS)
+
+
+def share_within_sigma(
+    samples: Sequence[HeldOutSample],
+    sigmas: Sequence[NDArray[np.float32]],
+    shape: tuple[int, int],
+    grid: tuple[int, int],
+) -> dict[str, Any]:
+    """Share of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
+    inside = np.concatenate([np.abs(one.errors) <= sigma for one, sigma in zip(samples, sigmas)]).mean(axis=1)
+    slope = np.concatenate([np.linalg.norm(one.gradients, axis=1) for one in samples])
+    by_slope = []
+    for low, high in pairwise(SLOPE_EDGES):
+        member = (slope >= low) & (slope < high)
+        if np.count_nonzero(member) >= MIN_PIXELS:
+            by_slope.append({"slope_from": low, "slope_to": high, "share": float(inside[member].mean())})
+    tile = np.concatenate([tile_of(one.x_px, one.y_px, shape, grid) for one in samples])
+    by_place = [
+        float(inside[tile == i].mean()) if np.count_nonzero(tile == i) >= MIN_PIXELS else None
+        for i in range(grid[0] * grid[1])
+    ]
+    return {
+        "all": float(inside.mean()),
+        "by_slope": by_slope,
+        "rows": grid[0],
+        "columns": grid[1],
+        "by_place": by_place,
+    }
+
+
+def errors_where(
+    samples: Sequence[HeldOutSample],
+    shape: tuple[int, int],
+    contact_radius_ratio: float,
+    grid: tuple[int, int] = COARSE,
+) -> dict[str, Any]:
+    """Normal errors of reconstructed presses by slope and by place.
+
+    Over pixels, so a large contact counts for more than a small one; the figures of whole presses are means over
+    presses.
+
+    Parameters
+    ----------
+    samples : of presses that the model has not seen
+    shape : (H, W) of the images
+    contact_radius_ratio : radius of the contact's edge over that of the visible circle
+    grid : rows and columns of cells over the image
+
+    Returns
+    -------
+    where : dict
+        `contact_radius_ratio`; then `contact`, inside the contact's edge, and `rim`, up to 3 px (at 240 rows) inside the
+        visible rim, each with `normal_deg`, the mean angle to the ball's normals;
+        `by_slope`, bins of the ball's slope with `slope_from`, `slope_to`, `normal_deg`, `gain` (sum of recovered .
+        true over sum of true . true) and `pixels`; and `by_place`, with `rows`, `columns` and, cell by cell,
+        `normal_deg` and `pixels`. Bins of under 60 pixels are left out, such cells None.
+    """
+    regions = {"contact": [one.within(contact_radius_ratio) for one in samples], "rim": samples}
+    parts = {name: _part(region, shape, grid) for name, region in regions.items()}
+    return {"contact_radius_ratio": contact_radius_ratio, **parts}
+
+
+def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
+    true, seen = (
+        np.concatenate([getattr(one, name) for one in samples]) for name in ("true_gradients", "gradients")
+    )
+    x, y = (np.concatenate([getattr(one, name) for one in samples]) for name in ("x_px", "y_px"))
+    angles = angle_deg(seen, true)
+    return {
+        "normal_deg": float(angles.mean()) if angles.size else None,
+        "by_slope": _by_slope(true.astype(np.float64), seen, angles),
+        "by_place": _by_place(tile_of(x, y, shape, grid), angles, grid),
+    }
+
+
+def _by_slope(
+    true: NDArray[np.float64], seen: NDArray[Any], angles: NDArray[np.float64]
+) -> list[dict[str, Any]]:
+    slope = np.linalg.norm(true, axis=1)
+    bins = []
+    for low, high in pairwise(SLOPE_EDGES):
+        member = (slope >= low) & (slope < high)
+        if np.count_nonzero(member) >= MIN_PIXELS:
+            gain = np.sum(seen[member] * true[member]) / np.sum(true[member] ** 2)
+            bins.append(
+                {
+                    "slope_from": low,
+                    "slope_to": high,
+                    "normal_deg": float(angles[member].mean()),
+                    "gain": float(gain),
+                    "pixels": int(np.count_nonzero(member)),
+                }
+            )
+    return bins
+
+
+def _by_place(tile: NDArray[np.intp], angles: NDArray[np.float64], grid: tuple[int, int]) -> dict[str, Any]:
+    pixels = np.bincount(tile, minlength=grid[0] * grid[1])
+    sums = np.bincount(tile, angles, pixels.size)
+    normal_deg = [float(s / n) if n >= MIN_PIXELS else None for s, n in zip(sums, pixels)]
+    return {"rows": grid[0], "columns": grid[1], "normal_deg": normal_deg, "pixels": pixels.tolist()}

@@ -1,1 +1,0 @@
-"""Which color model, chosen on presses that it has not seen."""

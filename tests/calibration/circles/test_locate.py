@@ -1,0 +1,114 @@
+"""A ball of another size than stated: the sentence says how many times as large, where nearly all presses fit it."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from gelform.calibration.circles import locate as module
+from gelform.calibration.circles.locate import FACTORS, NEARLY_ALL, other_ball_note
+from gelform.calibration.circles.refine import Refined, refine
+
+BALL_PX = 40.0
+
+
+def stated(prepared, factor):
+    return [replace(press, ball_radius_px=factor * press.ball_radius_px) for press in prepared]
+
+
+def test_a_ball_that_is_stated_half_as_large_is_named(prepared, found):
+    """All presses are refused, and taken with the ball that the sentence names."""
+    small = stated(prepared, 0.5)
+    refined = refine(small, found)
+    assert not refined.accepted
+    note = other_ball_note(small, found, refined)
+    (count, of, factor) = re.match(
+        r"(\d+) of (\d+) presses fit a ball ([\d.]+) times as large as stated", note
+    ).groups()
+    assert "check ball_diameter_mm and mm_per_px" in note
+    assert float(factor) > 1.25
+    assert int(of) == len(prepared)
+    named = FACTORS[abs(FACTORS - float(factor)).argmin()]
+    assert len(refine(stated(small, named), found).accepted) == int(count) >= NEARLY_ALL * len(prepared)
+
+
+def test_of_the_right_ball_nothing_is_said(prepared, found, monkeypatch):
+    """Nor is another one looked for."""
+    refined = refine(prepared, found)
+    monkeypatch.setattr(module, "refine", None)
+    assert other_ball_note(prepared, found, refined) is None
+
+
+class Judged:
+    """Refinement of ten presses and their agreement, given by how many times as large the ball is as at first."""
+
+    def __init__(self, press, contact, accepted, error):
+        self.presses, self.contacts, self.accepted, self.error = (
+            [press] * 10,
+            (contact,) * 10,
+            accepted,
+            error,
+        )
+
+    def refine(self, presses, found):
+        refused = 10 - self.accepted(presses[0].ball_radius_px / self.presses[0].ball_radius_px)
+        reasons = ("too wide",) * refused + (None,) * (10 - refused)
+        return Refined(tuple(found), reasons[-len(presses) :], "model")
+
+    def agreement(self, press, contact, model):
+        assert model == "model"
+        return self.error(press.ball_radius_px / self.presses[0].ball_radius_px), 1.0
+
+    def note(self, monkeypatch, excluded=()):
+        for name in ("refine", "agreement"):
+            monkeypatch.setattr(module, name, getattr(self, name))
+        refined = self.refine(self.presses, self.contacts)
+        return other_ball_note(self.presses, self.contacts, refined, excluded)
+
+
+@pytest.fixture
+def judged(prepared, found):
+    return lambda accepted, error: Judged(prepared[0], found[0], accepted, error)
+
+
+def best_at(factor):
+    """Errors that are least, over the slopes, for a ball so many times as large: those of larger balls are gentler."""
+    return lambda tried: 0.01 * (3 + abs(tried - factor)) / tried
+
+
+@pytest.mark.parametrize("factor", [FACTORS[3], FACTORS[13], FACTORS[-1]])
+def test_of_all_that_fit_the_best_one_is_named(judged, monkeypatch, factor):
+    note = judged(lambda tried: 0 if tried == 1 else 10, best_at(factor)).note(monkeypatch)
+    assert note.startswith(f"10 of 10 presses fit a ball {factor:.2f} times as large as stated")
+
+
+def test_the_best_has_to_fit_nearly_all(judged, monkeypatch):
+    """One that eight of ten fit is passed over, however well they do."""
+    better, good = FACTORS[15], FACTORS[13]
+    counts = {better: 8, good: 9}
+    note = judged(lambda tried: counts.get(min(FACTORS, key=lambda f: abs(f - tried)), 0), best_at(better))
+    assert note.note(monkeypatch).startswith(f"9 of 10 presses fit a ball {good:.2f} times")
+
+
+def test_a_ball_that_hardly_differs_is_the_stated_one(judged, monkeypatch):
+    """A step of the sweep either way: what is wrong is something else."""
+    for factor in FACTORS[9:12]:
+        assert judged(lambda tried: 0 if tried == 1 else 10, best_at(factor)).note(monkeypatch) is None
+
+
+@pytest.mark.parametrize(("refused", "said"), [(2, False), (3, True)])
+def test_some_presses_are_always_refused(judged, monkeypatch, refused, said):
+    note = judged(lambda tried: 10 - refused if abs(tried - 1) < 0.01 else 10, best_at(1.5)).note(monkeypatch)
+    assert (note is not None) == said
+
+
+def test_presses_that_were_refused_before_do_not_count(judged, monkeypatch):
+    """The same image listed twice is refused with any ball: it neither asks for another one nor speaks for it."""
+    twice = judged(lambda tried: 5 if abs(tried - 1) < 0.01 else 10, best_at(1.5))
+    assert twice.note(monkeypatch, excluded=range(5)) is None
+    three_of_five = judged(lambda tried: 2 if abs(tried - 1) < 0.01 else 10, best_at(FACTORS[16]))
+    assert three_of_five.note(monkeypatch, excluded=range(5)).startswith("5 of 5 presses fit")
+
+
+def test_presses_that_fit_no_ball_are_no_other_ball(judged, monkeypatch):
+    assert judged(lambda tried: 0, best_at(1.5)).note(monkeypatch) is None

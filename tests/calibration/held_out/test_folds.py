@@ -1,0 +1,230 @@
+"""Folds: no press trains what scores it, and another unit's model counts where it is left out too."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.calibration.held_out import folds as module
+from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.prepare import find_contacts, prepare
+from gelform.calibration.circles.refine import refine
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.held_out.folds import (
+    FOLDS,
+    Fold,
+    _jackknife,
+    circle_sigmas,
+    groups_alike,
+    make_folds,
+)
+from gelform.color_models import HierarchicalModel
+from gelform.frames import pixels_digest
+
+
+@pytest.fixture(scope="module")
+def start(calibration):
+    """Another unit's model, far from what these presses say: slopes half as steep."""
+    shape = calibration.image_shape
+    rows, columns = (-(-(n - 1) // 16) + 1 for n in shape)
+    nodes = np.zeros((rows, columns, 19, 2))
+    nodes[..., :2, :] = 0.5 * np.array([[0.8, 0.3], [-0.3, 0.8]])
+    return HierarchicalModel(nodes, 3, shape)
+
+
+def test_held_out_presses_train_nothing(folds, prepared):
+    held_out = [i for fold in folds for i in fold.held_out]
+    assert sorted(held_out) == list(range(len(prepared)))
+    for fold in folds:
+        assert not set(fold.held_out) & set(fold.training)
+        assert len(fold.contacts) == len(fold.training)
+
+
+def test_every_fold_has_both_balls(folds, prepared):
+    for fold in folds:
+        assert len({prepared[i].ball_radius_px for i in fold.training}) == 2
+
+
+def test_presses_that_show_the_same_stay_together(prepared, found):
+    """Else a press is judged by a model that has seen it under another name."""
+    twice = [*prepared, *prepared[:5]]
+    folds = make_folds(twice, [*found, *found[:5]], range(len(twice)))
+    assert sorted(i for fold in folds for i in fold.held_out) == list(range(len(twice)))
+    for fold in folds:
+        for i in range(5):
+            assert (i in fold.held_out) == (len(prepared) + i in fold.held_out)
+
+
+def test_circles_are_refined_from_the_other_units_model(prepared, found, start):
+    fold = make_folds(prepared, found, range(len(prepared)), start=start)[0]
+    training = [i for i in range(len(prepared)) if i not in fold.held_out]
+    training.sort(key=lambda i: prepared[i].ball_radius_px)
+    own = refine([prepared[i] for i in training], [found[i] for i in training], start=start)
+    assert fold.contacts == tuple(own.contacts[k] for k in own.accepted)
+    alone = refine([prepared[i] for i in training], [found[i] for i in training])
+    assert fold.contacts != tuple(alone.contacts[k] for k in alone.accepted)
+
+
+def test_presses_that_were_rejected_are_in_no_fold(prepared, found):
+    usable = [i for i in range(len(prepared)) if i != 4]
+    done = []
+    folds = make_folds(prepared, found, usable, progress=lambda *step: done.append(step[:2]))
+    assert sorted(i for fold in folds for i in fold.held_out) == usable
+    assert not any(4 in fold.training for fold in folds)
+    assert done == [(k, FOLDS) for k in range(1, FOLDS + 1)]
+
+
+def grouped(presses, among):
+    return groups_alike(presses, find_contacts(presses), among)
+
+
+def again(press, noise):
+    """Another frame of the same press."""
+    change = press.color_change + noise.normal(0, 0.01, press.color_change.shape).astype(np.float32)
+    return replace(press, color_change=change)
+
+
+def test_presses_of_a_set_differ(prepared):
+    assert grouped(prepared, range(len(prepared))) == [[i] for i in range(len(prepared))]
+
+
+def test_frames_of_one_press_are_alike_through_the_noise(prepared):
+    noise = np.random.default_rng(0)
+    many = [*prepared[:4], again(prepared[1], noise), again(prepared[3], noise), again(prepared[1], noise)]
+    assert grouped(many, range(7)) == [[0], [1, 4, 6], [2], [3, 5]]
+    assert grouped(many, [6, 2, 4]) == [[6, 4], [2]]
+    assert grouped(many, []) == []
+    assert grouped(many, [2]) == [[2]]
+
+
+def pattern(seed, shape=(120, 160)):
+    """A color change of 12 x 16 even blocks, of mean square 1 and median 0."""
+    blocks = np.random.default_rng(seed).choice([-1.0, 1.0], (shape[0] // 10, shape[1] // 10, 3))
+    blocks[0, 0] = blocks[1, 1] = 0
+    return np.kron(blocks, np.ones((10, 10, 1))).astype(np.float32)
+
+
+def alike(changes, circles=None, balls=(40.0, 40.0)):
+    """Whether two presses are alike by these color changes, and by circles far apart if none are given."""
+    circles = circles or [(30, 30, 15), (90, 60, 15)]
+    presses = [PreparedPress("one", one, one[..., 0], ball) for one, ball in zip(changes, balls)]
+    found = [ContactCircle(*circle, 1.0, 9.0) for circle in circles]
+    return groups_alike(presses, found, [0, 1]) == [[0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("other", "expected"),
+    [
+        (1.075 * pattern(0), True),
+        (1.084 * pattern(0), False),  # 7.7 % of the larger change, 8.4 % of the smaller
+        (pattern(0) + 0.07 * pattern(1), True),
+        (pattern(0) + 0.09 * pattern(1), False),
+        (pattern(0) + np.float32(0.5), True),  # light all over
+    ],
+)
+def test_changes_are_alike_up_to_eight_per_cent_of_the_smaller(other, expected):
+    assert alike([pattern(0), other]) == expected
+
+
+@pytest.mark.parametrize(
+    ("circle", "balls", "expected"),
+    [
+        ((30.9, 30, 15), (40.0, 40.0), True),
+        ((31.1, 30, 15), (40.0, 40.0), False),  # 2 px at 240 rows
+        ((30, 30, 15.5), (40.0, 40.0), True),
+        ((30, 30, 15.7), (40.0, 40.0), False),
+        ((30, 30, 15), (40.0, 41.0), False),
+    ],
+)
+def test_the_same_ball_in_the_same_circle_is_alike_whatever_the_colours(circle, balls, expected):
+    assert alike([pattern(0), pattern(1)], [(30, 30, 15), circle], balls) == expected
+
+
+def saved_again(press, how):
+    """The same picture, saved in another way."""
+    image = press.image.astype(np.float32)
+    changed = {
+        "as JPEG": lambda: cv2.imdecode(cv2.imencode(".jpg", press.image)[1], cv2.IMREAD_COLOR),
+        "3 grey levels brighter": lambda: image + 3,
+        "redder": lambda: image + np.array([3, 0, 0]),
+        "5 % brighter": lambda: image * 1.05,
+        "a moment later": lambda: image + np.random.default_rng(0).normal(0, 2, image.shape),
+    }[how]()
+    pixels = np.clip(np.rint(changed), 0, 255).astype(np.uint8)
+    return replace(press, image=pixels, digest=pixels_digest(pixels))
+
+
+@pytest.mark.parametrize(
+    "how", ["as JPEG", "3 grey levels brighter", "redder", "5 % brighter", "a moment later"]
+)
+def test_one_picture_saved_in_two_ways_stays_in_one_fold(presses, how):
+    four = presses.subset(range(4))
+    both = prepare(replace(four, presses=(*four.presses, *(saved_again(one, how) for one in four.presses))))
+    found = find_contacts(both)
+    assert groups_alike(both, found, range(8)) == [[0, 4], [1, 5], [2, 6], [3, 7]]
+    for fold in make_folds(both, found, range(8)):
+        assert {i % 4 for i in fold.held_out}.isdisjoint(i % 4 for i in fold.training)
+
+
+def test_real_presses_differ(data):
+    import gelform
+
+    few = gelform.read_presses(data / "gelsight-ball-deep").subset(range(0, 42, 3))
+    assert len(grouped(prepare(few), range(14))) == 14
+
+
+def test_jackknife_of_a_mean_is_its_standard_error():
+    """Leaving one of n out of a mean at a time: the classical case, known exactly."""
+    values = np.random.default_rng(0).normal(size=(40, 3))
+    left_out = (values.sum(axis=0) - values) / 39
+    center, radius = _jackknife(left_out)
+    errors = values.std(axis=0, ddof=1) / np.sqrt(40)
+    assert radius == pytest.approx(errors[2])
+    assert center == pytest.approx(np.sqrt(np.mean(errors[:2] ** 2)))
+
+
+def test_sigma_of_a_circle_is_of_the_size_of_its_distance_to_the_truth(prepared, found, folds, simulated):
+    """Each is known once for each fold that trained on it, and once more by the model that had not seen it."""
+    sigma = circle_sigmas(prepared, found, folds)
+    assert set(sigma) == {i for fold in folds for i in fold.held_out}
+    circles = {i: circle for fold in folds for i, circle in zip(fold.training, fold.contacts)}
+    distance, known = [], []
+    for i, circle in circles.items():
+        off = np.subtract((circle.x_px, circle.y_px), simulated.presses[i].center_px)
+        distance.append(np.hypot(*off) / np.sqrt(2))
+        known.append(sigma[i][0])
+        assert sigma[i][1] > 0
+    assert len(known) >= 10
+    ratio = np.sqrt(np.mean(np.square(distance)) / np.mean(np.square(known)))
+    assert 0.4 < ratio < 3
+
+
+class Drawn:
+    """A model that has not seen a press, and draws its circle 1 px to the right whenever it is asked."""
+
+    def __call__(self, press, contact, found, model):
+        return replace(contact, x_px=contact.x_px + 1.0)
+
+
+def test_a_press_that_is_left_out_is_placed_by_the_others(monkeypatch):
+    monkeypatch.setattr(module, "fit_model", lambda *_: None)
+    monkeypatch.setattr(module, "recentered", Drawn())
+    contact = ContactCircle(10.0, 12.0, 5.0, 0.9, 9.0)
+    folds = [Fold((0,), (1,), (contact,)), Fold((1,), (0,), (contact,))]
+    sigma = circle_sigmas([None, None], [contact, contact], folds)
+    # where it trains it stays, where it is left out it is drawn on by 4 px: of two, half of the difference
+    assert sigma == {0: pytest.approx((np.sqrt(16 / 4 / 2), 0)), 1: pytest.approx((np.sqrt(16 / 4 / 2), 0))}
+
+
+def test_of_a_circle_that_is_known_once_nothing_is_said(monkeypatch):
+    monkeypatch.setattr(module, "fit_model", lambda *_: None)
+    contact = ContactCircle(10.0, 12.0, 5.0, 0.9, 9.0)
+    assert circle_sigmas([None], [contact], [Fold((), (0,), (contact,))]) == {}
+
+
+def test_circles_that_do_not_move_are_known_exactly(monkeypatch):
+    contact = ContactCircle(10.0, 12.0, 5.0, 0.9, 9.0)
+    folds = [Fold((), (0, 1), (contact, contact)) for _ in range(3)]
+    monkeypatch.setattr(module, "fit_model", lambda *_: None)
+    assert circle_sigmas([None, None], [contact, contact], folds) == {0: (0.0, 0.0), 1: (0.0, 0.0)}

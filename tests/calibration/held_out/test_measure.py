@@ -1,0 +1,226 @@
+"""Held-out samples: the same errors as the run's figures, and binned truths that are put in come out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration.candidates import Candidate
+from gelform.calibration.fitted import untouched_change
+from gelform.calibration.held_out import measure as module
+from gelform.calibration.held_out.measure import (
+    errors_of,
+    measure_held_out,
+    sample_of,
+    solved_by_place,
+    stated_sigma,
+)
+from gelform.calibration.held_out.scores import HeldOutPresses, Selection
+from gelform.calibration.report.statistics import share_within_sigma
+from gelform.color_models.forward_response import RIDGES
+from gelform.confidence.slope_sigma import ONE_SIGMA
+from gelform.reconstruct import Reconstructor
+
+
+def test_samples_carry_the_errors_of_the_report(calibration):
+    """Those up to the visible rim; inside the contact's edge they are the figures that the report counts first."""
+    report, ratio = calibration.report, calibration.settings["contact_radius_ratio"]
+    assert [one.index for one in report.samples] != []
+    assert {one.index for one in report.samples} == {i for i, row in enumerate(report.presses) if row.errors}
+    for one in report.samples:
+        errors = report.presses[one.index].errors
+        assert one.normal_deg == pytest.approx(errors["normal_rim_deg"], rel=0.02)
+        assert one.within(ratio).normal_deg == pytest.approx(errors["normal_free_deg"], rel=0.02)
+        assert np.nanstd(one.cap_error_um) > 0.9 * errors["cap_free_um"], "its rim is counted"
+        assert np.nanmean(one.cap_error_um) == pytest.approx(0, abs=1e-2)
+
+
+def test_each_press_is_reconstructed_once(presses, monkeypatch):
+    seen = []
+    plain = Reconstructor.from_image
+
+    def counted(self, image):
+        seen.append(id(image))
+        return plain(self, image)
+
+    monkeypatch.setattr(Reconstructor, "from_image", counted)
+    report = gelform.calibrate(presses.subset(range(8)), color_model="polynomial").report
+    assert len(set(seen)) == sum(row.accepted for row in report.presses)
+    assert all(
+        seen.count(one) <= 3 for one in seen
+    )  # by its fold and by all; once more where the fold chose otherwise
+
+
+@pytest.fixture(scope="module")
+def held_out(prepared, found, folds):
+    return HeldOutPresses({10.0: prepared}, found, folds, {10.0: untouched_change(prepared, found)})
+
+
+@pytest.mark.parametrize("step_ridge", [None, RIDGES[0]])
+def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
+    presses, calibration, held_out, step_ridge
+):
+    """Where a fold chose otherwise the procedure's errors are of that, the saved model's of its own settings."""
+    plain = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
+    other = Candidate("polynomial", (("position_degrees", (1,)),))
+    folds = len(held_out.folds)
+    always, once = (
+        measure_held_out(calibration, presses, held_out, Selection(plain, by_fold, ()))
+        for by_fold in ((plain,) * folds, (other,) + (plain,) * (folds - 1))
+    )
+    assert always.saved_errors == always.errors == once.saved_errors
+    differing = {i for i in once.errors if once.errors[i] != once.saved_errors[i]}
+    assert differing == set(held_out.folds[0].held_out)
+    assert (always.slope_sigma.sigmas, always.residual_scale) == (
+        once.slope_sigma.sigmas,
+        once.residual_scale,
+    )
+
+
+def test_what_is_an_outlier_is_told_as_the_calibration_will_tell_it(
+    presses, calibration, held_out, monkeypatch
+):
+    """In units of what held-out presses leave unexplained, and with the channels that all presses have clipped.
+
+    In those of the presses that train, half of a contact where nobody has pressed before would be taken for no gel.
+    """
+    used = []
+
+    class Reconstructs(Reconstructor):
+        def __init__(self, own, **more):
+            used.append(own)
+            super().__init__(own, **more)
+
+    monkeypatch.setattr(module, "Reconstructor", Reconstructs)
+    plain = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=RIDGES[0])
+    clipped = np.array([[True, False, False], [False, False, True]])
+    draft = replace(calibration, forward=replace(calibration.forward, clipped=clipped, residual_scale=1.0))
+    folds = len(held_out.folds)
+    measured = measure_held_out(draft, presses, held_out, Selection(plain, (plain,) * folds, ()))
+    assert measured.residual_scale > 1.5
+    assert {own.forward.residual_scale for own in used} == {measured.residual_scale}
+    assert all(own.forward.clipped is clipped for own in used)
+    assert len({id(own.forward.nodes) for own in used}) == folds, "each fitted without its fold"
+
+
+def test_samples_are_not_in_the_json_record(calibration):
+    assert "samples" not in calibration.report.to_dict()
+    assert len(calibration.report.samples) > 3
+
+
+def test_thinning_keeps_the_press(calibration, presses):
+    report = calibration.report
+    one = report.samples[0]
+    row, press = report.presses[one.index], presses.presses[one.index]
+    circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
+    result = Reconstructor(calibration).from_image(press.image)
+    full = sample_of(0, press, circle, result, calibration.mm_per_px, 0.85, max_pixels=10**6)
+    thin = sample_of(0, press, circle, result, calibration.mm_per_px, 0.85, max_pixels=150)
+    assert 75 <= len(thin.x_px) <= 160 < len(full.x_px)
+    assert thin.circle_px == full.circle_px
+    assert thin.normal_deg == pytest.approx(full.normal_deg, rel=0.15)
+    assert {*zip(thin.x_px, thin.y_px)} <= {*zip(full.x_px, full.y_px)}
+
+
+def test_errors_are_counted_inside_the_edge(calibration, presses):
+    """The figures that do not say otherwise; a rim that is read wrong changes the rim's alone."""
+    row, press = calibration.report.presses[0], presses.presses[0]
+    circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
+    result = Reconstructor(calibration).from_image(press.image)
+    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
+    beyond = np.hypot(x - circle[0], y - circle[1]) > 0.75 * circle[2]
+    spoilt = replace(result, gradients=np.where(beyond[..., None], 0, result.gradients).astype(np.float32))
+    plain, rim = (errors_of(press, circle, one, calibration.mm_per_px, 0.7) for one in (result, spoilt))
+    assert plain.normal_free_deg == pytest.approx(rim.normal_free_deg, rel=0.02)
+    assert rim.normal_rim_deg > plain.normal_rim_deg + 3
+
+
+def test_within_keeps_the_middle(sample):
+    one = sample()
+    half = one.within(0.5)
+    assert 0 < len(half.x_px) < len(one.x_px)
+    assert np.hypot(half.x_px - 40, half.y_px - 30).max() < 12.5
+    assert half.true_slope.max() < one.true_slope.max()
+
+
+def test_a_ball_outside_the_frame_has_no_cap(calibration, presses):
+    """A circle whose pixels lead the fit away is an empty picture, not a crash."""
+    report = calibration.report
+    blank = replace(presses.presses[0], image=presses.background.astype(np.uint8))
+    row = report.presses[0]
+    circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
+    result = Reconstructor(calibration).from_image(blank.image)
+    one = sample_of(0, blank, circle, result, calibration.mm_per_px, 0.85)
+    assert one.cap_error_um.ndim == 2
+
+
+def test_the_share_of_error_in_solved_slopes_is_measured(calibration):
+    """Some of the errors of slopes have curl, which no surface follows; some are those of a surface."""
+    assert 0.3 < calibration.slope_sigma.solved_factor < 1
+
+
+@pytest.fixture
+def readings_alone(calibration, monkeypatch):
+    """Without what blur takes at walls, which is stated whatever presses of balls say."""
+    monkeypatch.setattr("gelform.confidence.solved.BLURRED", 0.0)
+    return calibration
+
+
+def share_of(calibration, presses, sigma):
+    reconstruct = Reconstructor(replace(calibration, slope_sigma=sigma), depth_sigma=False)
+    samples = [one.within(0.85) for one in calibration.report.samples]
+    sigmas = [stated_sigma(reconstruct, presses.presses[one.index].image, one) for one in samples]
+    return share_within_sigma(samples, sigmas, calibration.image_shape, (1, 1))["all"]
+
+
+@pytest.mark.parametrize("factor", [0.4, 2.5])
+def test_a_deviation_that_is_off_is_put_right(readings_alone, presses, factor):
+    calibration = readings_alone
+    right = calibration.slope_sigma
+    off = replace(
+        right, sigmas=tuple(factor * s for s in right.sigmas), solved_places=None, solved_slopes=None
+    )
+    again = solved_by_place(calibration, off, presses, calibration.report.samples, 1.0)
+    assert share_of(calibration, presses, again) == pytest.approx(ONE_SIGMA, abs=0.06)
+    assert abs(share_of(calibration, presses, off) - ONE_SIGMA) > 0.12
+
+
+def test_fewer_presses_seen_by_the_folds_make_them_better_witnesses_of_worse_models(readings_alone, presses):
+    sigma = replace(readings_alone.slope_sigma, solved_places=None, solved_slopes=None)
+    samples = readings_alone.report.samples
+    half, all_ = (
+        np.mean(solved_by_place(readings_alone, sigma, presses, samples, seen).solved_places)
+        for seen in (0.5, 1.0)
+    )
+    assert half == pytest.approx(np.sqrt(0.5) * all_, rel=0.15)
+
+
+def test_what_blur_takes_is_not_learnt_from_balls(calibration, presses, monkeypatch):
+    """A large part of the error is foretold by it: the readings' factors have less left to explain."""
+    samples, known = calibration.report.samples, calibration.slope_sigma
+    sharp = replace(
+        known, sigmas=tuple(s / 4 for s in known.sigmas)
+    )  # else a ball's bends are within their noise
+    found = []
+    for blurred in (0.0, 0.6):
+        monkeypatch.setattr("gelform.confidence.solved.BLURRED", blurred)
+        found.append(solved_by_place(calibration, sharp, presses, samples, 1.0))
+    assert np.mean(found[1].solved_places) < 0.9 * np.mean(found[0].solved_places)
+
+
+def test_pixels_beyond_the_edge_say_nothing(readings_alone, presses):
+    """There the gel has left the ball: errors as large as one likes leave the factors as they are."""
+    ratio = readings_alone.settings["contact_radius_ratio"]
+    plain = readings_alone.report.samples
+    spoilt = []
+    for one in plain:
+        x, y, radius = one.circle_px
+        beyond = np.hypot(one.x_px - x, one.y_px - y) >= ratio * radius
+        assert beyond.any()
+        spoilt.append(replace(one, gradients=one.gradients + np.float32(beyond[:, None])))
+    known = [
+        solved_by_place(readings_alone, readings_alone.slope_sigma, presses, samples, 1.0).solved_places
+        for samples in (plain, spoilt)
+    ]
+    assert known[0] == known[1]

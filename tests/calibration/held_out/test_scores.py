@@ -1,0 +1,188 @@
+"""Choosing: by presses that were not seen, whatever one of them says, and no fold's own presses decide what scores them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelform.ball import ball_gradients
+from gelform.calibration.candidates import Candidate, SlopeReader, fitted_responses, training_samples
+from gelform.calibration.circles.find import ContactCircle, magnitude
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.held_out.folds import Fold
+from gelform.calibration.held_out.scores import (
+    SAMPLES_OF_FOLD,
+    HeldOutPresses,
+    SlopeScore,
+    Trial,
+    score_of,
+    select,
+)
+from gelform.color_models.forward_response import RIDGES, Step
+
+PRESSES, FOLDS = 20, 5
+STIFF, FREE = (Candidate("hierarchical", (("ridge", ridge),)) for ridge in (1e-3, 1e-5))
+
+
+def trial(candidate, error):
+    """The slope errors of 20 presses, by their numbers."""
+    return Trial(candidate, {i: SlopeScore(error(i), 60 * error(i)) for i in range(PRESSES)})
+
+
+class MadeUpPresses:
+    """20 presses in 5 folds, press i in fold i % 5, whose errors are given by candidate: what `select` asks of them."""
+
+    def __init__(self, error):
+        self.folds = [Fold(tuple(range(f, PRESSES, FOLDS)), tuple(range(16)), ()) for f in range(FOLDS)]
+        self.error, self.tried = error, []
+
+    def try_candidates(self, candidates):
+        self.tried.append(list(candidates))
+        return [trial(one, lambda i, one=one: self.error(one, i)) for one in candidates]
+
+
+def chosen(error, candidates=(STIFF, FREE)):
+    return select(candidates, MadeUpPresses(error)).chosen
+
+
+def test_the_mean_is_of_logarithms():
+    """Of some of the presses, if wanted; of none it says the worst."""
+    one = trial(STIFF, lambda i: 0.01 if i % 5 else 0.04)
+    assert one.mean_log() == pytest.approx(np.log(0.01) + 0.2 * np.log(4))
+    assert one.mean_log(range(0, PRESSES, 5)) == pytest.approx(np.log(0.01))
+    assert one.mean_log(range(PRESSES)) == float("inf")
+
+
+def test_a_press_with_a_wrong_circle_does_not_change_the_choice():
+    """It is off by ten times as much as the others, by chance less in the worse model: a mean of errors would take that."""
+
+    def error(candidate, i):
+        if i == 7:
+            return 1.2 if candidate == FREE else 0.7
+        return 0.04 if candidate == FREE else 0.05
+
+    plain = [trial(one, lambda i, one=one: error(one, i)) for one in (STIFF, FREE)]
+    means = [np.mean([score.slope_error for score in one.scores.values()]) for one in plain]
+    assert means[0] < means[1], "what is guarded against"
+    assert chosen(lambda c, i: error(replace(c, step_ridge=None), i)) == FREE
+
+
+def test_of_equals_the_stiffest_is_chosen():
+    assert chosen(lambda candidate, i: 0.05) == STIFF
+    assert chosen(lambda candidate, i: 0.05, (FREE, STIFF)) == FREE, "the first one, as they are given"
+
+
+@pytest.mark.parametrize("best", [None, RIDGES[0], RIDGES[2]])
+def test_a_step_is_taken_only_where_held_out_presses_are_read_better_by_it(best):
+    def error(candidate, i):
+        if candidate.step_ridge is None:
+            return 0.04 if candidate == FREE else 0.05
+        return 0.03 if candidate.step_ridge == best else 0.045
+
+    assert chosen(error) == replace(FREE, step_ridge=best)
+
+
+def test_steps_are_tried_of_what_leads_alone():
+    """By all presses, or without a fold's; one that steps better but reads worse by itself is not asked."""
+    held_out = MadeUpPresses(
+        lambda c, i: 0.05 if c.settings == STIFF.settings else 0.02 if c.step_ridge else 0.06
+    )
+    found = select((STIFF, FREE), held_out)
+    assert found.chosen == STIFF
+    assert held_out.tried == [[STIFF, FREE], [replace(STIFF, step_ridge=ridge) for ridge in RIDGES]]
+    assert [one.candidate for one in found.trials] == [*held_out.tried[0], *held_out.tried[1]]
+
+
+def first_fold(i):
+    return i % FOLDS == 0
+
+
+def test_folds_choose_without_their_own_presses():
+    """The first fold's presses alone speak for the freer model and for a step: it is scored by what has neither."""
+
+    def error(candidate, i):
+        odd = (candidate.settings == FREE.settings) + (candidate.step_ridge == RIDGES[1])
+        return 0.05 * (0.2 if first_fold(i) else 1.1) ** odd
+
+    said = []
+    held_out = MadeUpPresses(error)
+    found = select((STIFF, FREE), held_out, progress=lambda done, total, what: said.append((done, total)))
+    wanted = replace(FREE, step_ridge=RIDGES[1])
+    assert found.chosen == wanted
+    assert found.by_fold == (STIFF, *[wanted] * 4)
+    assert said == [(1, 2), (2, 2)]
+    assert {found.chosen, *found.by_fold} <= {one.candidate for one in found.trials}
+
+
+def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds, prepared, found):
+    plain = Candidate("polynomial", (("position_degrees", (2, 1)),))
+    stepped = replace(plain, step_ridge=RIDGES[0])
+    of_plain, of_stepped = held_out.try_candidates([plain, stepped])
+    assert (of_plain.candidate, of_stepped.candidate) == (plain, stepped)
+    assert set(of_plain.scores) == set(of_stepped.scores) == set(range(len(prepared)))
+    fold, untouched = folds[0], held_out.untouched[10.0]
+    training = [prepared[i] for i in fold.training]
+    model = plain.fit(training_samples(training, fold.contacts, total=SAMPLES_OF_FOLD))
+    ridges = [RIDGES[0]]
+    (forward,) = fitted_responses(model, training, fold.contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
+    for trial_, response in ((of_plain, None), (of_stepped, forward)):
+        reader = SlopeReader(model, response, prepared[0], untouched)
+        for i in fold.held_out:
+            assert trial_.scores[i] == score_of(prepared[i], found[i], reader)
+    assert of_plain.scores != of_stepped.scores
+
+
+def test_a_model_that_saw_the_press_flatters_itself(held_out, folds, prepared, found):
+    """Why all this: the same candidate scores better on the presses that it was fitted on."""
+    candidate = Candidate("polynomial", (("position_degrees", (3, 2, 0)),))
+    reader = held_out.reader(folds[0], candidate)
+    seen = np.median([score_of(prepared[i], found[i], reader).slope_error for i in folds[0].training])
+    (unseen,) = held_out.try_candidates([candidate])
+    assert seen < np.median([score.slope_error for score in unseen.scores.values()])
+
+
+def test_each_candidate_is_fitted_once_for_each_fold(prepared, found, folds, held_out, monkeypatch):
+    """And all its steps with the model of the one without."""
+    fits = []
+    plain_fit = Candidate.fit
+    monkeypatch.setattr(Candidate, "fit", lambda self, samples: fits.append(self) or plain_fit(self, samples))
+    own = HeldOutPresses({10.0: prepared}, found, folds[:2], held_out.untouched)
+    candidate = Candidate("polynomial", (("position_degrees", (1,)),))
+    steps = [replace(candidate, step_ridge=ridge) for ridge in RIDGES[:2]]
+    first = own.try_candidates([candidate])
+    own.try_candidates(steps)
+    assert own.try_candidates([candidate]) == first
+    assert [replace(one, step_ridge=None) for one in fits] == [candidate] * 2
+    (model, forward), *stepped = own.fit(folds[0], [candidate, *steps])
+    assert forward is None
+    assert all(one is model for one, _ in stepped)
+    assert len({id(response) for _, response in stepped}) == 2
+
+
+class Reads:
+    """A reader of slopes that lie in the color change, times a factor."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+    def frame(self, press):
+        return Step(self.factor * press.color_change[..., :2], None, None)
+
+
+def test_scores_are_the_errors_that_were_put_in():
+    """Inside the contact's edge, whatever lies beyond; the centre is free."""
+    rows, cols = np.mgrid[:90, :120]
+    slopes = ball_gradients(cols, rows, (61.0, 44.0), 40.0)
+    away = np.hypot(cols - 61, rows - 44)
+    slopes[away > 18] = 0.0  # the gel has left the ball
+    change = np.concatenate([slopes, slopes[..., :1]], axis=-1).astype(np.float32)
+    press = PreparedPress("one", change, magnitude(change), 40.0, contact_radius_ratio=0.7)
+    contact = ContactCircle(61.4, 43.8, 25.0, 1.0, 9.0)
+    exact, steep = (score_of(press, contact, Reads(factor)) for factor in (1.0, 1.1))
+    assert exact.slope_error < 1e-4
+    assert exact.normal_deg < 0.01
+    inside = np.linalg.norm(slopes[away < 0.7 * 25], axis=-1)
+    assert steep.slope_error == pytest.approx(0.1 * np.sqrt(np.mean(inside**2)), rel=0.05)
+    assert 0.5 < steep.normal_deg < 2
+    blind = score_of(replace(press, color_change=0 * change), contact, Reads(0.0))
+    assert blind.slope_error == pytest.approx(np.sqrt(np.mean(inside**2)), rel=0.1)

@@ -1,0 +1,323 @@
+"""Candidates: what a color model's class says is what is tried, and the forward response that each may get a step by."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration.candidates import (
+    ENOUGH_FOR_HIERARCHICAL,
+    LEAST_STEP_SIGMA,
+    STEP_SIGMAS,
+    Candidate,
+    SlopeReader,
+    Start,
+    candidates_for,
+    candidates_from,
+    color_model_names,
+    fitted_responses,
+    start_from,
+    step_sigma_of,
+    training_samples,
+    translated,
+)
+from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.color_models import COLOR_MODELS, HierarchicalModel, hierarchical
+from gelform.color_models.forward_response import RIDGES
+from gelform.errors import CalibrationError
+from gelform.reconstruct import Reconstructor
+from gelform.simulate import Ball, simulate_press
+from made.color_samples import ball_samples, lambertian_change
+
+
+def described(color_model, presses):
+    return [candidate.describe() for candidate in candidates_for(color_model, presses)]
+
+
+@pytest.mark.parametrize("presses", [ENOUGH_FOR_HIERARCHICAL, 30, 100])
+def test_many_presses_are_worth_a_model_of_many_terms(presses):
+    """The stiffest first: what is chosen of equals."""
+    ridges = [dict(c.settings)["ridge"] for c in candidates_for("auto", presses)]
+    assert ridges == sorted(hierarchical.RIDGES, reverse=True)
+    assert {c.model for c in candidates_for("auto", presses)} == {"hierarchical"}
+
+
+@pytest.mark.parametrize(
+    ("presses", "said"), [(3, "polynomial 1"), (6, "polynomial 2-1"), (11, "polynomial 2-1")]
+)
+def test_few_presses_carry_a_polynomial_of_few_terms(presses, said):
+    assert described("auto", presses) == [said]
+
+
+@pytest.mark.parametrize("presses", [2, 3, 6, 12, 17, 18, 29, 30, 100])
+@pytest.mark.parametrize("name", ["auto", *COLOR_MODELS])
+def test_something_is_always_tried(name, presses):
+    candidates = candidates_for(name, presses)
+    assert candidates
+    assert name == "auto" or {c.model for c in candidates} == {name}
+    assert all(c.step_ridge is None and c.start is None for c in candidates), (
+        "steps are tried of what was chosen"
+    )
+
+
+def test_the_class_says_what_is_tried(monkeypatch):
+    """A model of one's own is tried by its name, in all its variants; auto does not know it."""
+
+    class Mine:
+        name, change_offset = "mine", 4.0
+
+        @classmethod
+        def variants(cls, presses):
+            return [{"strength": 2}, {"strength": presses}]
+
+    monkeypatch.setitem(COLOR_MODELS, "mine", Mine)
+    assert described("mine", 40) == ["mine strength 2", "mine strength 40"]
+    assert {c.change_offset for c in candidates_for("mine", 40)} == {4.0}
+    assert color_model_names() == ["auto", *COLOR_MODELS]
+    assert "mine" not in {c.model for c in candidates_for("auto", 40)}
+
+
+def test_unknown_models_are_refused_with_the_names_of_all():
+    with pytest.raises(ValueError, match=r"auto, lambertian, .*lookup, got 'best'"):
+        candidates_for("best", 10)
+
+
+def test_another_units_model_is_followed_less_and_less():
+    start = Start(None, "digest")
+    ridges = [dict(c.settings)["ridge"] for c in candidates_from(start)]
+    assert ridges == sorted(ridges, reverse=True)
+    assert {c.start for c in candidates_from(start)} == {start}
+    assert {c.model for c in candidates_from(start)} == {"hierarchical"}
+
+
+def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
+    """Slopes of which the other unit's model reads half: followed closely, and not at all."""
+    samples = ball_samples(lambertian_change)
+    whole = HierarchicalModel.fit(samples)
+    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest")
+    held = replace(candidates_from(start)[0], settings=(("ridge", 1e6),)).fit(samples)
+    np.testing.assert_allclose(held.nodes, start.model.nodes, atol=1e-3)
+    alone = candidates_for("hierarchical", 6)[-1].fit(samples)
+    ratio = np.vdot(alone.nodes, whole.nodes) / np.vdot(whole.nodes, whole.nodes)
+    assert ratio == pytest.approx(1, abs=0.05)
+
+
+def test_a_candidate_says_its_settings_and_its_step():
+    candidate = Candidate("polynomial", (("position_degrees", (2, 1)),))
+    assert candidate.describe() == "polynomial 2-1"
+    assert replace(candidate, step_ridge=3e-5).describe() == "polynomial 2-1 step 3e-05"
+    assert candidate.change_offset == COLOR_MODELS["polynomial"].change_offset
+    assert Candidate("lambertian").change_offset == 0
+
+
+@pytest.fixture(scope="module")
+def some(prepared, found):
+    chosen = range(0, len(prepared), 2)
+    return [prepared[i] for i in chosen], [found[i] for i in chosen]
+
+
+def test_what_trains_is_inside_the_edge_or_far_off(some):
+    presses, contacts = some
+    samples = training_samples(presses, contacts, total=4000)
+    pressed = samples.gradients.any(axis=1)
+    x, y = (np.subtract.outer(at, [getattr(c, name) for c in contacts]) for at, name in (
+        (samples.x_px, "x_px"), (samples.y_px, "y_px")))  # fmt: skip
+    edges = np.array([ZONE * p.contact_radius(c) for p, c in zip(presses, contacts)])
+    assert (np.hypot(x, y) < edges).any(axis=1)[pressed].all()
+    assert 0.2 < pressed.mean() < 0.9
+    assert samples.depth_px is None
+
+
+class Reads:
+    """A model that reads the slopes that lie in the color change."""
+
+    def gradients_at(self, change, x_px, y_px):
+        return change[:, :2]
+
+
+def samples_with_errors(at_rest, per_slope, resting=0.4):
+    """Samples whose color change is their slopes, read off by so much at rest, and by so much more with the slope."""
+    samples = ball_samples(lambertian_change, count=20_000)
+    rng = np.random.default_rng(1)
+    slopes = samples.gradients * (rng.uniform(size=(20_000, 1)) >= resting)
+    sigma = np.hypot(at_rest, per_slope * np.linalg.norm(slopes, axis=1, keepdims=True))
+    read = slopes + sigma * rng.normal(size=slopes.shape)
+    return replace(samples, gradients=slopes, color_change=np.concatenate([read, read[:, :1]], axis=1))
+
+
+@pytest.mark.parametrize(("at_rest", "per_slope"), [(0.01, 0.1), (0.02, 0.05), (0.015, 0.0)])
+def test_a_steps_prior_is_what_the_model_is_off_by(at_rest, per_slope):
+    """At rest, and more by the slope: a quarter more than on the samples that it was fitted to."""
+    found = step_sigma_of(Reads(), samples_with_errors(at_rest, per_slope))
+    assert found[0] == pytest.approx(STEP_SIGMAS * at_rest, rel=0.02)
+    assert found[1] == pytest.approx(STEP_SIGMAS * per_slope, rel=0.05, abs=0.01)
+
+
+def test_a_prior_is_never_none_at_all():
+    """Of a model that is right everywhere, of samples of which none rests, and of one that errs at rest alone."""
+    least = STEP_SIGMAS * LEAST_STEP_SIGMA
+    assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.0)) == pytest.approx((least, 0))
+    assert step_sigma_of(Reads(), samples_with_errors(0.0, 0.1, resting=0)) == pytest.approx(
+        (least, 0.125), rel=0.03
+    )
+    rests = samples_with_errors(0.02, 0.0)
+    exact = np.where(
+        (rests.gradients != 0).any(axis=1, keepdims=True), rests.gradients, rests.color_change[:, :2]
+    )
+    right = replace(rests, color_change=np.concatenate([exact, exact[:, :1]], axis=1))
+    assert step_sigma_of(Reads(), right) == pytest.approx((STEP_SIGMAS * 0.02, 0), rel=0.02)
+
+
+def test_a_response_for_each_ridge_knows_the_depth_that_the_model_reads(some, held_out):
+    """The one with the smaller ridge explains more of the presses that it was fitted to."""
+    presses, contacts = some
+    model = Candidate("hierarchical").fit(training_samples(presses, contacts, total=6000))
+    responses = fitted_responses(model, presses, contacts, RIDGES[::3], held_out.untouched[10.0], total=6000)
+    assert len(responses) == 2
+    assert {response.shape for response in responses} == {presses[0].size.shape}
+    stiff, free = (np.trace(response.covariance) for response in responses)
+    assert free < stiff
+    assert all(np.abs(response.nodes[:, :, -3]).max() > 1e-3 for response in responses), "of the depth"
+
+
+def test_the_responses_step_has_the_prior_of_the_model(some, held_out):
+    """By the slopes that train and the untouched gel beside them, where every model is nearly right."""
+    presses, contacts = some
+    samples = training_samples(presses, contacts, total=6000)
+    model = Candidate("polynomial", (("position_degrees", (1,)),)).fit(samples)
+    (response,) = fitted_responses(model, presses, contacts, RIDGES[:1], held_out.untouched[10.0], total=6000)
+    assert response.step_sigma == pytest.approx(step_sigma_of(model, samples))
+    assert 0.003 < response.step_sigma[0] < 0.03 < response.step_sigma[1] < 0.5
+
+
+@pytest.fixture
+def reader(calibration, prepared):
+    """Makes a reader of the calibration's color model with a forward response."""
+    untouched = calibration.untouched_change
+    return lambda forward: SlopeReader(calibration.color_model, forward, prepared[0], untouched)
+
+
+@pytest.mark.parametrize("step", [True, False])
+def test_slopes_are_those_that_a_reconstructor_reads(calibration, presses, prepared, reader, step):
+    """Of whole images, with and without the step; but for the bias, which it takes away from all slopes alike."""
+    forward = calibration.forward if step else replace(calibration.forward, step_sigma=None)
+    reconstruct = Reconstructor(replace(calibration, forward=forward), solver="dct", depth_sigma=False)
+    for press, image in zip(prepared[:3], presses.presses):
+        read = reader(forward).frame(press)
+        apart = reconstruct.from_image(image.image).observed_gradients - read.gradients
+        np.testing.assert_allclose(apart, np.broadcast_to(apart[0, 0], apart.shape), atol=1e-5)
+        assert np.abs(apart[0, 0]).max() < 0.02
+        assert read.variance.shape == read.residual.shape == press.size.shape
+
+
+def test_without_a_step_nothing_is_stated(calibration, prepared, reader):
+    """The deviation is all in the factors that held-out presses tell."""
+    for forward in (None, replace(calibration.forward, step_sigma=None)):
+        read = reader(forward).frame(prepared[1])
+        assert (read.variance == 1).all()
+        assert (read.residual == 0).all()
+        plain = calibration.color_model.prepare(prepared[1].background, prepared[1].size.shape)
+        np.testing.assert_array_equal(read.gradients, plain.gradients_from_color(prepared[1].color_change)[0])
+
+
+def test_a_step_changes_slopes_and_states_them(calibration, prepared, reader):
+    stepped, plain = (reader(forward).frame(prepared[1]) for forward in (calibration.forward, None))
+    assert 1e-3 < np.abs(stepped.gradients - plain.gradients).mean() < 0.1
+    at_rest, per_slope = calibration.forward.step_sigma
+    prior = at_rest**2 + per_slope**2 * np.sum(np.square(plain.gradients), axis=-1)
+    assert stepped.variance.min() > 0
+    assert (stepped.variance <= prior * (1 + 1e-4)).all(), (
+        "known better than before the step, wherever it is taken"
+    )
+    assert stepped.residual.min() >= 0
+
+
+class Straight:
+    """A color model that reads the slopes that lie in the color change."""
+
+    def prepare(self, background, shape):
+        assert background.shape == (*shape, 3)
+        return self
+
+    def gradients_from_color(self, color_change):
+        return np.ascontiguousarray(color_change[..., :2]), None
+
+
+@pytest.mark.parametrize("background", [None, np.full((90, 120, 3), 80.0, np.float32)])
+def test_the_depth_is_that_of_the_slopes_that_the_model_reads(background):
+    """A bump of 4 px, in pixels; untouched gel around it is at 0."""
+    y, x = np.mgrid[:90, :120].astype(float)
+    depth = 4 * np.exp(-((x - 70) ** 2 + (y - 40) ** 2) / 200)
+    slopes = np.stack([40 - x + 30, 40 - y], axis=-1) * (depth / 100)[..., None]
+    change = np.concatenate([slopes, slopes[..., :1]], axis=-1).astype(np.float32)
+    press = PreparedPress("bump", change, np.linalg.norm(change, axis=-1), 40.0, background=background)
+    found = SlopeReader(Straight(), None, press, 0.01).depth_px(press)
+    np.testing.assert_allclose(found, depth, atol=0.3)
+    assert found.min() == 0
+
+
+def test_a_translated_model_reads_the_slopes_that_the_first_one_reads(lambertian_calibration, simulated):
+    """On the image of a ball that neither has seen: as far from the truth, and near to each other."""
+    press = simulate_press(
+        simulated.sensor, Ball(3.2), depth_mm=0.5, center_mm=(1.0, -1.0), rng=np.random.default_rng(2)
+    )
+    model = translated(lambertian_calibration)
+    assert isinstance(model, HierarchicalModel)
+    change = replace(lambertian_calibration.change, offset=HierarchicalModel.change_offset)
+    lambertian_calibration = replace(lambertian_calibration, forward=response_alone(lambertian_calibration))
+    other = replace(lambertian_calibration, color_model=model, change=change)
+    y, x = np.mgrid[: press.image.shape[0], : press.image.shape[1]]
+    inside = np.hypot(x - press.center_px[0], y - press.center_px[1]) < 0.8 * press.contact_radius_px
+    first, second = (
+        gelform.Reconstructor(one)(press.image).gradients[inside] for one in (lambertian_calibration, other)
+    )
+    assert np.sqrt(np.mean(first**2)) > 0.15
+    assert np.sqrt(np.mean((first - second) ** 2)) < 0.04
+
+
+def response_alone(calibration):
+    """Its forward response, which takes no step from the slopes that its color model reads."""
+    return replace(calibration.forward, step_sigma=None)
+
+
+def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, presses):
+    start = start_from(lambertian_calibration, presses, "auto")
+    assert start.digest == lambertian_calibration.digest
+    assert start.model.degree == 3, "as the model that is drawn to it"
+
+
+def test_of_the_same_color_model_the_start_is_the_model_itself(calibration, presses):
+    assert start_from(calibration, presses, "hierarchical").model is calibration.color_model
+
+
+def test_the_noise_of_colours_is_that_of_the_response(lambertian_calibration, monkeypatch):
+    """Alike channels stay alike: the covariance, not a deviation of each."""
+    drawn = []
+    covariance = 1e-4 * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.25]])
+    forward = replace(response_alone(lambertian_calibration), covariance=covariance)
+    plain = type(lambertian_calibration.color_model).gradients_at
+
+    def read(self, change, x, y):
+        drawn.append(change)  # of no slope: all of it is noise
+        return plain(self, change, x, y)
+
+    first = replace(lambertian_calibration, forward=forward, slope_sigma=flat(lambertian_calibration))
+    monkeypatch.setattr(type(first.color_model), "gradients_at", read)
+    translated(first)
+    np.testing.assert_allclose(np.cov(drawn[0].T), covariance, atol=1e-5)
+
+
+def flat(calibration):
+    """Its deviation of slopes, measured up to hardly any slope."""
+    return replace(calibration.slope_sigma, slopes=(0.0, 1e-6), sigmas=(0.01, 0.01))
+
+
+def test_a_start_without_a_forward_response_is_refused(lambertian_calibration, presses):
+    with pytest.raises(CalibrationError, match="what colour a slope gives"):
+        start_from(replace(lambertian_calibration, forward=None), presses, "auto")
+
+
+def test_a_start_for_images_of_another_size_is_refused(lambertian_calibration, presses):
+    with pytest.raises(ValueError, match="132x176 px, got one for 10x20 px"):
+        start_from(replace(lambertian_calibration, image_shape=(10, 20)), presses, "auto")
