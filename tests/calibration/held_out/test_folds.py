@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.calibration.held_out import folds as module
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import find_contacts, prepare
 from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.held_out import folds as module
 from gelform.calibration.held_out.folds import (
     FOLDS,
     Fold,
