@@ -111,7 +111,7 @@ class Listener:
 def publish(address: str, topics: str, count: str) -> None:
     """Publish prepared results at 60 Hz: in a process of its own."""
     from gelform.robots.zenoh_node import ZenohNode
-    from gelform.sensors.pace import Pace
+    from gelform.sensors.playback import Pace
     from robots.bag import frames_and_results, reconstructor
 
     pairs = frames_and_results(reconstructor())

@@ -14,7 +14,7 @@ from .view import image_from_frame as image_from_frame
 from .view import frame_from_image as frame_from_image
 from .background.change import ChangeSettings as ChangeSettings
 from .background.average import background_from_frames as background_from_frames
-from .sensors.backgrounds import read_background as read_background
+from .sensors.files import read_background as read_background
 from .background.exposure import exposure_from_image as exposure_from_image
 from .background.registration import Registration as Registration
 from .background.registration import registration_from_image as registration_from_image

@@ -7,7 +7,7 @@ import pytest
 
 from gelform.errors import CalibrationError, DataError
 from gelform.live.start import Options, start
-from gelform.sensors.cameras import there
+from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
 from live_waiting import until
 
@@ -62,7 +62,7 @@ def test_a_camera_that_is_not_there_is_said_and_waited_for():
     ],
 )
 def test_a_camera_is_named_once(specs, said, monkeypatch):
-    monkeypatch.setattr(there, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
+    monkeypatch.setattr(plugged_in, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
     with pytest.raises(DataError, match=said):
         start(Options(specs))
 
@@ -103,7 +103,9 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monke
     shared = Path("/dev/shm")
     if not sys.platform.startswith("linux") or not shared.is_dir():
         pytest.skip("needs Linux with /dev/shm")
-    monkeypatch.setattr(there, "_is_video_device", lambda path: True)  # the kernel knows that it is a file
+    monkeypatch.setattr(
+        plugged_in, "_is_video_device", lambda path: True
+    )  # the kernel knows that it is a file
     camera = shared / f"gelform-test-{tmp_path.name}"
     camera.write_bytes(b"")
     with camera.open("rb") as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:

@@ -42,7 +42,7 @@ def test_what_is_no_source_says_what_is(tmp_path):
 
 
 def test_a_name_is_a_cameras(monkeypatch):
-    monkeypatch.setattr("gelform.sensors.cameras.there.cameras_there", lambda: [])
+    monkeypatch.setattr("gelform.sensors.cameras.camera.cameras_there", lambda: [])
     for spec in ("D20123", "", "/dev/video77"):
         with pytest.raises(SensorError, match=r"No camera.*plugged in"):
             open_source(spec)

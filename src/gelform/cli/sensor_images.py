@@ -26,7 +26,7 @@ def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
     """The untouched image of a file or a folder of frames; None where none is given."""
-    from gelform.sensors.backgrounds import read_background
+    from gelform.sensors.files import read_background
 
     return None if path is None else _viewed(read_background(path), path, calibration)
 

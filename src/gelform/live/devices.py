@@ -13,9 +13,8 @@ from gelform.errors import GelformError
 from gelform.live.replay.player import Player
 from gelform.live.setup import Setup
 from gelform.live.station import Opening, Station
-from gelform.sensors.cameras.camera import Camera
+from gelform.sensors.cameras.camera import Camera, cameras_in_sysfs
 from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
-from gelform.sensors.cameras.sysfs import cameras_in_sysfs
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.source import Source
 

@@ -19,7 +19,7 @@ from gelform.live.replay.recordings import Recordings
 from gelform.live.simulated.ready import ready_calibration
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.progress import Progress
-from gelform.sensors.cameras.there import camera_named
+from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource

@@ -5,9 +5,16 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "backgrounds": ["averaged_background", "background_files", "background_in", "read_background"],
         "cameras": ["calibrated_settings", "cameras_there", "settings_mismatch"],
-        "files": ["SensorSettings", "read_image", "read_sensor_toml"],
+        "files": [
+            "SensorSettings",
+            "averaged_background",
+            "background_files",
+            "background_in",
+            "read_background",
+            "read_image",
+            "read_sensor_toml",
+        ],
         "grabber": ["Grabber", "GrabberStats"],
         "playback": ["Playback", "folder_playback", "video_playback"],
         "profiles": ["PROFILES", "SENSORS", "KnownSensor", "SensorProfile", "profile_named"],

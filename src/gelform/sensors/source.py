@@ -11,13 +11,12 @@ from typing import Protocol
 from gelform.checks import check_path
 from gelform.errors import DataError, SensorError
 from gelform.frames import Frame
-from gelform.sensors.cameras.there import camera_named
+from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl
 from gelform.sensors.playback import folder_playback, video_playback
-from gelform.sensors.recordings.bag_folder import is_bag_folder, mcap_file_in
 from gelform.sensors.recordings.image_folder import is_recorded_folder, recorded_folder_playback
-from gelform.sensors.recordings.mcap_reader import mcap_playback
+from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, mcap_playback
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.simulated.source import RATE_HZ, SimulatedSource
 from gelform.sensors.video_files import is_video

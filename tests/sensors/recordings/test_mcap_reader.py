@@ -1,15 +1,140 @@
-"""Recordings played again: the same frames at the same times; cut short, damaged, foreign files."""
+"""MCAP files: records, topics of pictures, bags of ROS 2, damage."""
 
 import numpy as np
 import pytest
 
 from gelform.errors import DataError
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.mcap_reader import mcap_playback, mcap_summary
+from gelform.sensors.recordings.mcap_reader import (
+    LOOKED_AT,
+    Channel,
+    PictureTopic,
+    Placed,
+    is_bag_folder,
+    mcap_file_in,
+    mcap_playback,
+    mcap_records,
+    mcap_summary,
+    picture_topic_of,
+)
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.source import open_source
 from made.recorded import frames
 from made.ros_images import image_file, raw_message
+
+
+def folder(path, *names, metadata="rosbag2_bagfile_information:\n  version: 9\n"):
+    path.mkdir()
+    (path / "metadata.yaml").write_text(metadata)
+    for name in names:
+        (path / name).write_bytes(b"")
+    return path
+
+
+def test_a_folder_is_known_by_its_metadata(tmp_path):
+    assert is_bag_folder(folder(tmp_path / "a", "a_0.mcap"))
+    assert not is_bag_folder(folder(tmp_path / "b", "a_0.mcap", metadata="name: other\n"))
+    assert not is_bag_folder(tmp_path)
+
+
+def test_the_file_inside(tmp_path):
+    assert mcap_file_in(folder(tmp_path / "a", "a_0.mcap")) == tmp_path / "a" / "a_0.mcap"
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("a_0.mcap", "a_1.mcap"), "got 2 in .* such as .*a_0.mcap"),
+        (("a_0.db3",), "rosbags-convert --src bag --dst bag_mcap --dst-storage mcap"),
+        (("a_0.mcap.zstd",), "zstd -d a_0.mcap.zstd -o bag.mcap"),
+        ((), "Copy the whole folder"),
+    ],
+)
+def test_what_to_do_where_there_is_not_one(tmp_path, names, said):
+    with pytest.raises(DataError, match=said):
+        mcap_file_in(folder(tmp_path / "bag", *names))
+
+
+pytest.importorskip("mcap.writer", reason="the extra mcap is not installed")
+
+
+def test_channels_once_and_messages_with_their_topic(tmp_path):
+    found = list(mcap_records(image_file(tmp_path / "a.mcap", {"/image": [b"a", b"b"]}, before=1)))
+    channels = [one for one in found if isinstance(one, Channel)]
+    assert channels == [
+        Channel("/joints", "sensor_msgs/msg/JointState", "cdr"),
+        Channel("/image", "sensor_msgs/msg/Image", "cdr"),
+    ]
+    placed = [(one.topic, one.message.data) for one in found if isinstance(one, Placed)]
+    assert placed == [("/joints", b"\0\1\0\0"), ("/image", b"a"), ("/image", b"b")]
+    assert type(found[-1]).__name__ == "Footer"
+
+
+def test_cut_short_it_ends_without_a_footer(tmp_path):
+    path = image_file(tmp_path / "a.mcap", {"/image": b"a"})
+    path.write_bytes(path.read_bytes()[:-20])
+    assert type(list(mcap_records(path))[-1]).__name__ != "Footer"
+
+
+def test_what_is_no_mcap_file(tmp_path):
+    with pytest.raises(DataError, match="No recording"):
+        list(mcap_records(tmp_path / "missing.mcap"))
+    text = tmp_path / "a.mcap"
+    text.write_text("this is text, and long enough to be looked at")
+    with pytest.raises(DataError, match="no MCAP file"):
+        list(mcap_records(text))
+
+
+pytest.importorskip("mcap.writer", reason="the extra mcap is not installed")
+PIXELS = np.zeros((4, 6, 3), np.uint8)
+COLOR, UNSAID = raw_message(PIXELS), raw_message(PIXELS, "8UC3")
+DEPTH = raw_message(np.zeros((4, 6, 4), np.uint8), "32FC1")
+
+
+def refusal(path):
+    with pytest.raises(DataError) as refused:
+        picture_topic_of(path)
+    return str(refused.value)
+
+
+def test_the_colored_one_beside_depth(tmp_path):
+    path = image_file(tmp_path / "a.mcap", {"/s/indentation": DEPTH, "/s/image_raw": COLOR})
+    assert picture_topic_of(path)[1] == PictureTopic("/s/image_raw", raw=True)
+
+
+def test_pictures_that_come_late_are_waited_for(tmp_path):
+    path = image_file(tmp_path / "a.mcap", {"/image": COLOR}, before=3 * LOOKED_AT)
+    assert picture_topic_of(path)[1].name == "/image"
+
+
+def test_wrong_encodings_are_named(tmp_path):
+    said = refusal(image_file(tmp_path / "a.mcap", {"/image": UNSAID, "/depth": DEPTH}))
+    assert "/image (8UC3), /depth (32FC1)" in said
+    assert "set the camera driver's encoding to rgb8 or bgr8" in said
+
+
+def test_several_are_not_guessed_among(tmp_path):
+    said = refusal(image_file(tmp_path / "a.mcap", {"/left": COLOR, "/right": COLOR}))
+    assert "got /left, /right" in said
+    assert "mcap filter a.mcap -y /left" in said
+
+
+def test_no_pictures_at_all(tmp_path):
+    assert "beside /joints" in refusal(image_file(tmp_path / "a.mcap", {}, before=3))
+    empty = image_file(tmp_path / "b.mcap", {"/image": []})
+    assert "beside /image, /joints" in refusal(empty)
+
+
+def test_compressed_depth_is_no_picture(tmp_path):
+    topics = {"/camera/compressedDepth": b"\0\1\0\0"}
+    path = image_file(tmp_path / "a.mcap", topics, schema="sensor_msgs/msg/CompressedImage")
+    assert "not compressed depth" in refusal(path)
+
+
+def test_messages_compressed_by_rosbag2_say_so(tmp_path):
+    path = image_file(tmp_path / "a.mcap", {"/image": b"\x28\xb5\x2f\xfd" + bytes(40)})
+    assert "ros2 bag convert" in refusal(path)
+
 
 writer = pytest.importorskip("mcap.writer", reason="the extra mcap is not installed")
 FIRST_CHUNK_END = 14000  # bytes: a frame of noise takes 9.3 kB

@@ -16,7 +16,7 @@ from gelform.batch.inputs.reading import image_of_calibration
 from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError
 from gelform.frames import Frame
-from gelform.sensors.backgrounds import read_background
+from gelform.sensors.files import read_background
 
 COLUMNS = ("sequence", "background")
 MOST_NAMED = 3

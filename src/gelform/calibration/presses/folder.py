@@ -38,8 +38,7 @@ from gelform.checks import check_is, check_path
 from gelform.errors import DataError
 from gelform.frames import pixels_digest
 from gelform.progress import Progress, no_progress
-from gelform.sensors.backgrounds import background_in, read_background
-from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.files import IMAGE_SUFFIXES, background_in, read_background, read_image
 from gelform.sensors.video_files import is_video
 from gelform.view import View, image_from_frame, image_px_from_frame_px
 

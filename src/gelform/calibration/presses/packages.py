@@ -23,8 +23,7 @@ from gelform.calibration.presses.press_set import (
 from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
 from gelform.npz_files import DAMAGED_ARCHIVE
-from gelform.sensors.backgrounds import background_in, read_background
-from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, read_image
+from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
 MAX_PACK_BYTES = 4 << 30
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE)

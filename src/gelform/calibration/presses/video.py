@@ -28,7 +28,7 @@ from gelform.checks import check_is, check_path
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.progress import Progress, no_progress
-from gelform.sensors.backgrounds import read_background
+from gelform.sensors.files import read_background
 from gelform.sensors.video_files import Video
 from gelform.view import View, image_from_frame
 

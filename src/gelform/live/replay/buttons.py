@@ -16,7 +16,7 @@ from gelform.live.setup import Setup
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.live.take.recorder import named_by_time
 from gelform.progress import Progress
-from gelform.sensors.recordings.attachments import attached_background, attached_calibration
+from gelform.sensors.recordings.record import attached_background, attached_calibration
 
 
 def open_recording(hub: Hub, station: int, name: str) -> None:

@@ -14,9 +14,9 @@ from gelform.frames import Frame
 from gelform.live.replay.indexed_mcap import McapIndex
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 from gelform.sensors.playback import USUAL_RATE_HZ
-from gelform.sensors.recordings.bag_folder import is_bag_folder, mcap_file_in
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
 from gelform.sensors.recordings.image_folder import FACTS, frame_of_row, is_recorded_folder, rows_of
+from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in
 from gelform.sensors.video_files import Video, is_video
 
 

@@ -12,9 +12,7 @@ from typing import Any
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.recordings.facts import reduction_in
-from gelform.sensors.recordings.mcap_reader import frame_from_message
-from gelform.sensors.recordings.mcap_records import MAX_RECORD_BYTES
-from gelform.sensors.recordings.picture_topic import picture_topic_of
+from gelform.sensors.recordings.mcap_reader import MAX_RECORD_BYTES, frame_from_message, picture_topic_of
 
 MAGIC_BYTES = 8
 KEPT_CHUNKS = 2

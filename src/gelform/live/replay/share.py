@@ -16,9 +16,9 @@ from gelform.frames import Frame
 from gelform.live.replay.indexed import Indexed
 from gelform.npz_files import check_free
 from gelform.progress import Progress, no_progress
-from gelform.sensors.recordings.attachments import attachments_of
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
+from gelform.sensors.recordings.record import attachments_of
 
 
 def share(

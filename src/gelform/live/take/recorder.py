@@ -10,8 +10,7 @@ from pathlib import Path
 from gelform.errors import GelformError
 from gelform.live.setup import Setup
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.recordings.attachments import attachments_of
-from gelform.sensors.recordings.record import RecordStats, new_recording, record_frames
+from gelform.sensors.recordings.record import RecordStats, attachments_of, new_recording, record_frames
 
 
 def named_by_time(kind: str) -> str:

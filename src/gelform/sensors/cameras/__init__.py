@@ -5,13 +5,9 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "access": ["check_access", "udev_rule"],
-        "camera": ["Camera", "chosen_camera", "listed_cameras"],
-        "modes": ["modes_of"],
+        "camera": ["Camera", "camera_named", "cameras_there", "chosen_camera", "listed_cameras"],
         "settings": ["calibrated_settings", "settings_mismatch"],
-        "survey": ["Survey", "survey_of"],
-        "sysfs": ["cameras_in_sysfs"],
-        "there": ["camera_named", "cameras_there"],
-        "usb": ["UsbCamera"],
+        "survey": ["Survey", "modes_of", "survey_of"],
+        "usb": ["UsbCamera", "check_access", "udev_rule"],
     },
 )

@@ -1,11 +1,19 @@
-"""A camera that is plugged in, and which of several is meant: by serial first, name second, path last."""
+"""Cameras that are plugged in, and which of several is meant: by serial first, name second, path last."""
 
 from __future__ import annotations
 
+import os
+import re
+import stat
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
 
 from gelform.errors import SensorError
+from gelform.sensors.profiles import SENSORS
 
 NOTHING_THERE = (
     'No camera is plugged in. Plug one in, look at its cable, or take "simulated", which needs none. A camera of another '
@@ -87,3 +95,111 @@ def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Cam
     unique = None not in serials and len(set(serials)) == len(serials)
     by = "serial" if unique else "path (the one by its socket stays the same)"
     raise SensorError(f"{several}: name one by its {by}. Plugged in: {listed_cameras(cameras)}.")
+
+
+CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
+
+
+def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
+    """The cameras of this machine, in the order of their numbers.
+
+    Parameters
+    ----------
+    root : the folder that holds sys and dev
+    """
+    entries = [entry for entry in (root / CLASS).glob("video*") if _text(entry / "index") in ("0", None)]
+    by_path = _links(root)
+    return [_camera(entry, by_path) for entry in sorted(entries, key=_number)]
+
+
+def _camera(entry: Path, by_path: dict[str, str]) -> Camera:
+    """What the entry and its USB device say."""
+    usb = _usb_device(entry)
+    vendor, product = (_text(usb / name) if usb else None for name in ("idVendor", "idProduct"))
+    usb_id = f"{vendor}:{product}" if vendor and product else None
+    name = (_text(usb / "product") if usb else None) or _text(entry / "name") or entry.name
+    return Camera(
+        name=name,
+        path=f"/dev/{entry.name}",
+        serial=(_text(usb / "serial") if usb else None) or None,
+        usb_id=usb_id,
+        by_path=by_path.get(entry.name),
+        kind=kind_of(usb_id),
+    )
+
+
+def kind_of(usb_id: str | None) -> str | None:
+    """The known sensor of that USB id."""
+    known = (name for name, row in SENSORS.items() if row.camera is not None and row.camera.usb_id == usb_id)
+    return next(known, None)
+
+
+def _usb_device(entry: Path) -> Path | None:
+    """The folder of the USB device: the nearest one above the entry's device that has idVendor."""
+    device = (entry / "device").resolve()
+    return next((folder for folder in (device, *device.parents[:3]) if (folder / "idVendor").is_file()), None)
+
+
+def _links(root: Path) -> dict[str, str]:
+    """videoN -> its name by the socket that it is plugged into."""
+    folder = root / BY_PATH
+    links = sorted(folder.iterdir()) if folder.is_dir() else []
+    return {link.resolve().name: f"/{BY_PATH}/{link.name}" for link in reversed(links)}
+
+
+def _number(entry: Path) -> int:
+    digits = re.search(r"\d+$", entry.name)
+    return int(digits.group()) if digits else 0
+
+
+def _text(file: Path) -> str | None:
+    """A file's only line; None where it is not there, or went away with the device."""
+    try:
+        return file.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return None
+
+
+VIDEO4LINUX = 81  # major number of the kernel's video devices (Documentation/admin-guide/devices.txt)
+LOOKED_AT = 4  # numbers, where the system has no list
+
+
+def cameras_there(root: Path = Path("/")) -> list[Camera]:
+    """The cameras of this machine.
+
+    Linux lists them with serial, name and path. On macOS and Windows OpenCV knows no more than that the n-th camera
+    opens: they are called "camera 0", "camera 1" ..., their path is the number, and to know them all are opened for a
+    moment.
+    """
+    if sys.platform.startswith("linux"):
+        return cameras_in_sysfs(root)
+    return [Camera(f"camera {number}", str(number)) for number in range(LOOKED_AT) if _opens(number)]
+
+
+def _opens(number: int) -> bool:
+    capture = cv2.VideoCapture(number)
+    try:
+        return bool(capture.isOpened())
+    finally:
+        capture.release()
+
+
+def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
+    """The camera that a serial, a name or a path means (see `chosen_camera`); a device beside the list by its path."""
+    there = cameras_there() if cameras is None else cameras
+    path = Path(spec)
+    if spec.startswith("/dev/") and path.exists():
+        real = str(path.resolve())
+        listed = next((camera for camera in there if camera.path == real), None)
+        if listed is None and not _is_video_device(path):
+            raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
+        return listed or Camera(spec, real)
+    return chosen_camera(spec, there)
+
+
+def _is_video_device(path: Path) -> bool:
+    """Whether the kernel calls it one; where it cannot be asked, opening it will tell."""
+    if not sys.platform.startswith("linux"):
+        return True
+    status = path.stat()
+    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == VIDEO4LINUX

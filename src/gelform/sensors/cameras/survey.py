@@ -1,17 +1,87 @@
-"""What a camera offers and how fast it really is: opened for a moment."""
+"""What a camera offers by its driver (Video4Linux2), and how fast it really is: opened for a moment."""
 
 from __future__ import annotations
 
+import os
+import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from gelform.errors import GelformError
 from gelform.sensors.cameras.camera import Camera
-from gelform.sensors.cameras.modes import Mode, modes_of
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source
+
+CAPTURE, DISCRETE = 1, 1
+MOST = 64  # entries of one list: a driver that never ends is not asked for ever
+# (request, size of the answer, where the index is written first)
+FORMATS, SIZES, INTERVALS = (0xC0405602, 64), (0xC02C564A, 44), (0xC034564B, 52)
+
+Ask = Callable[[int, bytearray], object]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A picture format (as four letters, such as MJPG), size (H, W) and rate that a camera offers."""
+
+    fourcc: str
+    shape: tuple[int, int]
+    rate_hz: float
+
+    def __str__(self) -> str:
+        return f"{self.fourcc} {self.shape[0]}x{self.shape[1]} at {self.rate_hz:g} Hz"
+
+
+def modes_of(path: str) -> list[Mode]:
+    """The modes of a camera; none where the system or the driver does not say.
+
+    Parameters
+    ----------
+    path : such as /dev/video0
+    """
+    try:
+        from fcntl import ioctl
+
+        device = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+    except (ImportError, OSError):
+        return []
+    try:
+        return list(modes_from_answers(lambda request, buffer: ioctl(device, request, buffer)))
+    finally:
+        os.close(device)
+
+
+def modes_from_answers(ask: Ask) -> Iterator[Mode]:
+    """The modes by what `ask(request, buffer)` writes into its buffer; OSError ends each list."""
+    for answer in _answers(ask, FORMATS, struct.pack("<II", 0, CAPTURE)):
+        (pixel_format,) = struct.unpack_from("<I", answer, 44)
+        fourcc = struct.pack("<I", pixel_format).decode("latin-1").strip()
+        for size in _answers(ask, SIZES, struct.pack("<II", 0, pixel_format)):
+            kind, width, height = struct.unpack_from("<III", size, 8)
+            if kind != DISCRETE:
+                continue  # any size in a range: those of sensors' cameras are listed one by one
+            asked = struct.pack("<IIII", 0, pixel_format, width, height)
+            for interval in _answers(ask, INTERVALS, asked):
+                kind, numerator, denominator = struct.unpack_from("<III", interval, 16)
+                if kind == DISCRETE and numerator:
+                    yield Mode(fourcc, (height, width), round(denominator / numerator, 3))
+
+
+def _answers(ask: Ask, request: tuple[int, int], start: bytes) -> Iterator[bytearray]:
+    """Each entry of a list, its index counted up in the first four bytes."""
+    number, size = request
+    for index in range(MOST):
+        buffer = bytearray(size)
+        buffer[: len(start)] = start
+        struct.pack_into("<I", buffer, 0, index)
+        try:
+            ask(number, buffer)
+        except OSError:
+            return
+        yield buffer
+
 
 MEASURED_S, FIRST_S = 1.0, 3.0  # how long frames are counted, and how long the first one may take
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from gelform.errors import DataError
 from gelform.frames import Frame
@@ -15,13 +17,232 @@ from gelform.sensors.recordings.facts import (
     image_from_encoded,
     reduction_in,
 )
-from gelform.sensors.recordings.mcap_records import Placed, mcap_records
+from gelform.sensors.recordings.mcap_writer import METADATA, TOPIC
 from gelform.sensors.recordings.messages import (
+    COLOR_ENCODINGS,
+    MESSAGE_ENCODING,
+    RAW_SCHEMA_NAME,
+    SCHEMA_NAME,
     picture_from_message,
     pixels_from_raw,
     raw_image_from_message,
 )
-from gelform.sensors.recordings.picture_topic import PictureTopic, picture_topic_of
+
+METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
+MAX_KEY_AT = 4096
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder is one of rosbag2: by its metadata.yaml."""
+    file = path / METADATA_FILE
+    if not file.is_file():
+        return False
+    with file.open(encoding="utf-8", errors="replace") as text:
+        return METADATA_KEY in text.read(MAX_KEY_AT)
+
+
+def mcap_file_in(path: Path) -> Path:
+    """The one MCAP file of a rosbag2 folder.
+
+    Raises
+    ------
+    DataError
+        Its files are of sqlite3, compressed as a whole, several or missing; the message says what to do.
+    """
+    files = sorted(file for file in path.iterdir() if file.is_file() and file.name != METADATA_FILE)
+    whole = [file for file in files if file.suffix == ".mcap"]
+    if len(whole) == 1:
+        return whole[0]
+    if whole:
+        raise DataError(
+            f"Expected a bag of one file, got {len(whole)} in {path}. Open them one after the other, such as {whole[0]}."
+        )
+    if any(file.suffix == ".db3" for file in files):
+        raise DataError(
+            f"{path} is a bag of sqlite3. Convert it: ros2 bag convert with storage_id mcap, or rosbags-convert "
+            f"--src {path.name} --dst {path.name}_mcap --dst-storage mcap."
+        )
+    compressed = [file for file in files if file.name.endswith((".mcap.zstd", ".mcap.lz4"))]
+    if compressed:
+        raise DataError(
+            f"{compressed[0]} is compressed as a whole. Decompress it: zstd -d {compressed[0].name} -o {path.name}.mcap"
+        )
+    raise DataError(
+        f"Expected a file *.mcap beside {METADATA_FILE} in {path}, got none. Copy the whole folder."
+    )
+
+
+MAX_RECORD_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A topic with the name of its messages' type, and how they are encoded."""
+
+    topic: str
+    schema: str
+    encoding: str
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A message with the topic that it belongs to."""
+
+    topic: str
+    message: Any
+
+
+def mcap_records(path: Path) -> Iterator[Any]:
+    """Channels, messages with their topic, and all other records as the library has them.
+
+    Raises
+    ------
+    DataError
+        The file is missing, none of MCAP or damaged, or the extra `mcap` is not installed.
+    """
+    stream_reader, end_of_file = _library()
+    if not path.is_file():
+        raise DataError(f"No recording {path}. Check the path.")
+    schemas: dict[int, str] = {}
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        reader = stream_reader(_WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        try:
+            for record in reader.records:
+                kind = type(record).__name__
+                if kind == "Schema":
+                    schemas[record.id] = record.name
+                elif kind == "Channel" and record.id not in topics:
+                    topics[record.id] = record.topic
+                    schema = schemas.get(record.schema_id, "")
+                    yield Channel(record.topic, schema, record.message_encoding)
+                elif kind == "Message":
+                    yield Placed(topics.get(record.channel_id, ""), record)
+                elif kind != "Channel":
+                    yield record
+        except end_of_file:
+            return  # not finished: the recorder was killed
+        except (ValueError, KeyError, struct.error, MemoryError, _mcap_error()) as problem:
+            raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
+
+
+class _WholeReads:
+    """A file that has ended where it holds fewer bytes than wanted: the library asks for records as they say they are."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def read(self, count: int) -> bytes:
+        data = self._file.read(count)
+        return data if len(data) == count else b""
+
+
+def _library() -> tuple[Any, Any]:
+    try:
+        from mcap.exceptions import EndOfFile
+        from mcap.stream_reader import StreamReader
+    except ImportError as problem:
+        raise DataError("MCAP files need the extra mcap: pip install 'gelform[mcap]'.") from problem
+    return StreamReader, EndOfFile
+
+
+def _mcap_error() -> type[Exception]:
+    from mcap.exceptions import McapError
+
+    return McapError  # type: ignore[no-any-return]
+
+
+LOOKED_AT = 200  # records, for what kind of pictures a file holds
+DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message is that of a picture, its content is none
+
+
+@dataclass(frozen=True)
+class PictureTopic:
+    """A topic of pictures: compressed or raw, and whether its messages count frames (in gelform's own recordings)."""
+
+    name: str
+    raw: bool = False
+    numbered: bool = False
+
+
+@dataclass
+class _Found:
+    """What the first records say."""
+
+    facts: RecordingFacts | None = None
+    compressed: list[str] = field(default_factory=list)
+    encodings: dict[str, str] = field(default_factory=dict)  # of raw pictures; "" until a message was seen
+    others: list[str] = field(default_factory=list)
+
+    @property
+    def colored(self) -> list[str]:
+        return [topic for topic, encoding in self.encodings.items() if encoding in COLOR_ENCODINGS]
+
+    @property
+    def undecided(self) -> bool:
+        return "" in self.encodings.values()
+
+
+def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
+    """The facts and the topic of the pictures, from the first records: one of gelform's own, else the only one.
+
+    Raises
+    ------
+    DataError
+        There is none that can be read, or several; the message names them and says what to do.
+    """
+    found = _Found()
+    for count, record in enumerate(mcap_records(path)):
+        _add(found, record, path)
+        if TOPIC in found.compressed or (count > LOOKED_AT and not found.undecided):
+            break
+    if TOPIC in found.compressed:
+        return found.facts or RecordingFacts(path.name), PictureTopic(TOPIC, numbered=found.facts is not None)
+    topics = [*found.compressed, *found.colored]
+    if len(topics) == 1:
+        return RecordingFacts(path.name), PictureTopic(topics[0], raw=topics[0] in found.encodings)
+    raise DataError(_refusal(path, found, topics))
+
+
+def _add(found: _Found, record: Any, path: Path) -> None:
+    if type(record).__name__ == "Metadata" and record.name == METADATA:
+        found.facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
+    elif isinstance(record, Channel):
+        readable = record.encoding == MESSAGE_ENCODING and not record.topic.endswith(DEPTH_SUFFIX)
+        if readable and record.schema == SCHEMA_NAME:
+            found.compressed.append(record.topic)
+        elif readable and record.schema == RAW_SCHEMA_NAME:
+            found.encodings[record.topic] = ""
+        else:
+            found.others.append(record.topic)
+    elif isinstance(record, Placed) and found.encodings.get(record.topic) == "":
+        try:
+            found.encodings[record.topic] = raw_image_from_message(record.message.data).encoding
+        except ValueError as problem:
+            raise DataError(f"{path}: {record.topic} cannot be read. {problem}") from problem
+
+
+def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
+    """Why there is no topic to read, and what to do."""
+    if found.facts is not None and not topics:
+        return f"{path} holds no frame yet: its recorder ended, or was killed, before the first."
+    if topics:
+        return (
+            f"Expected one topic of pictures in {path}, got {', '.join(topics)}. Keep the sensor's alone, for example: "
+            f"mcap filter {path.name} -y {topics[0]} -o one.mcap"
+        )
+    wrong = [f"{topic} ({encoding})" for topic, encoding in found.encodings.items() if encoding]
+    if wrong:
+        return (
+            f"Expected pictures of encoding {' or '.join(COLOR_ENCODINGS)} in {path}, got {', '.join(wrong)}. 8UC3 does not "
+            "say which channel is red: set the camera driver's encoding to rgb8 or bgr8 and record again."
+        )
+    beside = ", ".join([*found.encodings, *found.others])
+    return (
+        f"Expected a topic of {SCHEMA_NAME} (PNG, JPEG) or {RAW_SCHEMA_NAME} with messages in {path}, got none"
+        + (f", beside {beside}." if beside else ".")
+        + " Record the camera's image topic, not compressed depth or video."
+    )
 
 
 def mcap_playback(path: Path, *, paced: bool = False) -> Playback:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_positive
 from gelform.frames import Frame
-from gelform.sensors.pace import Pace
+from gelform.sensors.playback import Pace
 from gelform.simulate import (
     Ball,
     Coin,

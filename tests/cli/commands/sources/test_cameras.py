@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gelform.sensors.cameras import camera, usb
 from gelform.sensors.cameras import survey as surveyed
-from gelform.sensors.cameras import there, usb
 from gelform.sensors.cameras.camera import Camera
-from gelform.sensors.cameras.modes import Mode
+from gelform.sensors.cameras.survey import Mode
 from made.capture import Capture
 
 IMAGE = np.zeros((240, 320, 3), np.uint8)
@@ -15,7 +15,7 @@ IMAGE = np.zeros((240, 320, 3), np.uint8)
 @pytest.fixture
 def plugged_in(monkeypatch, tmp_path):
     def plug(*cameras):
-        monkeypatch.setattr(there, "cameras_there", lambda: list(cameras))
+        monkeypatch.setattr(camera, "cameras_there", lambda: list(cameras))
 
     return plug
 

@@ -31,9 +31,8 @@ def cameras(
       gelform cameras --no-measure
       gelform cameras --json
     """
-    from gelform.sensors.cameras.camera import NOTHING_THERE
+    from gelform.sensors.cameras.camera import NOTHING_THERE, cameras_there
     from gelform.sensors.cameras.survey import survey_of
-    from gelform.sensors.cameras.there import cameras_there
 
     found = [survey_of(camera, measure=measure) for camera in cameras_there()]
     if as_json:
