@@ -49,7 +49,7 @@ NEIGHBOURS = {
     ("design", "calibration"),
     ("batch", "robots"),  # LeRobot's levels
 }
-INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform"}
+INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform", "lazy_loader"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "reconstruction", "npz_files", "_native"}
 MAX_LINES, MAX_FILES = 400, 15

@@ -6,10 +6,11 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gelform.reconstruction.maps import KEPT_MAPS
 from gelform.solvers import SOLVERS
 from gelform.solvers.inputs import takes_weights
 
-KEPT = ("depth", "known", "depth_sigma", "gradients", "normals", "confidence", "contact")
+KEPT = tuple(KEPT_MAPS)
 FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
 DTYPES = ("float32", "uint16")
 LEVELS_ALONE = ("png", "ffv1", "lerobot")  # which hold nothing but depth in 16 bits

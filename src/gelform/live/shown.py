@@ -19,9 +19,9 @@ from gelform.live.replay.player import ReplayedFrame
 from gelform.live.wire.planes import Plane, bits_plane, depth_plane, image_plane, level_plane
 from gelform.markers import MarkerFlow
 from gelform.reconstruction import Reconstruction
+from gelform.reconstruction.maps import MAP_PLANES
 
-PLANES = ("image", "depth", "confidence", "sigma", "flags", "causes", "other")
-SIGMA_STEP_MM = 0.002
+PLANES = ("image", "flags", "causes", "other", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2
 MOST_CONTACTS = 8
 
@@ -83,10 +83,9 @@ class Shown:
             return None
         if name == "depth":
             return depth_plane(result.depth, encoding)
-        if name == "confidence":
-            return level_plane("confidence", result.confidence, encoding)
-        if name == "sigma" and result.depth_sigma_mm is not None:
-            return level_plane("sigma", result.depth_sigma_mm, encoding, step=SIGMA_STEP_MM)
+        if (row := MAP_PLANES.get(name)) is not None:
+            values = getattr(result, row.name)
+            return None if values is None else level_plane(name, values, encoding, step=row.plane_step)
         if name == "causes" and self.explain is not None:
             return bits_plane("causes", _cause_bits(self.explain()), encoding)
         if name == "flags":

@@ -13,6 +13,7 @@ from gelform.errors import DataError
 from gelform.metrics import angle_deg
 from gelform.plots.canvas import BLUE, INK, ORANGE, canvas, deepest_px, draw_map, pixels_of, style_profiles
 from gelform.reconstruction import Reconstruction
+from gelform.reconstruction.maps import MAPS
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def comparison_picture(
     draw_map(axes[0], shown, "image")
     limits = {"vmin": min(first.min(), second.min()), "vmax": max(first.max(), second.max())}
     for panel, depth, title in zip(axes[1:3], compared.depths, (f"A: {names[0]}", f"B: {names[1]}")):
-        map_shown = draw_map(panel, depth, title, cmap="viridis", **limits)
+        map_shown = draw_map(panel, depth, title, cmap=MAPS["depth_mm"].colors, **limits)
         panel.axhline(row, color="white", linewidth=0.8, alpha=0.7)
     top.colorbar(map_shown, ax=list(axes[1:3]), shrink=0.9, pad=0.01, label=f"depth ({compared.unit})")
     far = max(float(np.abs(second - first).max()), 1e-6)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_image
 from gelform.confidence import Explanation
 from gelform.plots.canvas import INK, canvas, draw_map, pixels_of
+from gelform.reconstruction.maps import MAPS
 
 WIDTH = 13.0
 COLUMNS = 4
@@ -78,7 +79,9 @@ def _headline(explanation: Explanation) -> str:
 
 def _draw_summary(figure: Any, grid: Any, explanation: Explanation, image: NDArray[np.uint8]) -> None:
     draw_map(grid[0], image, "image")
-    confidence = draw_map(grid[1], explanation.confidence, "confidence", cmap="gray", vmin=0, vmax=1)
+    confidence = draw_map(
+        grid[1], explanation.confidence, "confidence", cmap=MAPS["confidence"].colors, vmin=0, vmax=1
+    )
     figure.colorbar(confidence, ax=grid[1], shrink=0.7, pad=0.02)
     sigma = draw_map(grid[2], explanation.gradients_sigma, "sigma of the slopes (mm/mm)", **_style())
     figure.colorbar(sigma, ax=grid[2], shrink=0.7, pad=0.02)

@@ -19,6 +19,7 @@ from gelform.plots.canvas import (
     style_profiles,
 )
 from gelform.reconstruction import Reconstruction
+from gelform.reconstruction.maps import MAPS
 
 WIDTH = 13.0
 
@@ -93,7 +94,7 @@ def _unit(result: Reconstruction) -> str:
 def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | None) -> None:
     slopes = result.gradients
     limit = max(0.1, float(np.quantile(np.abs(slopes), 0.998)))
-    style = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+    style = {"cmap": MAPS["gradients"].colors, "vmin": -limit, "vmax": limit}
     panels: list[tuple[str, NDArray[Any], dict[str, Any]]] = [
         ("normals (x right, y down, z to the camera)", (result.normals + 1) / 2, {}),
         ("slope dz/dx", slopes[..., 0], style),
@@ -112,7 +113,9 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
     height, width = depth.shape
     left, right = -pitch_x / 2, (width - 0.5) * pitch_x  # the first pixel's centre is at 0
     low, high = (height - 0.5) * pitch_y, -pitch_y / 2
-    shown = axes.imshow(depth, cmap="viridis", extent=(left, right, low, high), interpolation="nearest")
+    shown = axes.imshow(
+        depth, cmap=MAPS["depth_mm"].colors, extent=(left, right, low, high), interpolation="nearest"
+    )
     figure.colorbar(shown, ax=axes, shrink=0.92, pad=0.015, label=f"depth ({unit}, 0 at rest)")
     if result.contact.any() and not result.contact.all():
         x, y = np.arange(width) * pitch_x, np.arange(height) * pitch_y

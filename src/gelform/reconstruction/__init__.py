@@ -1,6 +1,5 @@
-"""What one frame gave; saved, loaded and shown."""
+"""What one frame gave, the table of its maps, and its files; the command line's help reads the table alone."""
 
-from gelform.reconstruction.file import KIND, load_result, save_result
-from gelform.reconstruction.record import Reconstruction
+import lazy_loader
 
-__all__ = ["KIND", "Reconstruction", "load_result", "save_result"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

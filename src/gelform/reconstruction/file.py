@@ -14,7 +14,8 @@ from gelform.checks import check_finite, check_is, check_map, check_mm_per_px, c
 from gelform.errors import DataError
 from gelform.markers import MarkerFlow
 from gelform.npz_files import read_npz, write_npz
-from gelform.reconstruction.record import MAPS, Reconstruction
+from gelform.reconstruction.maps import BESIDE_DEPTH, MAPS
+from gelform.reconstruction.record import Reconstruction
 
 KIND = "gelform result"
 # 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth; 4: markers too
@@ -45,7 +46,8 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
         The file is already there and `overwrite` is False, or it cannot be written.
     """
     check_map(check_is(result, Reconstruction, "result").depth, "depth")  # NaN is no depth
-    arrays = {name: getattr(result, name) for name in MAPS if getattr(result, name) is not None}
+    maps = {one.name: getattr(result, one.name) for one in BESIDE_DEPTH}
+    arrays = {name: values for name, values in maps.items() if values is not None}
     if result.mm_per_px is None:
         arrays["depth_px"] = result.depth
     else:
@@ -74,7 +76,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         mm_per_px = _pitch(arrays["mm_per_px"]) if "depth_px" not in arrays else None
         settings = {name: meta[name] for name in _META}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
-        maps: dict[str, Any] = {name: arrays.get(name) for name in MAPS}
+        maps: dict[str, Any] = {one.name: arrays.get(one.name) for one in BESIDE_DEPTH}
         return Reconstruction(
             depth=arrays["depth_px" if mm_per_px is None else "depth_mm"],
             mm_per_px=mm_per_px,
@@ -94,7 +96,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
 def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
     """Refuse NaN, arrays of other types and settings of the wrong kind; the record looks at shapes itself."""
     for name, array in arrays.items():
-        wanted = np.bool_ if name in ("contact", "known") else np.floating
+        wanted = np.bool_ if name in MAPS and MAPS[name].dtype == "bool" else np.floating
         if not np.issubdtype(array.dtype, wanted):
             raise TypeError(f"Expected {name} of another type, got {array.dtype}.")
         check_finite(array, name)

@@ -15,10 +15,8 @@ from gelform.contact import Contact, contacts_from_mask
 from gelform.errors import GelformError
 from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
+from gelform.reconstruction.maps import BESIDE_DEPTH
 from gelform.reconstruction.shown import shown_in_notebook
-
-OPTIONAL = ("depth_sigma_mm", "gradients_sigma", "observed_gradients")
-MAPS = ("gradients", "confidence", "contact", "known", *OPTIONAL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +75,10 @@ class Reconstruction:
         shape = np.shape(self.depth)
         if len(shape) != 2:
             raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
-        for name in MAPS:
-            wanted = (*shape, 2) if "gradients" in name else shape
-            values = getattr(self, name)
-            if np.shape(values) != wanted and not (values is None and name in OPTIONAL):
-                raise ValueError(f"Expected {name} of shape {wanted}, as depth, got {np.shape(values)}.")
+        for one in BESIDE_DEPTH:
+            values, wanted = getattr(self, one.name), (*shape, *one.axes)
+            if np.shape(values) != wanted and not (values is None and one.optional):
+                raise ValueError(f"Expected {one.name} of shape {wanted}, as depth, got {np.shape(values)}.")
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:

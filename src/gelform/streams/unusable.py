@@ -14,6 +14,7 @@ from gelform.health import DepthLimit
 from gelform.markers import MarkerFlow
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
+from gelform.reconstruction.maps import BESIDE_DEPTH
 
 NOT_THIS_GEL = "not_this_gel"
 UNKNOWN_SLOPE = 1.0  # standard deviation of a slope of which nothing is known, mm/mm
@@ -43,14 +44,14 @@ def unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
     calibration = reconstruct.calibration
     shape, pitch = calibration.image_shape, calibration.mm_per_px
     sigma = None if pitch is None else np.full(shape, DepthLimit.of(shape, pitch).ignorance_mm, np.float32)
+    nothing: dict[str, Any] = {
+        one.name: np.zeros((*shape, *one.axes), one.dtype) for one in BESIDE_DEPTH if not one.optional
+    }
     return Reconstruction(
         depth=np.zeros(shape, np.float32),
         depth_sigma_mm=sigma,
-        gradients=np.zeros((*shape, 2), np.float32),
         gradients_sigma=np.full((*shape, 2), UNKNOWN_SLOPE, np.float32),
-        confidence=np.zeros(shape, np.float32),
-        contact=np.zeros(shape, bool),
-        known=np.zeros(shape, bool),
+        **nothing,
         mm_per_px=pitch,
         mm_per_px_sigma=calibration.mm_per_px_sigma,
         health=(*reconstruct.findings, finding),

@@ -12,23 +12,13 @@ from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from gelform.exporters.quantised import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
 from gelform.reconstruction import Reconstruction
+from gelform.reconstruction.maps import KEPT_MAPS, MAPS, ResultMap
 
-# keep -> (name in files, dtype, unit)
-MAPS: dict[str, tuple[str, str, str]] = {
-    "depth": ("depth_mm", "float32", "mm"),
-    "known": ("known", "bool", ""),
-    "depth_sigma": ("depth_sigma_mm", "float32", "mm"),
-    "gradients": ("gradients", "float32", "mm/mm"),
-    "normals": ("normals", "float32", ""),
-    "confidence": ("confidence", "float32", ""),
-    "contact": ("contact", "bool", ""),
-}
-AXES = {"gradients": (2,), "normals": (3,)}  # behind (H, W)
 LEVELS = {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
 
 
 def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArray[Any]]:
-    """The kept maps by their names in files, (H, W) or with AXES behind; depth as uint16 levels where the settings say so.
+    """The kept maps by their names in files, (H, W) or with axes behind; depth as uint16 levels where the settings say so.
 
     Raises
     ------
@@ -37,25 +27,22 @@ def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArra
     """
     if settings.dtype == "uint16":
         return {"depth_mm": levels_from_depth(result.depth_mm, result.known)}
-    return {MAPS[name][0]: _map(result, MAPS[name][0]) for name in settings.keep}
+    return {one.name: _map(result, one.name) for one in _kept(settings)}
 
 
 def blank_maps(settings: BatchSettings, shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
     """The maps of a frame that could not be done: NaN, False, or level 0, which means unknown."""
     if settings.dtype == "uint16":
         return {"depth_mm": np.full(shape, UNKNOWN, dtype=np.uint16)}
-    blank = {}
-    for name, dtype, _ in map(MAPS.__getitem__, settings.keep):
-        nothing = False if dtype == "bool" else np.nan
-        blank[name] = np.full((*shape, *AXES.get(name, ())), nothing, dtype=dtype)
-    return blank
+    blank = {"bool": False, "float32": np.nan}
+    return {one.name: np.full((*shape, *one.axes), blank[one.dtype], one.dtype) for one in _kept(settings)}
 
 
 def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
     """Unit of a map, and how levels are turned to mm: scale_factor x level + add_offset, the names of the CF conventions."""
     if settings.dtype == "uint16":
         return dict(LEVELS)
-    return {"unit": next(unit for one, _, unit in MAPS.values() if one == name)}
+    return {"unit": MAPS[name].unit}
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
@@ -83,12 +70,16 @@ def check_names(sequences: Iterable[str], settings: BatchSettings) -> None:
     """
     if settings.form not in ("zarr", "hdf5"):
         return
-    arrays = {name for name, *_ in MAPS.values()}
+    arrays = {one.name for one in KEPT_MAPS.values()}
     for sequence in sequences:
         if taken := arrays & set(sequence.split("/")):
             raise DataError(
                 f"The input {sequence} would lie where an array {taken.pop()} does. Rename it, or write npz."
             )
+
+
+def _kept(settings: BatchSettings) -> list[ResultMap]:
+    return [KEPT_MAPS[name] for name in settings.keep]
 
 
 def _map(result: Reconstruction, name: str) -> NDArray[Any]:

@@ -33,8 +33,7 @@ def depth_of_row(output: Path, form: str, row: Row) -> NDArray[np.float32] | Non
 
 def _npz(path: Path, index: int) -> NDArray[Any] | None:
     with np.load(path) as file:
-        name = "depth_mm" if "depth_mm" in file else "depth"  # of a whole result
-        return np.asarray(file[name]) if name in file else None
+        return np.asarray(file["depth_mm"]) if "depth_mm" in file else None
 
 
 def _png(path: Path, index: int) -> NDArray[Any]:

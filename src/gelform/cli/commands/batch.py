@@ -15,6 +15,7 @@ import typer
 from gelform.cli.console import print_json, say
 from gelform.cli.failures import MISTAKE
 from gelform.cli.options import CalibrationFile, Json, Quiet, one_of
+from gelform.reconstruction.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary, Engine
@@ -67,9 +68,7 @@ def batch(
     table: Annotated[str, typer.Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto",
     keep: Annotated[
         str,
-        typer.Option(
-            help="Maps: depth, known, depth_sigma, gradients, normals, confidence, contact; all: whole results."
-        ),
+        typer.Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results."),
     ] = "depth,known",
     solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
     sigma: Annotated[

@@ -1,0 +1,62 @@
+"""The maps of a result in one table, which files, batches, the live page, pictures and help read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ResultMap:
+    """One map of a result.
+
+    Attributes
+    ----------
+    name : of the attribute of a `Reconstruction` and in files; the depth of a result without a scale is `depth_px`
+    dtype : "float32" or "bool"
+    unit : "" where it has none
+    meaning : in words
+    axes : sizes behind (H, W)
+    optional : whether a result may be without it
+    derived : whether it follows from other maps, so that a result's file does without
+    kept_as : its name among those that a batch keeps; "" where a batch keeps the whole result only
+    plane : its name on the live page; "" where the page does not draw it by itself
+    plane_step : of the page's 8-bit levels, in its unit; 0 where the page has another way
+    colors : matplotlib's name of the colour map; "" where no picture shows it by itself
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    meaning: str
+    axes: tuple[int, ...] = ()
+    optional: bool = False
+    derived: bool = False
+    kept_as: str = ""
+    plane: str = ""
+    plane_step: float = 0.0
+    colors: str = ""
+
+
+MAPS: dict[str, ResultMap] = {
+    row.name: row
+    for row in (
+        ResultMap("depth_mm", "float32", "mm", "indentation", kept_as="depth", plane="depth", colors="viridis"),
+        ResultMap("known", "bool", "", "where depth is not just filled in", kept_as="known"),
+        ResultMap(
+            "depth_sigma_mm", "float32", "mm", "one standard deviation of depth", optional=True,
+            kept_as="depth_sigma", plane="sigma", plane_step=0.002,
+        ),
+        ResultMap("gradients", "float32", "mm/mm", "slopes of the depth", (2,), kept_as="gradients", colors="RdBu_r"),
+        ResultMap("gradients_sigma", "float32", "mm/mm", "one standard deviation of them", (2,), optional=True),
+        ResultMap("observed_gradients", "float32", "mm/mm", "slopes read from colour", (2,), optional=True),
+        ResultMap("normals", "float32", "", "unit normals", (3,), derived=True, kept_as="normals"),
+        ResultMap(
+            "confidence", "float32", "", "the solver's weight, 0-1",
+            kept_as="confidence", plane="confidence", plane_step=1 / 255, colors="gray",
+        ),
+        ResultMap("contact", "bool", "", "where something touches", kept_as="contact"),
+    )
+}  # fmt: skip
+KEPT_MAPS: dict[str, ResultMap] = {row.kept_as: row for row in MAPS.values() if row.kept_as}
+MAP_PLANES: dict[str, ResultMap] = {row.plane: row for row in MAPS.values() if row.plane}
+BESIDE_DEPTH = tuple(row for row in MAPS.values() if row.name != "depth_mm" and not row.derived)
