@@ -21,7 +21,7 @@ from gelform.checks import (
     check_within,
 )
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
-from gelform.color_models.older_response import older_response
+from gelform.color_models.forward_response import older_response
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.npz_files import digest_of, read_npz, write_npz

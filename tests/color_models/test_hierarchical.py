@@ -8,8 +8,7 @@ import pytest
 
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.color_models import HierarchicalModel, PolynomialModel, hierarchical
-from gelform.color_models._shared.least_squares import monomial_parents, monomials
-from gelform.color_models._shared.nodes import node_positions
+from gelform.color_models._shared.least_squares import monomial_parents, monomials, node_positions
 from kernel_agreement import assert_kernel_agrees
 from made.color_samples import SHAPE, ball_samples, lambertian_change, shading_change
 

@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.color_models._shared.nodes import node_positions
+from gelform.color_models._shared.least_squares import node_positions
 from gelform.color_models.forward_response import TERMS, ForwardResponse
-from gelform.color_models.frame_depth import FrameDepth
-from gelform.color_models.stepped import SteppedSlopes
+from gelform.color_models.stepped import COARSER, FrameDepth, SteppedSlopes, coarse_grid
 
 SHAPE, UNTOUCHED = (90, 121), 0.02
 
@@ -117,3 +116,114 @@ def test_clipped_channels_say_nothing_to_a_step(response, frame):
     np.testing.assert_allclose(known.gradients[where], other.gradients[where], atol=1e-5)
     off = [np.sqrt(np.mean((one.gradients - true)[where] ** 2)) for one in (known, stepped(dark, read))]
     assert off[0] < 0.3 * off[1]
+
+
+ODD = (90, 121)
+
+
+def bump(shape=ODD, height_px=4.0, width_px=10.0, center=(70, 40)):
+    """Depth (H, W), px, and slopes (H, W, 2) of a Gaussian bump, and a color change that is there where it is."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    dx, dy = x - center[0], y - center[1]
+    depth = height_px * np.exp(-(dx**2 + dy**2) / (2 * width_px**2))
+    slopes = np.stack([-dx, -dy], axis=-1) * (depth / width_px**2)[..., None]
+    change = np.repeat(np.linalg.norm(slopes, axis=-1, keepdims=True), 3, axis=-1)
+    return depth, slopes.astype(np.float32), change.astype(np.float32)
+
+
+def coarse(values):
+    """Means over the coarser grid."""
+    return cv2.resize(values, coarse_grid(values.shape[:2])[0][::-1], interpolation=cv2.INTER_AREA)
+
+
+@pytest.mark.parametrize("shape", [(90, 120), (90, 121), (89, 122)])
+def test_the_grid_covers_the_frame(shape):
+    (rows, columns), (x_px, y_px) = coarse_grid(shape)
+    assert (rows * y_px, columns * x_px) == pytest.approx(shape)
+    assert min(x_px, y_px) >= COARSER
+    assert max(x_px, y_px) < 1.1 * COARSER
+
+
+def test_the_smallest_frames_have_a_grid():
+    assert coarse_grid((1, 5)) == ((2, 2), (2.5, 0.5))
+
+
+@pytest.mark.parametrize("shape", [(90, 120), ODD])
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_depth_is_that_of_the_slopes_and_0_where_the_gel_is_untouched(shape, offset):
+    depth, slopes, change = bump(shape)
+    found = FrameDepth(shape, 0.01)(change + np.float32(offset), slopes + np.float32(offset))
+    assert found.shape == coarse_grid(shape)[0]
+    assert found.min() == 0
+    np.testing.assert_allclose(found, coarse(depth), atol=0.15)
+    assert found.max() == pytest.approx(coarse(depth).max(), rel=0.04)
+
+
+def test_nothing_is_below_the_untouched_gel():
+    """A dent and a bulge: the forward response knows pressed gel, so the bulge is at 0."""
+    down, up = bump(center=(30, 40)), bump(center=(90, 45))
+    found = FrameDepth(ODD, 0.01)(down[2] + up[2], down[1] - up[1])
+    np.testing.assert_allclose(found, np.maximum(coarse(down[0] - up[0]), 0), atol=0.25)
+    assert found.min() == 0
+
+
+def test_where_all_of_the_gel_is_touched_the_least_changed_is_at_0():
+    """Gel that is bent everywhere: no colour is as little changed as untouched gel's, and 2 % of them are taken for it."""
+    y, x = np.mgrid[: ODD[0], : ODD[1]].astype(float)
+    depth = 3 * np.sin(x / 15) * np.cos(y / 20)
+    slopes = np.stack([np.cos(x / 15) * np.cos(y / 20) / 5, -0.15 * np.sin(x / 15) * np.sin(y / 20)], axis=-1)
+    change = np.concatenate([slopes, np.abs(slopes[..., :1]) + depth[..., None] / 20], axis=-1).astype(
+        np.float32
+    )
+    slopes = slopes.astype(np.float32)
+    means = coarse(change)
+    size = np.linalg.norm(means - np.median(means, axis=(0, 1)), axis=-1)
+    found, known, more = (
+        FrameDepth(ODD, limit)(change, slopes) for limit in (1e-9, *np.quantile(size, [0.02, 0.9]))
+    )
+    np.testing.assert_allclose(found, known, atol=0.2)
+    assert np.abs(found - more).max() > 0.5, "what is guarded against"
+
+
+def dots(shape=ODD):
+    """Markers of 7 px, 15 px apart, all over the frame."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.hypot(x % 15 - 7, y % 15 - 7) < 3.5
+
+
+def bar(shape=ODD):
+    """A bar that hides a flank of the bump."""
+    hidden = np.zeros(shape, dtype=bool)
+    hidden[:, 76:84] = True
+    return hidden
+
+
+@pytest.mark.parametrize("hidden", [dots(), bar()], ids=["dots", "bar"])
+def test_what_hidden_pixels_show_does_not_count(hidden):
+    """Their slopes and colours are anything: the depth is that of what is seen around them."""
+    depth, slopes, change = bump()
+    rng = np.random.default_rng(0)
+    count = np.count_nonzero(hidden)
+    garbled, coloured = slopes.copy(), change.copy()
+    garbled[hidden], coloured[hidden] = rng.normal(1, 2, (count, 2)), rng.uniform(-1, 3, (count, 3))
+    measure = FrameDepth(ODD, 0.01)
+    found = measure(coloured, garbled, hidden)
+    np.testing.assert_allclose(found, coarse(depth), atol=0.4)
+    assert np.abs(measure(coloured, garbled) - coarse(depth)).max() > 2, "what is guarded against"
+    other = measure(coloured[..., ::-1].copy(), np.where(hidden[..., None], -garbled, garbled), hidden)
+    np.testing.assert_allclose(other, found, atol=1e-4)
+
+
+def test_nothing_hidden_is_as_if_nothing_was_asked():
+    _, slopes, change = bump()
+    measure = FrameDepth(ODD, 0.01)
+    plain = measure(change, slopes)
+    np.testing.assert_array_equal(measure(change, slopes, np.zeros(ODD, dtype=bool)), plain)
+    corner = np.zeros(ODD, dtype=bool)
+    corner[:2, :2] = True
+    np.testing.assert_allclose(measure(change, slopes, corner), plain, atol=0.01)
+
+
+def test_a_frame_that_is_hidden_altogether_is_level():
+    _, slopes, change = bump()
+    assert not FrameDepth(ODD, 0.01)(change, slopes, np.ones(ODD, dtype=bool)).any()

@@ -9,8 +9,7 @@ import numpy as np
 
 from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration
-from gelform.color_models._shared.least_squares import monomial_products, monomials
-from gelform.color_models._shared.nodes import node_positions
+from gelform.color_models._shared.least_squares import monomial_products, monomials, node_positions
 from gelform.color_models.forward_response import TERMS, ForwardResponse, normal_terms
 from gelform.color_models.lambertian import LambertianModel
 from gelform.confidence import SlopeSigma

@@ -1,7 +1,6 @@
 """The one door to the C kernels in native/: `Kernel` declares one, `Handle` holds memory that C owns."""
 
-from gelform._native.kernel import Handle, Kernel
+from gelform._native.kernel import Handle, Kernel, is_finite
 from gelform._native.loader import ISAS, instruction_set, library
-from gelform._native.parameter import is_finite
 
 __all__ = ["ISAS", "Handle", "Kernel", "instruction_set", "is_finite", "library"]

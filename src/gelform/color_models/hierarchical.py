@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.color_models._shared.least_squares import HUBER_SLOPE, monomial_parents, monomials
-from gelform.color_models._shared.nodes import (
+from gelform.color_models._shared.least_squares import (
+    HUBER_SLOPE,
     NODE_PX,
     VaryingRegression,
     at_pixels,
     colour_products,
     interpolation,
+    monomial_parents,
+    monomials,
     terms_of_orders,
 )
 from gelform.color_models.seam import PendingChange, Samples, check_image_shape

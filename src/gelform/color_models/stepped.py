@@ -1,13 +1,80 @@
-"""Slopes of whole frames after the forward response's step, with the depth that it needs."""
+"""Slopes of whole frames after the forward response's step, and the coarse depth of the frame that it needs."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models.forward_response import ForwardResponse, Step
-from gelform.color_models.frame_depth import FrameDepth
+from gelform.gradients import fill_unknown
+from gelform.medians import medians_where
+from gelform.solvers.dct import DctSolver
+
+COARSER = 4  # depth is smooth: a sixteenth of the pixels says it
+LEAST_UNTOUCHED = 0.02  # part of the frame, as `background.untouched` has it
+
+
+def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, float]]:
+    """Rows and columns of the grid that is four times coarser than frames (H, W), and its pitch (x, y), px."""
+    rows, columns = (max(2, size // COARSER) for size in shape)
+    return (rows, columns), (shape[1] / columns, shape[0] / rows)
+
+
+class FrameDepth:
+    """Least-squares depth of frames of one shape; immutable, shared by threads.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    untouched : color changes up to it say untouched gel, where depth is 0
+    """
+
+    def __init__(self, shape: tuple[int, int], untouched: float) -> None:
+        self._square = np.float32(untouched**2)
+        self._coarse, pitch_px = coarse_grid(shape)
+        self._solver = DctSolver(self._coarse, pitch_px)
+
+    def __call__(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.float32]:
+        """Depth (rows, columns) on the coarser grid, px: 0 in the median of the untouched samples, and nowhere less.
+
+        Parameters
+        ----------
+        color_change : (H, W, 3)
+        gradients : (H, W, 2), as a color model reads them
+        hidden : (H, W), pixels that show no gel: the slopes around are carried on across them
+        """
+        change, slopes = self._made_coarse(color_change), self._made_coarse(gradients)
+        if hidden is not None and hidden.any():
+            shown = (~hidden).astype(np.float32)
+            part = self._made_coarse(shown)
+            known = part > 0
+            weight = np.where(known, part, 1)[..., None]
+            change, slopes = (
+                self._made_coarse(m * shown[..., None]) / weight for m in (color_change, gradients)
+            )
+            if known.any():
+                change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
+        change = change - medians_where(change)[0]
+        square = np.einsum("...c,...c->...", change, change)
+        rest = square <= self._square
+        if np.count_nonzero(rest) < LEAST_UNTOUCHED * rest.size:
+            rest = square <= np.quantile(square, LEAST_UNTOUCHED)
+        depth = self._solver(slopes - medians_where(slopes, rest)[0]).depth_mm
+        depth -= medians_where(depth[..., None], rest)[0]
+        np.maximum(depth, 0, out=depth)
+        return depth
+
+    def _made_coarse(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values (H, W, ...) on the coarser grid: means."""
+        return np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA))
 
 
 class SteppedSlopes:

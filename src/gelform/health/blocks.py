@@ -1,4 +1,4 @@
-"""A frame in blocks of 16x16 pixels and digests of its rows: what every check of its health looks at."""
+"""A frame in blocks of 16x16 pixels and digests of its rows, and the faults that they show: dark, saturated, torn."""
 
 from __future__ import annotations
 

@@ -4,7 +4,11 @@ In the logarithm of the grey level a patch is the light, which is smooth, plus t
 the gel. So the patch at a shift d is fitted with a quadratic (the light, whatever a contact makes of it), the rest
 patch and its two derivatives; the latter say how far d is wrong. A broken dot is as good a patch as a round one.
 
-Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56, 2004 (inverse compositional, with linear appearance).
+Beside a steep wall the gel is drawn out, and a dot with it, to nearly twice its width: where a shift alone does not
+explain a dot, its patch is fitted at x = c + d + (1 + A) u instead of c + d + u (c its centre at rest, u the place in
+the patch). That fit has four more unknowns, and a dot that is nearly round says little about its rotation.
+
+Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56, 2004 (inverse compositional, with linear appearance; affine warp).
 """
 
 from __future__ import annotations

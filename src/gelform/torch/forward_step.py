@@ -1,4 +1,4 @@
-"""One step from slopes that were read to those whose colour was seen: `PreparedStep` of numpy, a batch at a time."""
+"""The forward response's step and the depth that it needs: `PreparedStep` and `FrameDepth` of numpy, a batch at a time."""
 
 from __future__ import annotations
 
@@ -7,15 +7,56 @@ import torch
 from torch import Tensor, nn
 
 from gelform.color_models import ForwardResponse
-from gelform.color_models._shared.least_squares import monomials
-from gelform.color_models._shared.nodes import at_pixels, interpolation
+from gelform.color_models._shared.least_squares import at_pixels, interpolation, monomials
 from gelform.color_models.forward_response import (
     DEPTH_UNIT_PX,
     LONGEST_STEP,
     NORMAL_UNIT,
     PLACE_DEGREES,
 )
-from gelform.torch.frame_depth import FrameDepth
+from gelform.color_models.stepped import LEAST_UNTOUCHED, coarse_grid
+from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medians_where
+
+
+class FrameDepth(nn.Module):
+    """Least-squares depth of frames on a grid that is four times coarser, 0 in the median of untouched gel.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    untouched : color changes up to it say untouched gel, where depth is 0
+    """
+
+    def __init__(self, shape: tuple[int, int], untouched: float) -> None:
+        super().__init__()
+        self.square = untouched**2
+        grid, pitch_px = coarse_grid(shape)
+        for name, size, few in zip(("rows", "columns"), shape, grid):
+            self.register_buffer(f"{name}_coarse", block_shares(size, few))
+            self.register_buffer(f"{name}_full", bilinear_shares(few, size))
+        self.solver = PoissonDepth(grid, pitch_px)
+
+    def forward(self, gradients: Tensor, rest: Tensor) -> Tensor:
+        """Depth (N, 1, rows, columns), px, at least 0, of gradients (N, 2, H, W); its median over `rest` is 0."""
+        slopes = self.made_coarse(gradients)
+        depth = self.solver(slopes - medians_where(slopes, rest))[:, None]
+        return (depth - medians_where(depth, rest)).clamp(min=0)
+
+    @torch.no_grad()
+    def rest(self, color_change: Tensor) -> Tensor:
+        """Samples (N, 1, rows, columns) whose color change (N, 3, H, W) says untouched gel; at least 2 % of them."""
+        change = self.made_coarse(color_change)
+        square = ((change - medians_where(change)) ** 2).sum(1, keepdim=True)
+        least = square.flatten(1).quantile(LEAST_UNTOUCHED, dim=1)
+        return square <= least.clamp(min=self.square)[:, None, None, None]
+
+    def made_coarse(self, maps: Tensor) -> Tensor:
+        """Maps (N, C, H, W) on the coarser grid: means."""
+        return self.rows_coarse @ maps @ self.columns_coarse.T
+
+    def in_full(self, maps: Tensor) -> Tensor:
+        """Maps of the coarser grid for every pixel, bilinear."""
+        return self.rows_full @ (maps @ self.columns_full.T)
 
 
 class ForwardStep(nn.Module):

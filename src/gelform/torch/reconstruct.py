@@ -25,8 +25,7 @@ except ModuleNotFoundError as missing:
 
 from gelform.torch.color_change import ColorChange
 from gelform.torch.forward_step import ForwardStep
-from gelform.torch.maps import medians_where
-from gelform.torch.poisson import PoissonDepth
+from gelform.torch.maps import PoissonDepth, medians_where
 from gelform.torch.slopes import gradients_module
 
 CPU_FRAMES = 2  # at a time: what they need stays in the processor's cache

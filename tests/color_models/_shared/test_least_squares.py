@@ -1,17 +1,34 @@
 """Regressions that color models share, and the terms they are made of."""
 
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from gelform.color_models._shared.least_squares import (
+    LIGHT_RIDGE,
+    MAX_SAMPLES,
+    NODE_PX,
+    ORDER_GROWTH,
+    PLACE_GROWTH,
+    Term,
+    VaryingRegression,
+    at_pixels,
+    interpolation,
+    light_at_nodes,
     monomials,
+    node_positions,
     penalised_huber,
     polynomial_terms,
     position_powers,
     robust_ridge,
     term_count,
+    terms_of_orders,
     unit_position,
 )
-from made.color_samples import SHAPE
+from made.color_samples import SHAPE, ball_samples, lambertian_change
 
 
 def test_robust_ridge_is_least_squares_without_outliers():
@@ -60,3 +77,98 @@ def test_its_answer_makes_hubers_loss_stationary():
         plain = robust_ridge(given, target, weight, ridge=1e-12, huber=0.1, rounds=1)
         root = np.sqrt(weight)[:, None]
         np.testing.assert_allclose(plain, np.linalg.lstsq(root * given, root * target)[0], atol=1e-8)
+
+
+def test_the_light_is_smoothed_alike_in_both_directions():
+    background = np.random.default_rng(0).uniform(20, 200, (65, 65, 3)).astype(np.float32)
+    turned = light_at_nodes(background.transpose(1, 0, 2))
+    np.testing.assert_allclose(turned, light_at_nodes(background).transpose(0, 2, 1), atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (16, 17), (48, 64), (49, 65)])
+def test_nodes_reach_beyond_every_pixel(shape):
+    """Every 16 px; values that are linear in the place come back at every pixel."""
+    rows, columns = node_positions(shape)
+    assert rows[-1] >= shape[0] - 1
+    assert columns[-1] >= shape[1] - 1
+    assert len(rows) > 1 < len(columns)
+    assert {*np.diff(rows), *np.diff(columns)} == {NODE_PX}
+    y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
+    plane = (2 * rows[:, None] - 3 * columns[None, :] + 5)[..., None].astype(float)
+    found = at_pixels(plane, *interpolation(x, y, shape))[:, 0]
+    np.testing.assert_allclose(found, 2 * y - 3 * x + 5, atol=1e-9)
+
+
+def test_terms_of_higher_order_are_stiffer_and_only_the_first_two_vary_with_the_light():
+    terms = terms_of_orders([np.ones(3)] * 4, [1, 1, 2, 3], (5, 4, 2))
+    assert [term.place_degree for term in terms] == [5, 5, 4, 2]
+    assert [term.ridge for term in terms] == [1, 1, ORDER_GROWTH, ORDER_GROWTH**2]
+    assert [term.varies_with_light for term in terms] == [True, True, True, False]
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return ball_samples(lambertian_change, count=6000)
+
+
+def law(samples):
+    """Two values, of which the second's coefficients change over the image, linearly and squarely; three outputs."""
+    x, y = 2 * samples.x_px / (SHAPE[1] - 1) - 1, 2 * samples.y_px / (SHAPE[0] - 1) - 1
+    p, q = samples.gradients.T
+    return np.stack([p, q * x, q * (0.5 - y) + p], axis=1)
+
+
+def regression(samples, target, huber=1.0, **light):
+    terms = [Term(values, 1, 1.0, **light) for values in samples.gradients.T]
+    return VaryingRegression.of(terms, target, samples, huber=huber)
+
+
+def test_a_law_of_its_own_form_comes_back(samples):
+    found = regression(samples, law(samples))
+    coefficients = found.coefficients(1e-9)
+    assert np.abs(found.residual(coefficients)).max() < 1e-4
+    nodes = found.nodes(coefficients)
+    assert nodes.shape == (*(len(axis) for axis in node_positions(SHAPE)), 2, 3)
+    other = ball_samples(lambertian_change, seed=5)
+    there = at_pixels(nodes, *interpolation(other.x_px, other.y_px, SHAPE))
+    np.testing.assert_allclose(np.einsum("nt,ntk->nk", other.gradients, there), law(other), atol=1e-4)
+
+
+def test_a_ridge_keeps_simple_what_is_not_shown(samples):
+    """What changes over the image goes first, then all of it; outliers hardly move what is found."""
+    found = regression(samples, law(samples))
+    free, stiff, still = (found.coefficients(ridge).reshape(2, 3, 3) for ridge in (1e-9, 0.3, 1e3))
+    same_everywhere = np.abs(stiff[:, 0]).sum() / np.abs(free[:, 0]).sum()
+    varying = np.abs(stiff[:, 1:]).sum() / np.abs(free[:, 1:]).sum()
+    assert varying < 0.5 * same_everywhere < 0.5
+    assert np.abs(still).max() < 0.01
+    spoilt = law(samples)
+    spoilt[::50] += 5.0
+    robust, plain = (regression(samples, spoilt, huber).coefficients(1e-9) for huber in (0.05, 1e6))
+    exact = free.reshape(-1, 3)
+    assert np.abs(robust - exact).max() < 0.3 * np.abs(plain - exact).max()
+
+
+def test_columns_are_penalised_by_their_degree_in_place(samples):
+    """1, x, y, x^2 ... times 4 per degree; the light's logarithm by its own figure, where it is known."""
+    one = VaryingRegression.of([Term(np.ones(6000), 2, 3.0)], law(samples), samples, huber=1.0)
+    assert sorted(one.penalties) == sorted(3 * PLACE_GROWTH ** np.array([0, 1, 1, 2, 2, 2]))
+    background = np.random.default_rng(0).uniform(20, 200, (*SHAPE, 3)).astype(np.float32)
+    lit = replace(samples, background=background)
+    two = VaryingRegression.of([Term(np.ones(6000), 0, 3.0, True)] * 2, law(samples), lit, huber=1.0)
+    assert two.penalties.tolist() == [3, *[3 * LIGHT_RIDGE] * 3] * 2
+    assert two.ends.tolist() == [4, 8]
+    assert regression(samples, law(samples), varies_with_light=True).columns.shape[1] == 6, (
+        "of no light nothing varies"
+    )
+
+
+def test_neighbours_are_left_out_where_they_are_many():
+    """About 20,000 tell as much."""
+    many = ball_samples(lambertian_change, count=3 * MAX_SAMPLES + 5)
+    many = replace(many, weight=np.linspace(0.2, 1, len(many.x_px)))
+    found = regression(many, law(many))
+    assert len(found.columns) == len(found.target) == len(found.weight) == MAX_SAMPLES + 2
+    np.testing.assert_array_equal(found.target, law(many)[::3])
+    np.testing.assert_array_equal(found.weight, many.weight[::3])
+    assert np.abs(found.residual(found.coefficients(1e-9))).max() < 1e-4
