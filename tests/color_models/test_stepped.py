@@ -227,3 +227,13 @@ def test_nothing_hidden_is_as_if_nothing_was_asked():
 def test_a_frame_that_is_hidden_altogether_is_level():
     _, slopes, change = bump()
     assert not FrameDepth(ODD, 0.01)(change, slopes, np.ones(ODD, dtype=bool)).any()
+
+
+def test_slopes_and_depths_of_a_ruined_frame_give_a_finite_step(response):
+    rng = np.random.default_rng(0)
+    change = rng.normal(0, 10, (*SHAPE, 3)).astype(np.float32)
+    read = (rng.normal(size=(*SHAPE, 2)) * 10 ** rng.uniform(-2, 4, (*SHAPE, 1))).astype(np.float32)
+    depth_px = rng.uniform(0, 1e5, (22, 30)).astype(np.float32)  # such slopes add up to that
+    clipped = (rng.random((*SHAPE, 3)) < 0.1).astype(np.uint8)
+    for values in response.prepare()(change, read, depth_px, clipped):
+        assert np.isfinite(values).all()
