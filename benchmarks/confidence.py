@@ -33,6 +33,7 @@ from gelform.calibration.circles.find import find_contact, why_no_contact
 from gelform.calibration.circles.prepare import ColorChanges
 from gelform.health import FrameFaults
 from gelform.metrics import angle_deg
+from gelform.sensors.files import read_background
 from gelform.simulate import (
     LAYOUTS,
     Ball,
@@ -305,7 +306,7 @@ def alarms(run: Run) -> dict[str, Any]:
     step = 10 if run.quick else 1
     ball = [one.image for one in test.presses[::step]]
     objects = [gelform.read_image(DATA / "mini-objects" / f"{n}.png") for n in ("bead", "key", "seed")]
-    rest = gelform.read_background(DATA / "mini-objects" / "background.png")
+    rest = read_background(DATA / "mini-objects" / "background.png")
     own = gelform.import_calibration(
         DATA / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth",
         package="gs_sdk",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, SimulatedPresses, SimulatedSensor, simulate_ball_presses
 from kernel_agreement import usable_isas
 from made_once import MadeOnce
@@ -107,7 +108,7 @@ def folder(simulated, made_once) -> Path:
 
 
 def _written(path: Path, simulated: SimulatedPresses) -> Path:
-    return gelform.save_press_folder(
+    return save_press_folder(
         path,
         background=simulated.background,
         images=[press.image for press in simulated.presses],

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 import gelform
+from gelform.background.change import image_from_color_change
 from gelform.ball import ball_gradients
 from gelform.exporters.taxim import save_taxim
 from presses import DATA, Circle, by_name, reference_circles
@@ -75,7 +76,7 @@ def _errors(
     where = np.nonzero(inside)
     slopes = np.zeros((*image.shape[:2], 2))
     slopes[where] = ball_gradients(where[1], where[0], (x, y), radius)
-    forward = gelform.image_from_color_change(
+    forward = image_from_color_change(
         calibration.color_from_gradients(slopes), calibration.background, calibration.change
     )
     seen = image[inside].astype(float)

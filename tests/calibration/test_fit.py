@@ -13,6 +13,7 @@ from gelform.calibration.circles.refine import Refined, refine
 from gelform.calibration.circles.samples import USUAL_EDGE
 from gelform.calibration.fit import _check_enough
 from gelform.color_models import COLOR_MODELS
+from gelform.metrics import press_errors
 from gelform.simulate import Ball, simulate_ball_presses, simulate_press
 
 
@@ -23,7 +24,7 @@ def test_held_out_errors_are_those_of_new_presses(calibration, simulated):
     degrees = []
     for center in ((0.0, 0.0), (3.0, 2.0), (-3.5, 1.5)):
         press = simulate_press(simulated.sensor, Ball(3.2), depth_mm=0.6, center_mm=center, rng=rng)
-        errors = gelform.press_errors(
+        errors = press_errors(
             reconstruct(press.image).depth_mm,
             reconstruct(press.image).gradients,
             circle_px=(*press.center_px, press.contact_radius_px),

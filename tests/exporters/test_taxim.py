@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.background.change import image_from_color_change
 from gelform.ball import ball_gradients
 from gelform.errors import CalibrationError, DataError
 from gelform.exporters.taxim import BINS, save_taxim
@@ -71,7 +72,7 @@ def test_new_presses_are_rendered_as_well_as_the_forward_response_does(
         slopes = np.zeros((*press.contact.shape, 2))
         radius_px = press.ball_diameter_mm / 2 / calibration.mm_per_px
         slopes[rows, cols] = ball_gradients(cols, rows, press.center_px, radius_px)
-        forward = gelform.image_from_color_change(
+        forward = image_from_color_change(
             calibration.color_from_gradients(slopes), calibration.background, calibration.change
         )
         for errors, shown in ((ours, forward), (theirs, image)):

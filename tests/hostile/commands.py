@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 import gelform
+from gelform.exporters.press_folder import save_press_folder
 from hostile.small_gel import MM_PER_PX, Touch, background, calibration, image_of
 from made.torch_file_writer import network_arrays, torch_file
 
@@ -33,7 +34,7 @@ def make_work(folder: Path) -> Path:
         save(folder / f"{name}.png", np.full((64, 80, 3), 20, np.uint8) + 100 * np.eye(3, dtype=np.uint8)[k])
     torch_file(folder / "net.pth", network_arrays((5, 32, 32, 32, 2)))
     touches = [Touch(x_px=x, y_px=y, depth_mm=0.35, seed=k) for k, (x, y) in enumerate(PLACES)]
-    gelform.save_press_folder(
+    save_press_folder(
         folder / "presses",
         background=image_of(None),
         images=[image_of(touch) for touch in touches],

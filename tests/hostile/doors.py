@@ -10,6 +10,19 @@ from typing import Any
 import numpy as np
 
 import gelform
+from gelform.background.change import ChangeSettings, image_from_color_change
+from gelform.background.exposure import exposure_from_image
+from gelform.calibration.presses.folder import with_crosstalk, with_view
+from gelform.contact.contacts import contacts_from_mask
+from gelform.depth import edge_residuals
+from gelform.exporters.press_folder import save_press_folder
+from gelform.gradients import fill_unknown
+from gelform.lens import Lens
+from gelform.markers.follower import MarkerFollower
+from gelform.metrics import press_errors
+from gelform.plots.canvas import save_picture
+from gelform.sensors.files import read_background
+from gelform.view import frame_from_image
 from hostile.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
 
 PLACE = tempfile.TemporaryDirectory(prefix="gelform-doors-")
@@ -30,11 +43,11 @@ FOLDER_OF_PRESSES = {
     "background": UNTOUCHED, "images": [IMAGE, IMAGE], "ball_diameters_mm": [8.0, 8.0], "name": "known gel",
     "centers_px": [(40.0, 30.0)] * 2, "contact_radii_px": [17.0, 17.0], **PITCH,
 }  # fmt: skip
-PRESSES = gelform.read_presses(gelform.save_press_folder(FOLDER / "presses", **FOLDER_OF_PRESSES))
+PRESSES = gelform.read_presses(save_press_folder(FOLDER / "presses", **FOLDER_OF_PRESSES))
 
 
 def gain(image: Any, background: Any) -> np.ndarray:
-    return gelform.exposure_from_image(image, background).believed_gain
+    return exposure_from_image(image, background).believed_gain
 
 
 def depth_sigma(shape: Any, gradients_sigma: Any, **settings: Any) -> np.ndarray:
@@ -46,7 +59,7 @@ def registered(image: Any, background: Any, touched: Any) -> np.ndarray:
 
 
 def saved_presses(**arguments: Any) -> Path:
-    return gelform.save_press_folder(Path(tempfile.mkdtemp(dir=FOLDER)), **arguments)
+    return save_press_folder(Path(tempfile.mkdtemp(dir=FOLDER)), **arguments)
 
 
 def saved_result(result: Any) -> None:
@@ -54,7 +67,7 @@ def saved_result(result: Any) -> None:
 
 
 def saved_picture(picture: Any) -> None:
-    gelform.save_picture(FOLDER / "picture.png", picture, overwrite=True)
+    save_picture(FOLDER / "picture.png", picture, overwrite=True)
 
 
 def all_frames(spec: Any) -> int:
@@ -65,11 +78,11 @@ def all_frames(spec: Any) -> int:
 DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "image_from_frame": (gelform.image_from_frame, {"frame": IMAGE, "view": gelform.View()}),
     "color_change_from_image": (gelform.color_change_from_image, {"image": IMAGE, "background": REST}),
-    "image_from_color_change": (gelform.image_from_color_change, {"color_change": CHANGE, "background": REST}),
+    "image_from_color_change": (image_from_color_change, {"color_change": CHANGE, "background": REST}),
     "exposure_from_image": (gain, {"image": IMAGE, "background": REST}),
     "background_from_frames": (gelform.background_from_frames, {"frames": [IMAGE, IMAGE, IMAGE]}),
     "markers_from_image": (gelform.markers_from_image, {"image": IMAGE, "background": REST}),
-    "MarkerFollower": (gelform.MarkerFollower, {"background": REST}),
+    "MarkerFollower": (MarkerFollower, {"background": REST}),
     "MarkerTracker": (gelform.MarkerTracker, {"background": REST}),
     "registration_from_image": (registered, {"image": IMAGE, "background": REST, "touched": MASK}),
     "normals_from_image": (gelform.normals_from_image, {"image": NORMALS @ LIGHTS.T, "lights": LIGHTS}),
@@ -87,11 +100,11 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         gelform.integrate,
         {"gradients": GRADIENTS, **PITCH, "weights": WEIGHTS, "mask": MASK, "anchor": WEIGHTS, "zero": MASK},
     ),
-    "edge_residuals": (gelform.edge_residuals, {"depth_mm": DEPTH, "gradients": GRADIENTS, **PITCH}),
+    "edge_residuals": (edge_residuals, {"depth_mm": DEPTH, "gradients": GRADIENTS, **PITCH}),
     "contact_from_depth": (gelform.contact_from_depth, {"depth_mm": DEPTH, **PITCH}),
     "curl_from_gradients": (gelform.curl_from_gradients, {"gradients": GRADIENTS, **PITCH}),
-    "fill_unknown": (gelform.fill_unknown, {"values": GRADIENTS, "known": MASK}),
-    "frame_from_image": (gelform.frame_from_image, {"image": IMAGE, "view": gelform.View(SHAPE, flip="x")}),
+    "fill_unknown": (fill_unknown, {"values": GRADIENTS, "known": MASK}),
+    "frame_from_image": (frame_from_image, {"image": IMAGE, "view": gelform.View(SHAPE, flip="x")}),
     "depth_sigma_from_gradients_sigma": (
         gelform.depth_sigma_from_gradients_sigma,
         {"gradients_sigma": SIGMA, **PITCH, "weights": WEIGHTS, "mask": MASK, "anchor": WEIGHTS, "zero": MASK, "probes": 8},
@@ -100,9 +113,9 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         depth_sigma,
         {"shape": SHAPE, "gradients_sigma": SIGMA, **PITCH, "correlation_px": 1.0, "correlated_share": 0.5, "probes": 8},
     ),
-    "contacts_from_mask": (gelform.contacts_from_mask, {"contact": MASK, "depth": DEPTH, **PITCH}),
+    "contacts_from_mask": (contacts_from_mask, {"contact": MASK, "depth": DEPTH, **PITCH}),
     "press_errors": (
-        gelform.press_errors,
+        press_errors,
         {"depth_mm": DEPTH, "gradients": GRADIENTS, "circle_px": (40.0, 30.0, 17.0), "ball_radius_mm": 4.0, **PITCH},
     ),
     "Scale": (gelform.Scale, {"mm_per_px": 0.1, "sigma": 0.001, "source": "two marks"}),
@@ -134,7 +147,7 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         {"path": "nowhere.pth", "package": "gs_sdk", "background": REST, "mm_per_px": 0.1, "sensor_name": "x"},
     ),
     "read_image": (gelform.read_image, {"path": "nowhere.png"}),
-    "read_background": (gelform.read_background, {"paths": "nowhere.png"}),
+    "read_background": (read_background, {"paths": "nowhere.png"}),
     "load_calibration": (gelform.load_calibration, {"path": "nowhere.npz"}),
     "load_result": (gelform.load_result, {"path": "nowhere.npz"}),
     "Video": (gelform.Video, {"path": "nowhere.avi"}),
@@ -145,8 +158,8 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         {"frames": [FRAME] * 3, "ball_diameter_mm": 8.0, **PITCH, "background": REST, "name": "x"},
     ),
     "with_scale": (gelform.with_scale, {"presses": PRESSES, "scale": SCALE}),
-    "with_view": (gelform.with_view, {"presses": PRESSES, "view": gelform.View(), "source": "a grid"}),
-    "with_crosstalk": (gelform.with_crosstalk, {"presses": PRESSES, "crosstalk": None}),
+    "with_view": (with_view, {"presses": PRESSES, "view": gelform.View(), "source": "a grid"}),
+    "with_crosstalk": (with_crosstalk, {"presses": PRESSES, "crosstalk": None}),
     "evaluate": (gelform.evaluate, {"calibration": calibration(), "presses": PRESSES}),
     "calibrate": (gelform.calibrate, {"presses": PRESSES, "color_model": "lambertian", "start": None}),
     "picture": (gelform.picture, {"result": RESULT, "image": IMAGE}),
@@ -154,7 +167,7 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "save_result": (saved_result, {"result": RESULT}),
     "save_press_folder": (saved_presses, FOLDER_OF_PRESSES),
     "Lens": (
-        lambda **s: gelform.image_from_frame(IMAGE, gelform.View(SHAPE, lens=gelform.Lens(**s))),
+        lambda **s: gelform.image_from_frame(IMAGE, gelform.View(SHAPE, lens=Lens(**s))),
         {
             "camera": (80.0, 80.0, 40.0, 32.0),
             "distortion": (0.01, 0.0, 0.0, 0.0),
@@ -175,7 +188,7 @@ SETTINGS = {
         ("depth_sigma_mm", "relaxation_mm", "noise_factor", "min_area_mm2"),
     ),
     "ChangeSettings": (
-        lambda **s: gelform.color_change_from_image(IMAGE, REST, gelform.ChangeSettings(**s)),
+        lambda **s: gelform.color_change_from_image(IMAGE, REST, ChangeSettings(**s)),
         ("method", "offset", "blur_px", "crosstalk", "response"),
     ),
     "View": (

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 import gelform
+from gelform.exporters.press_folder import save_press_folder
 from gelform.npz_files import digest_of
 from gelform.sensors.files import read_sensor_toml
 from hostile.small_gel import MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
@@ -109,7 +110,7 @@ def _png(path: Path, image: np.ndarray) -> None:
 
 def _press_folder(folder: Path) -> dict[str, RealFile]:
     touches = [Touch(seed=k, x_px=30.0 + 8 * k) for k in range(ROWS)]
-    gelform.save_press_folder(
+    save_press_folder(
         folder,
         background=image_of(None),
         images=[image_of(touch) for touch in touches],

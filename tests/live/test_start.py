@@ -7,6 +7,7 @@ import pytest
 
 from gelform.errors import CalibrationError, DataError
 from gelform.live.start import Options, start
+from gelform.plots.canvas import save_picture
 from gelform.sensors.cameras import camera as plugged_in
 from gelform.sensors.cameras.camera import Camera
 from live_waiting import until
@@ -68,10 +69,8 @@ def test_a_camera_is_named_once(specs, said, monkeypatch):
 
 
 def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
-    import gelform
-
     for k, press in enumerate(simulated.presses[:4]):
-        gelform.save_picture(tmp_path / f"{k}.png", press.image)
+        save_picture(tmp_path / f"{k}.png", press.image)
     calibration.save(tmp_path / "mine.npz")
     hub = start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))
     try:

@@ -11,6 +11,7 @@ import gelform
 from gelform.live.replay.indexed import indexed
 from gelform.live.replay.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
+from gelform.plots.canvas import save_picture
 from live_waiting import until
 
 pytestmark = pytest.mark.slow
@@ -122,7 +123,7 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
     if not AXE.is_file():
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
-        gelform.save_picture(tmp_path / f"{k}.png", press.image)
+        save_picture(tmp_path / f"{k}.png", press.image)
     opening = Opening(lambda: Player(indexed(tmp_path)), NEVER_S)
     hub.stations.append(Station(1, "second", opening, hub.changed))
     hub.stations[1].start()

@@ -14,6 +14,7 @@ from gelform.live.setup import Setup
 from gelform.live.shown import Shown
 from gelform.live.take.code import TITLES, Situation, code_of
 from gelform.live.take.snapshot import FILES
+from gelform.plots.canvas import save_picture
 
 MINE = Origin("gelform.load_calibration('mine.npz')", (), Path("mine.npz"))
 OTHER = Origin("gelform.load_calibration('other.npz')", (), Path("other.npz"))
@@ -25,8 +26,8 @@ def situation(calibration, polynomial_calibration, pressed, simulated, tmp_path,
     """A folder of two images as the recording, the second one shown, compared; background and zero were set."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "frames").mkdir()
-    gelform.save_picture("frames/0.png", simulated.presses[0].image)
-    gelform.save_picture("frames/1.png", pressed.image)
+    save_picture("frames/0.png", simulated.presses[0].image)
+    save_picture("frames/1.png", pressed.image)
     calibration.save("mine.npz")
     polynomial_calibration.save("other.npz")
     return Situation("frames", MINE, OTHER, True, True, "multigrid", FRAME, (120, 60))
