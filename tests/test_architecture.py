@@ -12,8 +12,8 @@ SOURCE = Path(gelform.__file__).parent
 TESTS = Path(__file__).parent
 ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
-    {"errors", "checks", "_native", "progress", "pool", "resample"},
-    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files", "medians"},
+    {"errors", "findings", "checks", "_native", "progress", "pool", "resample"},
+    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files", "filters"},
     {"color_models", "solvers", "markers", "background", "zero"},
     {
         "normals",
@@ -55,6 +55,7 @@ READERS = {"calibration_file", "reconstruction", "npz_files", "_native"}
 MAX_LINES, MAX_FILES = 400, 15
 # What is tested through the solvers that it serves, all of them against one truth.
 TESTED_TOGETHER = {
+    "findings.py": "background/test_check.py",
     "solvers/sparse.py": "solvers/test_seam.py",
     "solvers/curl_gated.py": "solvers/test_robust.py",
 }

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.anchor import RestAnchor
 from gelform.background.change import PreparedBackground
-from gelform.background.check import Finding, background_digest, check_own_background
+from gelform.background.check import background_digest, check_own_background
 from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.color_models.seam import gradients_from_pending
@@ -35,6 +35,7 @@ from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
+from gelform.findings import Finding
 from gelform.frames import Frame, check_viewed_image
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_mask
-from gelform.medians import medians_where
+from gelform.filters import medians_where
 
 MEDIAN_SAMPLES = 5_000
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelform.background.change import Finding
 from gelform.errors import DataError, GelformError
+from gelform.findings import Finding
 from gelform.markers import MarkerFlow
 from gelform.npz_files import write_npz
 from gelform.reconstruction import KIND, Reconstruction, load_result, save_result

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.background.check import Finding
 from gelform.errors import DataError
+from gelform.findings import Finding
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.sensors.source import open_source

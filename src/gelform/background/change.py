@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.background.check import Finding, compared
+from gelform.background.check import compared
 from gelform.background.exposure import Exposure, block_means
 from gelform.checks import check_image, check_values, check_within
+from gelform.filters import LANES, blur_taps
+from gelform.findings import Finding
 
 MAX_CONDITION = 30.0
-LANES = 16  # of native/common.h: the kernel's rows are as long as a whole number of them
 MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0
 RESPONSES = 0.05, 20.0
 Matrix = tuple[tuple[float, ...], ...]
@@ -198,15 +199,6 @@ class PendingChange:
         """Compute the color change into `out` (H, W, 3), and return it."""
         _color_change(*self.arguments, np.empty(self.work_size, dtype=np.float32), out)
         return out
-
-
-def blur_taps(blur_px: float) -> NDArray[np.float32]:
-    """Weights of a Gaussian blur from the middle on, as far as OpenCV takes them for floats: 4 standard deviations."""
-    if blur_px == 0:
-        return np.ones(1, dtype=np.float32)
-    size = int(np.rint(8 * blur_px + 1)) | 1
-    taps: NDArray[np.float32] = cv2.getGaussianKernel(size, blur_px, cv2.CV_32F)[size // 2 :, 0]
-    return np.ascontiguousarray(taps)
 
 
 def image_from_color_change(

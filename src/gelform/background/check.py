@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import inf, log
 from typing import Any
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.background.exposure import Exposure, block_means, exposure_from_blocks
 from gelform.errors import CalibrationError
+from gelform.findings import Finding
 from gelform.frames import pixels_digest
 
 RATIO_WARN = (0.9, 1.1)
@@ -27,15 +27,6 @@ _least_changed_sums = Kernel(
     "least_changed_sums",
     "f32[n,3] seen, f32[n,3] untouched, f32[3] scale, i64 last, out f32[m] work, out f64[3] sums",
 )
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that a user should know, with its figure."""
-
-    name: str
-    message: str
-    figure: float
 
 
 def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.check import Finding
-from gelform.medians import medians_where
+from gelform.filters import medians_where
+from gelform.findings import Finding
 
 MIN_UNTOUCHED = 0.02
 SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and shares

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models.forward_response import ForwardResponse, Step
+from gelform.filters import medians_where
 from gelform.gradients import fill_unknown
-from gelform.medians import medians_where
 from gelform.solvers.dct import DctSolver
 
 COARSER = 4  # depth is smooth: a sixteenth of the pixels says it

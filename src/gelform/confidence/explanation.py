@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.check import Finding
 from gelform.confidence.causes import CAUSES
+from gelform.findings import Finding
 
 LAW = "law"
 LEAST_PX = 12  # connected, where a cause adds enough to be named: less is not named
@@ -69,7 +69,7 @@ class Explanation:
             "mean_confidence": float(self.confidence.mean()),
             "trusted_share": float((self.confidence >= 0.5).mean()),
             "variance_shares": self.shares,
-            "findings": [{"name": f.name, "message": f.message, "figure": f.figure} for f in self.findings],
+            "findings": [asdict(finding) for finding in self.findings],
         }
 
 

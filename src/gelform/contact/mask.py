@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.background.change import LANES, PreparedBackground, blur_taps
+from gelform.background.change import PreparedBackground
 from gelform.checks import check_map, check_mm_per_px, check_number, check_positive
 from gelform.color_models.seam import PreparedColorModel
 from gelform.contact.contacts import runs_work
-from gelform.medians import medians_where
+from gelform.filters import LANES, blur_taps, medians_where
 
 NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default
 # Standard deviations of a Gaussian, before the surface's bending is taken: the first that leaves no more noise than QUIET.

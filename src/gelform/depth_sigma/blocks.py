@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.change import blur_taps
 from gelform.depth_sigma.closed_form import white_as_blurred
+from gelform.filters import blur_taps
 from gelform.gradients import fill_unknown
 from gelform.solvers.system import FLOOR, problem_from_gradients
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.check import Finding
+from gelform.findings import Finding
 
 BLOCK_PX = 16
 

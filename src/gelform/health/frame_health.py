@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.background.check import Finding
 from gelform.checks import value_range
 from gelform.errors import CalibrationError
+from gelform.findings import Finding
 from gelform.health.blocks import (
     BLOCK_PX,
     FLAT_RANGE,

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.change import Finding
 from gelform.checks import check_finite, check_is, check_map, check_mm_per_px, check_number, check_within
 from gelform.errors import DataError
+from gelform.findings import Finding
 from gelform.markers import MarkerFlow
 from gelform.npz_files import read_npz, write_npz
 from gelform.reconstruction.maps import BESIDE_DEPTH, MAPS

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from gelform import view
-from gelform.background.check import Finding
+from gelform.findings import Finding
 from gelform.frames import Frame
 from gelform.markers import MarkerTracker
 from gelform.reconstruct import Reconstructor

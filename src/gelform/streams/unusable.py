@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.check import Finding
 from gelform.errors import CalibrationError
+from gelform.findings import Finding
 from gelform.health import DepthLimit
 from gelform.markers import MarkerFlow
 from gelform.reconstruct import Reconstructor

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.background.check import Finding
+from gelform.findings import Finding
 from gelform.streams.memory import Memory
 from gelform.streams.rest.background_drift import AFTER_S, BackgroundDrift
 from gelform.streams.rest.smooth_light import block_means

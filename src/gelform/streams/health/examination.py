@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gelform.background.check import Finding
+from gelform.findings import Finding
 from gelform.streams.evidence import Evidence
 from gelform.streams.health.light import room_light_finding
 from gelform.streams.health.marks import Marks

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.check import Finding
+from gelform.findings import Finding
 
 FROZEN = "frozen"
 FROZEN_S, FROZEN_FRAMES = 0.25, 3  # videos repeat a frame now and then; noise makes no two images alike

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.check import Finding
+from gelform.findings import Finding
 from gelform.streams.evidence import Evidence
 
 BRIGHTER = (

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.check import Finding
+from gelform.findings import Finding
 from gelform.streams.evidence import Evidence
 
 SMOOTH_PX, WIDE_PX = 1.0, 8.0

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.background.check import Finding
 from gelform.background.registration import PreparedRegistration
+from gelform.findings import Finding
 from gelform.streams.evidence import Evidence
 
 MOVED_PX, TURNED_DEG = 0.5, 0.2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from gelform.background.check import Finding
 from gelform.calibration_file import Calibration
+from gelform.findings import Finding
 from gelform.sensors import settings_mismatch
 
 

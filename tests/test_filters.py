@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gelform import medians
-from gelform.medians import medians_where
+from gelform import filters
+from gelform.filters import medians_where
 from kernel_agreement import assert_kernel_agrees
 
 
@@ -39,5 +39,5 @@ def test_the_kernel_agrees_with_numpy():
     values, chosen = rng.normal(0, 1, (30, 41, 3)).astype(np.float32), rng.random((30, 41)) < 0.4
     work, out = np.empty(2 * 30 * 41, np.float32), np.empty(3, np.float32)
     assert_kernel_agrees(
-        medians._medians_where, lambda v, c, s, *_: by_numpy(v, c, s), values, chosen, 1, work, out
+        filters._medians_where, lambda v, c, s, *_: by_numpy(v, c, s), values, chosen, 1, work, out
     )

@@ -1,12 +1,14 @@
-"""Medians of maps over chosen pixels, without sorting them: what a frame has in common, bias, noise, zero."""
+"""Filters of maps that several rooms share: medians over chosen pixels, and the weights of Gaussian blurs in kernels."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
+LANES = 16  # floats, of native/common.h: rows of work arrays are as long as a whole number of them
 _medians_where = Kernel(
     "medians_where",
     "f32[h,w,c] values, bool[h,w]? chosen, i64 step, out f32[n] work, out f32[c] medians",
@@ -33,3 +35,12 @@ def medians_where(
     medians = np.empty(channels, dtype=np.float32)
     work = np.empty(2 * -(-height // step) * -(-width // step), dtype=np.float32)
     return medians, _medians_where(values, chosen, step, work, medians)
+
+
+def blur_taps(blur_px: float) -> NDArray[np.float32]:
+    """Weights of a Gaussian blur from the middle on, as far as OpenCV takes them for floats: 4 standard deviations."""
+    if blur_px == 0:
+        return np.ones(1, dtype=np.float32)
+    size = int(np.rint(8 * blur_px + 1)) | 1
+    taps: NDArray[np.float32] = cv2.getGaussianKernel(size, blur_px, cv2.CV_32F)[size // 2 :, 0]
+    return np.ascontiguousarray(taps)
