@@ -179,7 +179,7 @@ def simulated() -> dict[str, Any]:
             "flat punch, shallow": (Punch(6.0), 0.1, (-2.0, 1.0)),
             "ball cut by the border": (Ball(3.0), 0.6, (8.8, 0.0)),
         }
-        figures[name] = {"held_out": calibration.held_out, "settings": calibration.settings}
+        figures[name] = {"held_out": calibration.held_out, "settings": dict(calibration.settings)}
         for what, (indenter, depth_mm, center) in objects.items():
             rng = np.random.default_rng(7)
             press = simulate_press(sensor, indenter, depth_mm=depth_mm, center_mm=center, rng=rng)

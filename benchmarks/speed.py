@@ -91,7 +91,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         calibration.background,
         calibration.change,
         clean=calibration.slope_sigma.clean,
-        levels=calibration.settings.get("image_noise"),
+        levels=calibration.settings.image_noise,
     )
 
     def trusted(reference: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

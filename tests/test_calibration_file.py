@@ -33,6 +33,21 @@ def test_round_trip_gives_the_same_answers(calibration, saved, simulated):
     np.testing.assert_array_equal(a.depth_mm, b.depth_mm)
 
 
+def test_settings_have_types_and_keep_names_of_others(calibration, saved):
+    """Files and programs of earlier releases name them by keys."""
+    loaded = gelform.load_calibration(saved).settings
+    assert loaded == calibration.settings
+    assert (
+        loaded.contact_radius_ratio == loaded["contact_radius_ratio"] == dict(loaded)["contact_radius_ratio"]
+    )
+    assert loaded.gel_thickness_mm is None
+    assert "gel_thickness_mm" not in loaded
+    older = replace(calibration, settings={"zone": 0.8, "camera": {"gain": 2.0}}).settings
+    assert (older.camera, older["zone"], len(older)) == ({"gain": 2.0}, 0.8, 2)
+    with pytest.raises(KeyError):
+        older["lens"]
+
+
 def test_no_pickles_and_readable_settings(saved):
     with np.load(saved, allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))

@@ -109,7 +109,7 @@ def _heights_of(quick: bool, name: str, sensor: SimulatedSensor) -> dict[str, An
         "gentle range %": [float(gentle.min()), float(gentle.max())],
         "within 2 sigma": float(np.mean([one["within_2_sigma"] for one in objects.values()])),
         "held out": calibration.held_out,
-        "settings": calibration.settings,
+        "settings": dict(calibration.settings),
     }
     print(name, found, flush=True)
     return {**found, "objects": {kind: one["height_percent"] for kind, one in objects.items()}}

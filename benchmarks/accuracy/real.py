@@ -50,7 +50,7 @@ def real(quick: bool) -> dict[str, Any]:
         calibration, seconds = calibrated(training)
         edge, pitch = EDGES[name.split(",")[0]], calibration.known_mm_per_px
         rows = [scored(one, one[0].label, pitch, edge) for one in with_results(calibration, test)]
-        parts.setdefault(name, []).append((rows, seconds, calibration.settings))
+        parts.setdefault(name, []).append((rows, seconds, dict(calibration.settings)))
     figures = {}
     for name, folds in parts.items():
         figures[name] = {

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from typing import Any
@@ -34,6 +35,63 @@ MAX_BYTES = 512 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
+class CalibrationSettings(Mapping[str, Any]):
+    """What a calibration chose and was given; also a mapping of what is known of it, by the names in files.
+
+    Attributes
+    ----------
+    contact_radius_ratio : how far out from a contact's centre the gel follows the ball, of the contact's radius
+    step_ridge : of the forward response by which slopes get a step
+    start : digest of the calibration of another unit from which this one began
+    presses : how many were used
+    response : exponent of the camera's response curve
+    camera : settings of the camera, as they were read back
+    scale_source, lens : what told mm_per_px, and distortion and perspective
+    gel_thickness_mm : of the gel at rest
+    crosstalk : what is undone before the color model, in words
+    relaxation_mm : length over which the gel falls off around a contact
+    image_noise : (3,) standard deviation of an image's pixel, grey levels
+    others : the color model's own settings, options of an importer, what other releases wrote
+    """
+
+    contact_radius_ratio: float | None = None
+    step_ridge: float | None = None
+    start: str | None = None
+    presses: int | None = None
+    response: float | None = None
+    camera: Mapping[str, Any] | None = None
+    scale_source: str | None = None
+    lens: str | None = None
+    gel_thickness_mm: float | None = None
+    crosstalk: str | None = None
+    relaxation_mm: float | None = None
+    image_noise: Sequence[float] | None = None
+    others: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> CalibrationSettings:
+        """From names and values as they are in a file."""
+        known = {name: stored[name] for name in _SETTING_NAMES if name in stored}
+        return cls(**known, others={name: v for name, v in stored.items() if name not in known})
+
+    def _there(self) -> dict[str, Any]:
+        known = {name: getattr(self, name) for name in _SETTING_NAMES}
+        return {name: value for name, value in known.items() if value is not None} | dict(self.others)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._there()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._there())
+
+    def __len__(self) -> int:
+        return len(self._there())
+
+
+_SETTING_NAMES = [entry.name for entry in fields(CalibrationSettings) if entry.name != "others"]
+
+
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """What was learnt about one sensor and one gel. It belongs to no other.
 
@@ -53,7 +111,7 @@ class Calibration:
     untouched_change : color changes smaller than this mean: not touched
     held_out : errors on presses that were left out, by name
     training_digests : SHA-256 of the images that were used
-    settings : what the calibration chose and was given: training zone, model settings, gel_thickness_mm ...
+    settings : what the calibration chose and was given; a dict becomes a `CalibrationSettings`
     library_version, created_utc : by what and when
     report : the CalibrationReport of the run that made it; not saved
     """
@@ -74,10 +132,14 @@ class Calibration:
     untouched_change: float
     held_out: dict[str, float]
     training_digests: tuple[str, ...]
-    settings: dict[str, Any]
+    settings: CalibrationSettings
     library_version: str
     created_utc: str
     report: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.settings, CalibrationSettings):
+            object.__setattr__(self, "settings", CalibrationSettings.from_dict(self.settings))
 
     @cached_property
     def digest(self) -> str:
@@ -172,7 +234,7 @@ class Calibration:
             "background_digest": self.background_digest,
             "held_out": self.held_out,
             "training_digests": list(self.training_digests),
-            "settings": self.settings,
+            "settings": dict(self.settings),
             "library_version": self.library_version,
             "created_utc": self.created_utc,
         }
@@ -273,7 +335,7 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         untouched_change=meta["untouched_change"],
         held_out=meta["held_out"],
         training_digests=tuple(meta["training_digests"]),
-        settings=meta["settings"],
+        settings=CalibrationSettings.from_dict(meta["settings"]),
         library_version=meta["library_version"],
         created_utc=meta["created_utc"],
     )

@@ -144,7 +144,7 @@ class Reconstructor:
         if slope_sigma:
             per_change = 1.0 if forward is None else forward.slope_per_change
             self._causes = PreparedCauses(
-                self.background, change, clean=self._clean, levels=calibration.settings.get("image_noise"),
+                self.background, change, clean=self._clean, levels=calibration.settings.image_noise,
                 slope_per_change=per_change, walls=calibration.slope_sigma is not None,
             )  # fmt: skip
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
@@ -153,9 +153,9 @@ class Reconstructor:
         self._gain_sigma = known.gain_sigma if known else 0.0
         self._health = FrameHealth(self.background)
         shape = calibration.image_shape
-        self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.get("gel_thickness_mm"))
-        noise = noise_by_place(self._model, self._untouched_image, calibration.settings.get("image_noise"))
-        self._contact = PreparedContact((self._pitch,) * 2, calibration.settings.get("relaxation_mm"), noise)
+        self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.gel_thickness_mm)
+        noise = noise_by_place(self._model, self._untouched_image, calibration.settings.image_noise)
+        self._contact = PreparedContact((self._pitch,) * 2, calibration.settings.relaxation_mm, noise)
         self.solved_sigma = SolvedSigma(known, shape, change.blur_px if known else None)
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work

@@ -204,7 +204,7 @@ def test_a_source_without_settings_says_so(hub, name):
 
 def test_a_camera_set_otherwise_than_calibrated_is_said(adjustable, calibration):
     station = adjustable.stations[0]
-    settings = calibration.settings | {"camera": {"exposure": 50.0}}
+    settings = {**calibration.settings} | {"camera": {"exposure": 50.0}}
     station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
     assert camera_facts(station)["mismatch"] == ""
     set_camera(station, "exposure", 60.0)

@@ -83,7 +83,7 @@ def evaluate(
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background, depth_sigma=False)
     changes = ColorChanges(reconstruct.background, calibration.change)
-    ratio = float(calibration.settings.get("contact_radius_ratio", 1.0))
+    ratio = calibration.settings.contact_radius_ratio or 1.0
     rows, errors, samples = [], [], []
     for done, press in enumerate(presses.presses):
         circle, reason = _circle(press, changes)

@@ -19,7 +19,7 @@ from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.refine import Refined
 from gelform.calibration.circles.samples import ZONE, PreparedPress
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration_file import Calibration
+from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.color_models import ColorModel, ForwardResponse
 from gelform.color_models.forward_response import RIDGES
 from gelform.confidence import SlopeSigma
@@ -108,20 +108,20 @@ def _settings(
     images: Sequence[Any],
     contact_radius_ratio: float,
     relaxation_mm: float | None = None,
-) -> dict[str, Any]:
+) -> CalibrationSettings:
     """What the run chose and was given and how the gel relaxes, as the calibration records it."""
-    return {
-        "contact_radius_ratio": contact_radius_ratio,
-        **dict(chosen.settings),
-        **({} if chosen.step_ridge is None else {"step_ridge": chosen.step_ridge}),
-        **({} if chosen.start is None else {"start": chosen.start.digest}),
-        "presses": len(images),
-        "response": presses.response,
-        **({"camera": dict(presses.camera)} if presses.camera else {}),
+    return CalibrationSettings(
+        contact_radius_ratio=contact_radius_ratio,
+        step_ridge=chosen.step_ridge,
+        start=None if chosen.start is None else chosen.start.digest,
+        presses=len(images),
+        response=presses.response,
+        camera=dict(presses.camera) if presses.camera else None,
+        relaxation_mm=relaxation_mm,
+        image_noise=image_noise(images, presses.background).tolist(),
+        others=dict(chosen.settings),
         **presses.geometry.settings(),
-        **({} if relaxation_mm is None else {"relaxation_mm": relaxation_mm}),
-        "image_noise": image_noise(images, presses.background).tolist(),
-    }
+    )
 
 
 def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:

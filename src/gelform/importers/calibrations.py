@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from gelform import __version__
 from gelform.background.average import noise_from_image
 from gelform.background.change import ChangeSettings
-from gelform.calibration_file import Calibration
+from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.checks import check_image, check_is, check_path, check_sensor_pitch
 from gelform.color_models import ColorModel
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
@@ -93,7 +93,7 @@ def import_calibration(
         untouched_change=UNTOUCHED_CHANGE,
         held_out={},
         training_digests=(),
-        settings={"imported_from": package, **options},
+        settings=CalibrationSettings(others={"imported_from": package, **options}),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )

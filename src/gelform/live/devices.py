@@ -150,7 +150,7 @@ def camera_facts(station: Station) -> dict[str, Any]:
     settings = {} if source is None else dict(source.settings)
     settable = {name: settings[name] for name in SETTABLE if name in settings}
     calibration = station.setup.calibration
-    calibrated = {} if calibration is None else calibration.settings.get("camera", {})
+    calibrated = {} if calibration is None else calibration.settings.camera or {}
     other = settings_mismatch(calibrated, settings)
     said = "; ".join(
         f"{name.replace('_', ' ')} {_text(mine)}, calibrated at {_text(then)}"

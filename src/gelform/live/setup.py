@@ -90,7 +90,7 @@ class Setup:
             return result
         depth = result.depth - self.zero_mm
         pitch = 1.0 if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
-        known = None if self.calibration is None else self.calibration.settings.get("relaxation_mm")
+        known = None if self.calibration is None else self.calibration.settings.relaxation_mm
         contact = contact_from_depth(depth, mm_per_px=pitch, relaxation_mm=known)
         return replace(result, depth=depth, contact=contact, zero="set")
 

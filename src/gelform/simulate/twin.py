@@ -90,9 +90,8 @@ class CalibratedLook:
         self.name = calibration.sensor_name
         self.background = calibration.background
         self.mm_per_px = float(pitch_x)
-        self.noise = np.asarray(
-            calibration.settings.get("image_noise", calibration.background_noise), dtype=np.float64
-        )
+        known = calibration.settings.image_noise
+        self.noise = np.asarray(calibration.background_noise if known is None else known, dtype=np.float64)
 
     def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
         """Grey levels (H, W, 3) of slopes (H, W, 2) and depths (H, W)."""

@@ -58,6 +58,7 @@ class FrameDepth(nn.Module):
         """Maps of the coarser grid for every pixel, bilinear."""
         return self.rows_full @ (maps @ self.columns_full.T)
 
+
 ROUNDING = 1e-6  # what float32 leaves of a determinant, over the product of its diagonal
 
 

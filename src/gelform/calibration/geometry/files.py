@@ -128,7 +128,7 @@ def _save_in_calibration(scale: Scale, place: Path) -> Path:
             f"off balls at {calibration.mm_per_px:g} mm/px: another scale would leave them wrong. Write the scale into "
             "the presses' sensor.toml and calibrate again."
         )
-    settings = {**calibration.settings, "scale_source": scale.source}
+    settings = replace(calibration.settings, scale_source=scale.source)
     replace(calibration, mm_per_px=scale.mm_per_px, mm_per_px_sigma=scale.sigma, settings=settings).save(
         place, overwrite=True
     )

@@ -43,7 +43,7 @@ class Geometry:
         return None if self.crosstalk is None else self.crosstalk.matrix
 
     def settings(self) -> dict[str, Any]:
-        """What a calibration records of it."""
+        """What a calibration records of it, by the names of `CalibrationSettings`."""
         said: dict[str, Any] = {"scale_source": self.scale_source, "lens": self.lens}
         said["gel_thickness_mm"] = self.gel_thickness_mm
         if self.crosstalk is not None:

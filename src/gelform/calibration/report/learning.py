@@ -120,12 +120,12 @@ def sizes_for(accepted: int) -> list[int]:
 
 def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
     """The chosen color model with settings that so many presses can carry, and the chosen step."""
-    start, step = calibration.report.start, calibration.settings.get("step_ridge")
+    start, step = calibration.report.start, calibration.settings.step_ridge
     options = (
         candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start)
     )
     options = [replace(candidate, step_ridge=step) for candidate in options]
-    own = tuple((key, calibration.settings[key]) for key, _ in options[0].settings)
+    own = tuple((key, calibration.settings.others[key]) for key, _ in options[0].settings)
     chosen = Candidate(calibration.color_model.name, own, start, step)
     if presses >= MANY:
         return [chosen]

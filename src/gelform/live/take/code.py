@@ -108,7 +108,7 @@ def _last(view: str, now: Situation) -> list[str]:
     x, y = now.point
     contact = (
         "gelform.contact_from_depth(\n"
-        "    depth_mm, mm_per_px=result.mm_per_px, relaxation_mm=calibration.settings.get('relaxation_mm')\n)"
+        "    depth_mm, mm_per_px=result.mm_per_px, relaxation_mm=calibration.settings.relaxation_mm\n)"
         if now.zero
         else "result.contact"
     )

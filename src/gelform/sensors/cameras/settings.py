@@ -94,7 +94,7 @@ def settings_mismatch(calibrated: Settings, used: Settings) -> dict[str, tuple[A
 
     Parameters
     ----------
-    calibrated : kept in the calibration, `calibration.settings.get("camera", {})`
+    calibrated : kept in the calibration, `calibration.settings.camera or {}`
     used : of the source, `source.settings`
 
     Compares what decides the colours (size, reduction, picture format, exposure, gain, white balance, LED level), where
@@ -112,7 +112,7 @@ def calibrated_settings(calibrated: Settings) -> dict[str, float | str]:
 
     Parameters
     ----------
-    calibrated : kept in the calibration, `calibration.settings.get("camera", {})`
+    calibrated : kept in the calibration, `calibration.settings.camera or {}`
 
     Exposure and white balance are left out where they were automatic: to set them would switch that off.
     """

@@ -14,7 +14,7 @@ class CameraCheck:
 
     def __init__(self, calibration: Calibration) -> None:
         self._serial = calibration.serial
-        self._settings = calibration.settings.get("camera", {})
+        self._settings = calibration.settings.camera or {}
         self._seen: tuple[str | None, dict[str, Any]] | None = None
         self._findings: tuple[Finding, ...] = ()
 
