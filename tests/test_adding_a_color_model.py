@@ -55,6 +55,7 @@ def test_every_file_that_the_page_names_is_there():
         assert (ROOT / path).exists() or (ROOT / "src" / "gelform" / path).exists(), path
 
 
+@pytest.mark.slow
 def test_the_model_calibrates_by_name(added, presses, tmp_path):
     assert added in color_model_names()
     calibration = gelform.calibrate(presses.subset(range(8)), color_model=added)

@@ -298,6 +298,7 @@ def calibrations(mounted):
     return [gelform.calibrate(one, color_model="polynomial") for one in mounted]
 
 
+@pytest.mark.slow
 def test_turned_frames_calibrate_as_mounted_ones_do(mounted, calibrations):
     """One size for frames and images: whoever guesses from the shape turns the presses once more."""
     straight, turned = calibrations

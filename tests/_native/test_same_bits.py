@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from kernel_agreement import usable_isas
 
@@ -22,6 +23,7 @@ for name in ("depth_mm", "depth_sigma_mm", "gradients", "confidence", "contact",
 """
 
 
+@pytest.mark.slow
 def test_a_frame_is_the_same_on_every_instruction_set(calibration, simulated, tmp_path):
     calibration.save(tmp_path / "calibration.npz")
     np.save(tmp_path / "image.npy", simulated.presses[0].image)

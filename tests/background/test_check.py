@@ -231,6 +231,7 @@ def test_another_exposure_gives_the_same_depth(calibration, simulated):
         assert "R +8 %, G +8 %, B +8 %" in finding.message
 
 
+@pytest.mark.slow
 def test_another_exposure_gives_the_same_depth_of_real_presses(data):
     """The same on a GelSight Mini, within 4 um; without compensation it is 120 um."""
     presses = gelform.read_presses(data / "mini-ball")

@@ -70,6 +70,7 @@ def test_the_place_without_a_press_is_named_first():
         assert (added.counts[row, col] > 0).sum() >= 6
 
 
+@pytest.mark.slow
 def test_pressing_where_it_is_said_covers_the_frame():
     circles = [(30.0, 30.0, 25.0)]
     for _ in range(40):

@@ -118,6 +118,7 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
         _check_enough(presses, refined, 0, "The ball is twice as large.")
 
 
+@pytest.mark.slow
 def test_a_ball_of_another_size_is_named_where_no_press_fits(presses):
     """Stated half as large as it is: all are refused, and the message says what to look at."""
     small = tuple(replace(press, ball_diameter_mm=press.ball_diameter_mm / 2) for press in presses.presses)
@@ -127,6 +128,7 @@ def test_a_ball_of_another_size_is_named_where_no_press_fits(presses):
         gelform.calibrate(replace(presses, presses=small))
 
 
+@pytest.mark.slow
 def test_presses_train_up_to_the_measured_edge(calibration, presses, prepared, found):
     """That of the presses that fit; fewer than 12 are taken to have the usual one."""
     accepted = refine(prepared, found).of_accepted(prepared)
@@ -136,6 +138,7 @@ def test_presses_train_up_to_the_measured_edge(calibration, presses, prepared, f
     assert few.color_model.name == "polynomial"
 
 
+@pytest.mark.slow
 def test_all_color_models_can_be_compared_and_the_choice_stays(presses, monkeypatch):
     """Beside the trials of what was asked for, those of all others, on the same folds; what cannot be tried is named."""
     slow = ("near_light", "interpolation", "lookup")
@@ -161,6 +164,7 @@ def test_all_color_models_can_be_compared_and_the_choice_stays(presses, monkeypa
     assert compared.held_out == plain.held_out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lambertian", "near_light"])
 def test_pixels_that_the_untouched_image_shows_black_do_not_train(presses, lambertian_calibration, name):
     """A law of light is divided by the untouched image: where that is 0 nothing is said, elsewhere all is as it was."""
@@ -196,6 +200,7 @@ def half_size(presses):
     )
 
 
+@pytest.mark.slow
 def test_ten_real_presses_are_enough_to_start(data):
     """Every sixth press of a real sensor, at half its size: the held-out errors stay within what ten presses can give."""
     presses = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 6))
@@ -220,6 +225,7 @@ def second_unit(sensor):
     return replace(sensor, leds=leds, name="second unit")
 
 
+@pytest.mark.slow
 def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
     """Started from the first unit's, it comes near its own full calibration, and is better than five alone.
 

@@ -163,6 +163,7 @@ def test_too_few_presses_say_where(presses):
         gelform.calibrate(presses.subset([0, 1]))
 
 
+@pytest.mark.slow
 def test_real_sets_pass_and_are_caught_when_spoilt(data):
     for name, kind in (("mini-ball", "GelSight Mini"), ("digit-ball", "DIGIT"), ("gelsight-ball-deep", "")):
         presses = gelform.read_presses(data / name)
@@ -225,6 +226,7 @@ def test_the_same_image_counts_once(presses):
         repeated_images(replace(presses, presses=(*presses.presses, other_ball)))
 
 
+@pytest.mark.slow
 def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
     six = presses.subset(range(6))
     copies = tuple(replace(press, name=f"copy of {press.name}") for press in six.presses)

@@ -20,6 +20,7 @@ def shell(command, **how):
     return subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, **how)
 
 
+@pytest.mark.slow
 def test_closed_streams_are_no_traceback(calibration_file, tmp_path):
     for command in (
         f"{GELFORM} info {calibration_file} 2>&-",
@@ -32,6 +33,7 @@ def test_closed_streams_are_no_traceback(calibration_file, tmp_path):
         assert "Traceback" not in ran.stderr
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_is_no_traceback(press_folder):
     """Standard error belongs to the command alone: the shell's own would hide what Python says as it exits."""
     for command in ("--help", "calibrate --help", f"info {press_folder}"):
@@ -48,6 +50,7 @@ def test_a_full_disk_behind_the_output_is_said():
     assert "Traceback" not in ran.stderr
 
 
+@pytest.mark.slow
 def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path):
     image = tmp_path / "Prüfling µ.png"
     image.write_bytes((press_folder / "images" / "0000.png").read_bytes())
@@ -83,6 +86,7 @@ def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):

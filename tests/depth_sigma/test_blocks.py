@@ -208,6 +208,7 @@ def errors(length_px, rng):
     return gaussian_filter(noise, (blur, blur, 0), mode="wrap") * (2 * np.sqrt(np.pi) * blur)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length_px", [0.0, 1.0, 1.8])
 def test_short_correlations_at_rest_meet_monte_carlo(length_px):
     rng = np.random.default_rng(1)

@@ -89,8 +89,10 @@ def test_closed_form_takes_sigma_of_x_and_y_apart():
     assert sigma == pytest.approx(np.sqrt(np.sum(depth**2, axis=0)), rel=1e-4)
 
 
-@pytest.mark.parametrize("anchored", [False, True])
-@pytest.mark.parametrize(("length", "share"), [(0, 0.0), (3, 0.3), (10, 0.5)])
+@pytest.mark.parametrize("anchored", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("length", "share"), [(0, 0.0), (3, 0.3), pytest.param(10, 0.5, marks=pytest.mark.slow)]
+)
 def test_agrees_with_monte_carlo_weighted_anchored_and_correlated(anchored, length, share):
     sigma, weights, anchor = uneven()
     arguments = {"weights": weights, "anchor": anchor if anchored else None}
@@ -116,6 +118,7 @@ def test_follows_the_zero_reference_and_the_level(arguments):
     assert np.median(deviation(found, expected)) < 0.15
 
 
+@pytest.mark.slow
 def test_few_probes_are_as_good_as_said():
     sigma, weights, anchor = uneven()
     arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 10}
@@ -255,6 +258,7 @@ def test_a_column_of_pixels():
     assert np.median(deviation(sigma, exact)) < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anchored", [False, True])
 def test_deviation_against_a_regions_mean_is_that_of_monte_carlo(anchored):
     """What all pixels of a region share is not in it: much smaller there than against zero."""

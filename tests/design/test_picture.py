@@ -6,6 +6,7 @@ import pytest
 from gelform.design import design_picture
 
 
+@pytest.mark.slow
 def test_a_study_can_be_drawn(study):
     pytest.importorskip("matplotlib")
     results, _ = study

@@ -31,6 +31,7 @@ def content(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_one_worker_and_two_write_the_same_bytes(tmp_path):
     one = content(save_simulated_set(tmp_path / "one", SET))
     two = content(save_simulated_set(tmp_path / "two", SET, workers=2))

@@ -48,6 +48,12 @@ def sphere_px(press, mm_per_px):
 
 
 @pytest.fixture(scope="module")
+def exported(calibration, tmp_path_factory):
+    """The folder for Taxim."""
+    return save_taxim(calibration, tmp_path_factory.mktemp("taxim") / "t")
+
+
+@pytest.fixture(scope="module")
 def new_presses(simulated):
     rng = np.random.default_rng(8)
     return [
@@ -56,6 +62,7 @@ def new_presses(simulated):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("renderer", "order"), [("taxim", "bgr"), ("isaaclab", "rgb")])
 def test_new_presses_are_rendered_as_well_as_the_forward_response_does(
     calibration, new_presses, tmp_path, renderer, order
@@ -81,17 +88,18 @@ def test_new_presses_are_rendered_as_well_as_the_forward_response_does(
     assert np.mean(ours) < 8
 
 
-def test_a_level_gel_is_the_background(calibration, tmp_path):
-    folder = save_taxim(calibration, tmp_path / "t")
-    flat = rendered(folder, np.zeros(calibration.image_shape), "bgr")
+@pytest.mark.slow
+def test_a_level_gel_is_the_background(calibration, exported):
+    flat = rendered(exported, np.zeros(calibration.image_shape), "bgr")
     np.testing.assert_allclose(flat, calibration.background, atol=4)  # JPEG
-    real = np.load(folder / "real_bg.npy")
+    real = np.load(exported / "real_bg.npy")
     np.testing.assert_array_equal(real[..., ::-1], calibration.background)
-    assert f"numBins = {BINS}" in (folder / "settings.txt").read_text()
+    assert f"numBins = {BINS}" in (exported / "settings.txt").read_text()
 
 
-def test_it_is_what_the_importer_reads(calibration, tmp_path):
-    tables = read_taxim_forward(save_taxim(calibration, tmp_path / "t") / "polycalib.npz")
+@pytest.mark.slow
+def test_it_is_what_the_importer_reads(exported):
+    tables = read_taxim_forward(exported / "polycalib.npz")
     assert tables.table.shape == (BINS, BINS, 3, 6)
 
 

@@ -36,6 +36,7 @@ def test_work_is_done_and_its_own_errors_come_through():
             pool.submit(raise_named, "mine").result()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wait_s", [0, 0.02, 0.3])
 def test_one_that_is_killed_ends_the_others_too(wait_s):
     """Also while the pool starts them, which Python's own then forgets."""
@@ -56,6 +57,7 @@ def test_one_that_is_killed_ends_the_others_too(wait_s):
     assert set(multiprocessing.active_children()) <= before
 
 
+@pytest.mark.slow
 def test_they_end_with_the_one_that_started_them():
     with subprocess.Popen([sys.executable, "-c", DRIVER], stdout=subprocess.PIPE, text=True) as driver:
         numbers = [int(word) for word in driver.stdout.readline().split()]

@@ -25,7 +25,7 @@ def test_an_imported_table_answers_with_its_own_gain(tmp_path):
     rng = np.random.default_rng(0)
     background = rng.uniform(60, 160, (*SHAPE, 3)).astype(np.float32)
     image = np.clip(background + rng.uniform(-20, 20, background.shape), 0, 255).astype(np.float32)
-    path = lut_file(tmp_path / "table_smooth.npy")
+    path = lut_file(tmp_path / "table_smooth.npy", bins=30)
     model = read_lut(path, background)
     found, sigma = model.prepare(background, SHAPE).gradients_from_color(
         (image - background) / np.float32(255)

@@ -62,6 +62,7 @@ def filmed(sensor, tmp_path):
     return tmp_path / "filmed"
 
 
+@pytest.mark.slow
 def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_path, monkeypatch):
     monkeypatch.setattr("gelform.live.guide.guide.LOOK_EVERY_S", 0.02)
     hub.folder = tmp_path

@@ -84,6 +84,7 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
         hub.close()
 
 
+@pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
     hub = start(Options(["simulated", "simulated"], rate_hz=20))
     try:
@@ -118,6 +119,7 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monke
             camera.unlink()
 
 
+@pytest.mark.slow
 def test_what_calibrates_is_imported_when_it_is_needed():
     """It takes as long as the first picture."""
     loaded = "import sys, gelform.live.start, gelform.live.web.app; print(*sys.modules)"

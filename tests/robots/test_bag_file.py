@@ -105,6 +105,7 @@ with BagFile(sys.argv[1], "left") as bag:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 @pytest.mark.parametrize("fault", ["killed", "full"])
 def test_a_process_that_dies_leaves_no_bag_under_its_name(tmp_path, fault):

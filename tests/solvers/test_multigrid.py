@@ -226,6 +226,7 @@ def outliers(shape, corrupt):
     return wrong.gradients, weights, sample.mm_per_px, np.where(sample.depth_mm < 0.05, 1e-2, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corrupt", [with_outliers, with_patches])
 @pytest.mark.parametrize("anchored", [False, True])
 def test_no_local_mode_is_left_at_480x640(corrupt, anchored):
@@ -280,6 +281,7 @@ def test_instruction_sets_give_the_same_bits(shape):
     assert all(depth.tobytes() == depths[0].tobytes() for depth in depths)
 
 
+@pytest.mark.slow
 def test_agrees_with_elimination_at_full_size():
     gradients, weights, pitch, anchor = outliers((240, 320), with_outliers)
     fast = MultigridSolver((240, 320), pitch)(gradients, weights, None, anchor).depth_mm
@@ -301,6 +303,7 @@ except MemoryError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits its memory as Linux does")
 @pytest.mark.skipif("asan" in os.environ.get("LD_PRELOAD", ""), reason="AddressSanitizer takes what it likes")
 def test_an_image_too_large_for_the_memory_is_refused_with_the_figure():

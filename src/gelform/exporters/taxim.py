@@ -68,8 +68,8 @@ def save_taxim(
         raise CalibrationError(
             "Expected a calibration with mm_per_px, which a renderer needs. Measure it with gelform scale."
         )
-    table = taxim_table(calibration)
     with written_whole(folder) as partial:
+        table = taxim_table(calibration)
         channels = zip(("grad_r", "grad_g", "grad_b"), RENDERERS[renderer])
         arrays: dict[str, Any] = {name: table[:, :, c] for name, c in channels}
         np.savez(partial / "polycalib.npz", bins=BINS, **arrays)

@@ -30,6 +30,7 @@ def command_of(number):
         return file.read()
 
 
+@pytest.mark.slow
 def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     parts = plan_of(listing_of(tree), 1)
     alone = Job(cal, None, tmp_path / "one", BatchSettings())

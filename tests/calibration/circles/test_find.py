@@ -104,6 +104,7 @@ def test_low_resolution_real_presses(data):
     assert distance.max() < 5  # no gross failure among 49
 
 
+@pytest.mark.slow
 def test_very_deep_real_presses(data):
     folder = data / "gelsight-ball-deep"
     background = read_image(folder / "background.png").astype(np.float32)

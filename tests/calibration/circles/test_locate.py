@@ -16,6 +16,7 @@ def stated(prepared, factor):
     return [replace(press, ball_radius_px=factor * press.ball_radius_px) for press in prepared]
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_stated_half_as_large_is_named(prepared, found):
     """All presses are refused, and taken with the ball that the sentence names."""
     small = stated(prepared, 0.5)

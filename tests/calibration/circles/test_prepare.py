@@ -221,6 +221,7 @@ def slope_error(calibration, made, presses):
     return float(np.median(np.concatenate(errors)))
 
 
+@pytest.mark.slow
 def test_calibration_and_evaluation_of_a_marked_gel(dotted):
     """Slopes as good as without dots: there the median error is 0.038."""
     made, presses = dotted

@@ -42,6 +42,7 @@ def test_refinement_corrects_the_circles_that_the_border_cuts(prepared, found, s
     assert after[kept].max() < 4.0
 
 
+@pytest.mark.slow
 def test_a_wrong_ball_is_found_by_the_other_presses(data):
     """One real press under the name of another ball: the others contradict it, and nobody else."""
     presses = gelform.read_presses(data / "mini-ball")

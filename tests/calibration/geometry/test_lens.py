@@ -57,8 +57,8 @@ def pose(turn_deg=4.0, tilt=(4e-4, -3e-4), shift=(158.0, 121.0)):
     )
 
 
-@pytest.mark.parametrize("kind", ["checkerboard", "dots"])
-@pytest.mark.parametrize("tilt", [(0.0, 0.0), (4e-4, -3e-4)])
+@pytest.mark.parametrize("kind", ["checkerboard", pytest.param("dots", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tilt", [pytest.param((0.0, 0.0), marks=pytest.mark.slow), (4e-4, -3e-4)])
 def test_a_known_lens_is_undone(kind, tilt):
     """Points all over the gel come out where a camera without faults would show them, to 0.1 px (dots: 0.2)."""
     homography = pose(tilt=tilt)
@@ -79,6 +79,7 @@ def test_a_known_lens_is_undone(kind, tilt):
     assert abs(np.sqrt(abs(np.linalg.det(turn[:2]))) * pitch - 1) < 3 * found.scale.sigma / pitch
 
 
+@pytest.mark.slow
 def test_direction_and_middle_stay():
     """The image is not turned to the grid: what was right stays right, at about the same size."""
     found = view_from_grid([seen_through(LENS, pose(15.0), "checkerboard")], pattern=PATTERN, pitch_mm=PITCH)
@@ -89,6 +90,7 @@ def test_direction_and_middle_stay():
     np.testing.assert_allclose(at[0], (np.array(found.view.shape[::-1]) - 1) / 2, atol=1.1)
 
 
+@pytest.mark.slow
 def test_further_images_help_with_the_distortion():
     one = seen_through(LENS, pose(tilt=(0, 0)), "dots")
     more = seen_through(LENS, pose(-10, (1e-3, 0), (150, 115)), "dots", seed=1)
@@ -98,6 +100,7 @@ def test_further_images_help_with_the_distortion():
     assert found.view.lens.distortion[0] == pytest.approx(-0.25, abs=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_unseen_is_in_the_image():
     """A pincushion's rectified corners lie outside the frame: they are cropped, at the same scale."""
     lens = replace(LENS, distortion=(0.2, 0.0))
@@ -123,6 +126,7 @@ def test_what_is_no_grid_is_refused():
         view_from_grid([frame], pattern=(2, 8), pitch_mm=PITCH)
 
 
+@pytest.mark.slow
 def test_a_bent_grid_is_refused():
     """The same points with a wave of 1.5 px in them: no plane looks so."""
     frame = seen_through(LENS, pose(), "checkerboard")
@@ -132,6 +136,7 @@ def test_a_bent_grid_is_refused():
         view_from_grid([bent], pattern=PATTERN, pitch_mm=PITCH)
 
 
+@pytest.mark.slow
 def test_rectified_image_shows_a_straight_grid():
     frame = seen_through(LENS, pose(0.0), "checkerboard")
     found = view_from_grid([frame], pattern=PATTERN, pitch_mm=PITCH)

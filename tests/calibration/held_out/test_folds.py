@@ -56,6 +56,7 @@ def test_presses_that_show_the_same_stay_together(prepared, found):
             assert (i in fold.held_out) == (len(prepared) + i in fold.held_out)
 
 
+@pytest.mark.slow
 def test_circles_are_refined_from_the_other_units_model(prepared, found, start):
     fold = make_folds(prepared, found, range(len(prepared)), start=start)[0]
     training = [i for i in range(len(prepared)) if i not in fold.held_out]
@@ -155,6 +156,7 @@ def saved_again(press, how):
     return replace(press, image=pixels, digest=pixels_digest(pixels))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how", ["as JPEG", "3 grey levels brighter", "redder", "5 % brighter", "a moment later"]
 )

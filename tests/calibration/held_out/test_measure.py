@@ -36,6 +36,7 @@ def test_samples_carry_the_errors_of_the_report(calibration):
         assert np.nanmean(one.cap_error_um) == pytest.approx(0, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_each_press_is_reconstructed_once(presses, monkeypatch):
     seen = []
     plain = Reconstructor.from_image
@@ -57,6 +58,7 @@ def held_out(prepared, found, folds):
     return HeldOutPresses({10.0: prepared}, found, folds, {10.0: untouched_change(prepared, found)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_ridge", [None, RIDGES[0]])
 def test_the_saved_models_errors_are_those_of_its_settings_in_every_fold(
     presses, calibration, held_out, step_ridge

@@ -286,6 +286,7 @@ def presses_of(sensor, tmp_path, count=10):
     return made, gelform.read_presses(tmp_path / "presses")
 
 
+@pytest.mark.slow
 def test_a_known_response_is_undone(tmp_path):
     """Far lights, a camera of gamma 2.2: told, `lambertian` sees linear light; not told, it finds that out."""
     far = replace(LAYOUTS["ring-120"], shape=(120, 160), mm_per_px=0.1268)
@@ -314,6 +315,7 @@ def lens_of(sensor):
     return Lens((half, half, (width - 1) / 2, (height - 1) / 2), sensor.optics.distortion)
 
 
+@pytest.mark.slow
 def test_undoing_the_lens_is_better(sensor, tmp_path):
     """A barrel of 12 % in the corners: without the lens, places and slopes are off; with it the errors fall."""
     bent = replace(sensor, optics=Optics(distortion=(-0.12, 0.0)))

@@ -81,6 +81,7 @@ def test_one_point_tells_nothing():
     assert _with_expectation(points((5, [3.0, 3.0, 3.0])), 8) is None
 
 
+@pytest.mark.slow
 def test_the_same_presses_give_the_same_curve(presses, calibration, learning):
     again = learning_curve(presses, calibration, rng=np.random.default_rng(0))
     assert again == learning
@@ -99,6 +100,7 @@ def test_too_few_presses_have_no_curve(presses, calibration):
     assert learning_curve(presses, few, rng=np.random.default_rng(0)) is None
 
 
+@pytest.mark.slow
 def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     """A curve of models that began with another unit's says nothing if its own begin with nothing."""
     start = Start(calibration.color_model, "digest")

@@ -104,6 +104,7 @@ def test_images_without_a_ball(fails, folder, small, tmp_path):
     assert not (tmp_path / "cal.npz").exists()
 
 
+@pytest.mark.slow
 def test_a_video(run, tmp_path):
     rng, poses = np.random.default_rng(1), [Pose(-1)] * 12
     for x, y in np.stack(np.meshgrid([-5, 0, 5], [-3.5, 0, 3.5]), axis=-1).reshape(-1, 2):

@@ -11,6 +11,7 @@ def test_a_misspelt_sensor_is_one_line(fails, tmp_path):
     assert "No file" in fails("design", tmp_path / "none.toml")
 
 
+@pytest.mark.slow
 def test_the_designs_are_compared(run_json, tmp_path, monkeypatch):
     from gelform.design import study as design
 

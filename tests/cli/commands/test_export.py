@@ -22,6 +22,7 @@ def test_what_is_offered_is_what_there_is():
     assert {f".{name}" for name in export.FILES} == set(SURFACES) - {".tif"}
 
 
+@pytest.mark.slow
 def test_a_calibration_for_a_renderer(run, calibration_file, tmp_path):
     assert run("export", calibration_file, "--to", "isaaclab", "-o", tmp_path / "mine")[0] == 0
     assert {path.name for path in (tmp_path / "mine").iterdir()} == {

@@ -52,6 +52,7 @@ def test_a_grid_tells_lens_and_scale(run_json, folder, tmp_path):
     assert settings.view.frame_shape == (120, 160)
 
 
+@pytest.mark.slow
 def test_crosstalk_reaches_the_calibration(run, run_json, folder, leds, tmp_path):
     said = run_json("lens", folder, "--led-frames", *leds)
     assert said["matrix"][1][0] > 0.05

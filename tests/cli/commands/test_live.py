@@ -10,6 +10,7 @@ import urllib.request
 import pytest
 
 
+@pytest.mark.slow
 def test_it_prints_an_address_that_answers_and_ends_on_interrupt():
     command = [sys.executable, "-m", "gelform", "live"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:

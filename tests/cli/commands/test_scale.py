@@ -33,6 +33,7 @@ def folder(press_folder, tmp_path):
     return copy
 
 
+@pytest.mark.slow
 def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
     given = ("--punch", f"{images / 'punch.png'},7", "--thread", f"{images / 'thread.png'},1.25")
     said = run_json("scale", folder, *given)

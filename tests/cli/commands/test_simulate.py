@@ -107,6 +107,7 @@ def test_a_sensor_of_ones_own_and_several_workers(run_json, fails, tmp_path):
     assert "Did you mean 'digit'" in fails("simulate", "--sensor", "digi", "-o", tmp_path / "out", status=2)
 
 
+@pytest.mark.slow
 def test_presses_like_a_calibration(run_json, calibration_file, tmp_path):
     arguments = ("simulate", "--like", calibration_file, "--count", "2")
     said = run_json(*arguments, "-o", tmp_path / "twin")

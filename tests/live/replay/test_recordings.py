@@ -35,6 +35,7 @@ def test_folders_are_not_fetched_and_what_is_gone_is_said(forms, tmp_path):
     assert listed.facts()[1]["bytes"] is None
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.text(max_size=30) | st.sampled_from(["../a.mcap", "/etc/passwd", "a.mcap/..", "b/frames.csv"]))
 def test_no_other_name_opens_anything(forms, name):

@@ -108,6 +108,7 @@ def test_the_python_of_every_view_runs_without_what_was_set(view, situation):
     run("image", Situation("frames", None, number=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["depth", "causes", "difference"])
 def test_the_command_line_of_every_kind_runs(view, page, situation):
     """On the files that a snapshot leaves. Of `gelform live` the arguments are read; it would serve until it is stopped."""
@@ -141,6 +142,7 @@ def test_command_lines_name_real_commands_and_quote(view):
         assert {"my cal.npz"} <= set(words)
 
 
+@pytest.mark.slow
 def test_the_calibration_of_a_simulated_sensor_is_named_by_its_sensor():
     from gelform.live.start import Options, start
     from live_waiting import until

@@ -50,6 +50,7 @@ def test_what_is_fixed_stays_and_the_rest_falls_off():
     np.testing.assert_allclose(25 * laplacian[beside], carried[beside], atol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_coarse_guess_that_does_not_settle_stops_nothing():
     """A coin's relief on the grid of half the resolution lets two contacts take turns; the fine grid settles."""
     sensor = LAYOUTS["homemade"]

@@ -104,6 +104,7 @@ def marched(depth, leds, reach, seen, top, sharpest):
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.5, 4.0])
 def test_the_kernel_finds_what_every_ray_meets(size):
     x, y = np.meshgrid(np.arange(48), np.arange(40))

@@ -5,6 +5,7 @@ import pytest
 from stream.sensor_faults import CHANGES, ONSET_S
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [*CHANGES, "other_gel", "frozen", "torn"])
 def test_each_fault_is_named(findings, fault):
     found = findings(fault)

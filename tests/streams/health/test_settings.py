@@ -67,6 +67,7 @@ def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibr
         assert "exposure 250.0 instead of 100.0" in mismatches(seen.result)[0].message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("exposure", "found"), [(120.0, 0), (180.0, 1)])
 def test_from_the_press_folder_to_the_stream(pressed_folder, simulated, at_rest, exposure, found):
     """What `gelform record --presses` writes is what the stream compares with."""

@@ -42,6 +42,7 @@ def two_presses(sensor):
     return SlowGel.drawn(sensor, np.random.default_rng(11), drift=0.03, touches=touches)
 
 
+@pytest.mark.slow
 def test_slow_presses_are_not_absorbed(reconstruct, two_presses):
     memory = Memory(reconstruct)
     results = run(memory, two_presses, np.arange(0, 446, STEP_S))
@@ -60,6 +61,7 @@ def drifting(sensor):
     return replace(gel, led_ends=ends, hill_mm=0.03, hill_width_mm=3.0)
 
 
+@pytest.mark.slow
 def test_drift_and_relaxation_are_followed(reconstruct, drifting):
     memory = Memory(reconstruct)
     results = run(memory, drifting, np.arange(0, 601, STEP_S))
@@ -116,6 +118,7 @@ def test_contact_after_it_keeps_it_out(reconstruct, at_rest, spot):
     assert np.abs(found[inside] / rest[inside] - 1).max() < 5e-4
 
 
+@pytest.mark.slow
 def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
     rest, spotted, inside = spot
     result = reconstruct.from_image(at_rest[0])

@@ -11,6 +11,7 @@ def images_of(press_folder):
     return [press_folder / "images" / f"000{k}.png" for k in (1, 4)]
 
 
+@pytest.mark.slow
 def test_compare_writes_a_picture_for_each_image(
     run, run_json, imported, calibration_file, press_folder, tmp_path
 ):

@@ -16,6 +16,7 @@ def spotted(press_folder, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_explain_names_causes_and_draws_them(
     run, run_json, calibration_file, press_folder, spotted, tmp_path
 ):

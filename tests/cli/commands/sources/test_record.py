@@ -63,6 +63,7 @@ def test_into_mcap_with_the_calibrations_digest(run, tmp_path, calibration_file)
     assert f"{summary.frames} frames" in err
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_the_usual_end(tmp_path):
     with MjpegServer(sent(jpeg)) as server:
         command = [sys.executable, "-m", "gelform", "record", server.url, "-o", str(tmp_path / "r"), "--json"]
