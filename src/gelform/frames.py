@@ -54,3 +54,8 @@ def check_viewed_image(
             raise
         hint = "It has the size of the camera's frames: image_from_frame(frame, calibration.view) first."
         raise ValueError(f"{problem} {hint}") from None
+
+
+def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Whole grey levels of an image (H, W, 3), uint8 or float 0-255, in C order: as a camera would have given it."""
+    return np.ascontiguousarray(image if image.dtype == np.uint8 else np.rint(image).astype(np.uint8))

@@ -30,13 +30,13 @@ from gelform.confidence import (
     explanation_of,
     with_model_sigma,
 )
-from gelform.confidence.causes import as_levels, either, outside_of_gel
+from gelform.confidence.causes import either, outside_of_gel
 from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
 from gelform.findings import Finding
-from gelform.frames import Frame, check_viewed_image
+from gelform.frames import Frame, as_levels, check_viewed_image
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFlow, MarkerFollower
@@ -135,7 +135,8 @@ class Reconstructor:
         learnt, self._scale = (None, 1.0) if forward is None else (forward.clipped, forward.residual_scale)
         # Where crosstalk is undone, a channel that clips is part of all three.
         spare = int(self._stepped.steps and change.crosstalk is None)
-        self._clipped = ClippedChannels(change.blur_px, learnt, spare, outside_of_gel(self.background))
+        outside = outside_of_gel(self.background)
+        self._clipped = ClippedChannels(change.blur_px, learnt, spare, outside)
         self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
         self._states_sigma = slope_sigma and calibration.slope_sigma is not None
         if calibration.slope_sigma is not None and slope_sigma:
@@ -145,7 +146,7 @@ class Reconstructor:
             per_change = 1.0 if forward is None else forward.slope_per_change
             self._causes = PreparedCauses(
                 self.background, change, clean=self._clean, levels=calibration.settings.image_noise,
-                slope_per_change=per_change, walls=calibration.slope_sigma is not None,
+                slope_per_change=per_change, walls=calibration.slope_sigma is not None, outside=outside,
             )  # fmt: skip
         self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
         self._depth_sigma = self._prepared_sigma() if depth_sigma else None

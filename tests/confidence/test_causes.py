@@ -12,9 +12,9 @@ from gelform.ball import ball_gradients
 from gelform.cli.commands.inspection.explain import explain
 from gelform.confidence import causes
 from gelform.confidence.causes import (
-    BEND,
-    BEND_FROM,
     CAUSES,
+    DIFFERENCE_FROM,
+    ERROR_OF_DIFFERENCE,
     LEAST_CONFIDENCE,
     OUTLIER,
     UNKNOWN,
@@ -40,6 +40,7 @@ def test_what_is_said_of_pixels_is_a_sentence(name):
 
 def test_less_than_a_press_shows_itself_is_not_named():
     assert all(cause.named_from > 0.3 for name, cause in CAUSES.items() if name != "compression")
+    assert len({cause.color for cause in CAUSES.values()}) == len(CAUSES)
 
 
 def test_page_and_command_list_them_all_in_their_order():
@@ -64,7 +65,12 @@ def patch(box=np.s_[10:20, 30:44]):
 
 
 def causes_of(rest=GREY, **changes):
-    usual = {"clean": CLEAN, "levels": (1.5, 1.5, 1.5), "slope_per_change": 1.5}
+    usual = {
+        "clean": CLEAN,
+        "levels": (1.5, 1.5, 1.5),
+        "slope_per_change": 1.5,
+        "outside": outside_of_gel(rest),
+    }
     return PreparedCauses(rest.astype(np.float32), CHANGE, **{**usual, **changes})
 
 
@@ -160,8 +166,8 @@ def wall(height=0.8):
 
 def test_a_wall_two_pixels_wide():
     _, _, maps = raised_by(causes_of(), wall())
-    one_side = BEND * (0.8 / np.sqrt(2) - BEND_FROM)
-    both = BEND * (0.8 - BEND_FROM)
+    one_side = ERROR_OF_DIFFERENCE * (0.8 / np.sqrt(2) - DIFFERENCE_FROM)
+    both = ERROR_OF_DIFFERENCE * (0.8 - DIFFERENCE_FROM)
     found = maps["wall"]
     np.testing.assert_allclose(
         found[5, 27:35], [0, *[one_side] * 2, *[both] * 2, *[one_side] * 2, 0], rtol=1e-5

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from gelform.health.blocks import Blocks, blocks_from_image, pixels_from_image
+from gelform.frames import as_levels
+from gelform.health.blocks import Blocks, blocks_from_image
 
 SHAPE = (96, 128)
 
@@ -38,6 +39,6 @@ def with_part(image: np.ndarray, part: tuple[slice, slice], level: int | tuple[i
 
 def blocks_of(image: np.ndarray, rest: np.ndarray | None = None) -> Blocks:
     """The image's blocks, held against the gel or another untouched image of its size."""
-    pixels = pixels_from_image(image)
+    pixels = as_levels(image)
     rest = gel() if rest is None and image.shape[:2] == SHAPE else rest
     return blocks_from_image(pixels, pixels if rest is None else rest)

@@ -11,62 +11,72 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.background.change import ChangeSettings, gain_from_background
-from gelform.confidence.clipped import SATURATED_FROM, ClippedChannels
+from gelform.confidence.clipped import SATURATED_FROM, bloom_disc
 from gelform.confidence.solved import reach_px
+from gelform.frames import as_levels
 
 
 class Cause(NamedTuple):
-    """One cause of doubt.
+    """One cause of doubt: all that the command line, the plots and the live page say of it.
 
     Attributes
     ----------
     sentence : what is said of the pixels that it is named for; "" where it is never named
     named_from : standard deviation, mm/mm, that it has to add to a slope to be named
+    color : in pictures, "#rrggbb"
     """
 
     sentence: str
     named_from: float
+    color: str
 
 
-LEAVES_NOTHING = 0.35  # mm/mm: about the slope of a ball's rim
+LEAVES_NOTHING = 0.35  # mm/mm, about the slope of a ball's rim
 SIX_SIGMA = 7.0  # mm/mm, what a residual of 6 sigma adds: rims of real presses leave up to 5
+# The colours are those of Okabe and Ito, told apart with every kind of colour blindness; the last is not theirs.
 CAUSES = {
-    "saturated": Cause("at the camera's upper end. Lower exposure, gain or the lights.", LEAVES_NOTHING),
-    "dark": Cause("at the camera's lower end. Is a light off, or the exposure too short?", LEAVES_NOTHING),
-    "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA),
-    "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA),
+    "saturated": Cause(
+        "at the camera's upper end. Lower exposure, gain or the lights.", LEAVES_NOTHING, "#e69f00"
+    ),
+    "dark": Cause(
+        "at the camera's lower end. Is a light off, or the exposure too short?", LEAVES_NOTHING, "#0072b2"
+    ),
+    "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA, "#56b4e9"),
+    "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA, "#f0e442"),
     "off_gamut": Cause(
         "of colours that no slope gives: dust, a scratch, another gel, or slopes that no training press has shown.",
         SIX_SIGMA,
+        "#cc79a7",
     ),
-    "inconsistent": Cause("torn, or another moment's: data of the frame were lost.", LEAVES_NOTHING),
-    "marker": Cause("hidden by markers.", LEAVES_NOTHING),
-    "outside": Cause("not lit, or not gel.", LEAVES_NOTHING),
-    "wall": Cause("", LEAVES_NOTHING),  # an object's edge is no fault
+    "inconsistent": Cause(
+        "torn, or another moment's: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
+    ),
+    "marker": Cause("hidden by markers.", LEAVES_NOTHING, "#999999"),
+    "outside": Cause("not lit, or not gel.", LEAVES_NOTHING, "#009e73"),
+    "wall": Cause("", LEAVES_NOTHING, "#000000"),  # an object's edge is no fault
     "compression": Cause(
-        "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.", 0.0
+        "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
+        0.0,
+        "#b08968",
     ),
 }
 
-
-# Squared residual, in units of its covariance on held-out presses, from which nothing is left of a slope (3 sigma).
+# Squared residual, in units of its covariance on held-out presses, from which nothing is left of a slope: three sigma.
 OUTLIER = 9.0
-UNKNOWN = 1.0  # mm/mm, what such a slope is off by
+UNKNOWN = 1.0  # mm/mm, what such a slope is off by: the steepest that a gel shows
 # |Mean| of a color change's channels over their RMS, from which all are darker (a shadow) or all brighter (a mirror).
 ALIKE = 0.5
-# Slopes that differ by more from those `reach_px` away than a small ball's do are blurred, and off by so much of the rest.
-BEND_FROM, BEND = 0.1, 1.75
-UNSEEN = 1000.0  # of the clean sigma, for what says nothing: a weight of 1e-6, which solvers take for none
+# mm/mm, by which slopes differ from those `reach_px` away more than a small ball's do: such slopes are blurred. And their
+# error over what is beyond, on simulated and real objects with walls.
+DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
+UNSEEN = 1000.0  # clean sigmas, of what says nothing: a weight of 1e-6, which solvers take for none
 LEAST_CONFIDENCE = (
-    0.01  # of a slope of which the image says something: solvers fill what has less from around
+    0.01  # of a slope that the image says something of: what has less is filled from its neighbours
 )
-UNLIT_TO = 8  # grey levels of the untouched image's brightest channel
-LEAST_OUTSIDE_PX = 25  # connected: less is dust
-LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = (
-    16,
-    16,
-    240,
-)  # mean of a block that was lost: dark, saturated or torn
+UNLIT_TO = 8  # grey levels of the untouched image's brightest channel, as of a block that is dark
+LEAST_OUTSIDE_PX = 25  # connected pixels: a region of fewer is dust
+# Mean grey level of a block of JPEG's chroma, up to or from which it was lost because it is dark or saturated.
+LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = 16, 16, 240
 
 _raise_sigma = Kernel(
     "raise_sigma",
@@ -87,6 +97,7 @@ class PreparedCauses:
     levels : standard deviation of the calibrated images' pixels, grey levels, of each channel; None where not known
     slope_per_change : slope that a color change of 1 is worth, mm/mm
     walls : whether slopes that bend sharply are doubted; not those of imported color models, whose blur is unknown
+    outside : (H, W) bool, where no light comes at rest, as `outside_of_gel` gives it; None: nowhere
     """
 
     def __init__(
@@ -98,13 +109,14 @@ class PreparedCauses:
         levels: Any | None,
         slope_per_change: float = 1.0,
         walls: bool = True,
+        outside: NDArray[np.bool_] | None = None,
     ) -> None:
         self._rest, self._clean, self._per_change = as_levels(rest), clean, slope_per_change
         self._levels = np.inf if levels is None else float(np.sqrt(np.mean(np.square(levels))))
         self._gain = np.ascontiguousarray(gain_from_background(rest, change).mean(axis=-1))
-        self._outside = outside_of_gel(rest)
-        self._bend = BEND if walls else 0.0, BEND_FROM, UNKNOWN, LEAST_CONFIDENCE, reach_px(change.blur_px)
-        self._disc = ClippedChannels(change.blur_px, None, 0).disc
+        self._outside, self._disc = outside, bloom_disc(change.blur_px)
+        error = ERROR_OF_DIFFERENCE if walls else 0.0
+        self._rules = error, DIFFERENCE_FROM, UNKNOWN, LEAST_CONFIDENCE, reach_px(change.blur_px)
 
     def __call__(
         self,
@@ -125,7 +137,7 @@ class PreparedCauses:
         gradients : (H, W, 2)
         sigma : (H, W)
         unseen : (H, W) bool, pixels that show no gel, or of which too few channels say something; None: nowhere
-        image : (H, W, 3), 0-255, as it came: its noise counts
+        image : (H, W, 3), 0-255, the raw image: its noise counts
         step : residual and variance (H, W) of the forward response's step, the residual's unit that of held-out presses
         maps : gets what walls, outliers and compression add, by name, where it is given
         """
@@ -138,7 +150,7 @@ class PreparedCauses:
             maps["compression"] = np.float32(self._per_change * added) * self._gain
         _raise_sigma(
             gradients, *(step or (None, None)), unseen_at, self._gain, sigma, confidence, walls, outliers, OUTLIER,
-            UNSEEN * self._clean, self._clean, self._per_change * added, *self._bend,
+            UNSEEN * self._clean, self._clean, self._per_change * added, *self._rules,
         )  # fmt: skip
         return confidence
 
@@ -159,24 +171,24 @@ class PreparedCauses:
         ----------
         maps : from the call
         sigma : (H, W), before it was raised
-        image : (H, W, 3), 0-255, as it came
+        image : (H, W, 3), 0-255, the raw image
         clipped : (H, W, 3), channels that say nothing
         markers, lost : (H, W) bool, pixels that markers hide, and parts that were lost
         color_change : (H, W, 3), which says what kind outliers are
         """
         nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
-        found = dict.fromkeys(
-            ("saturated", "dark", "shadow", "specular", "off_gamut", "inconsistent"), nothing
-        )
+        found = {name: maps.get(name, nothing) for name in CAUSES}
         for name, where in (("marker", markers), ("outside", self._outside)):
-            found[name] = nothing if where is None else np.where(where, unseen, nothing)
+            if where is not None:
+                found[name] = np.where(where, unseen, nothing)
         pixels = as_levels(image)
         if clipped is not None:
-            says_nothing = clipped.sum(axis=-1) > 1
-            cost = np.where(says_nothing, unseen, sigma) * clipped.any(axis=-1)
+            cost = np.where(clipped.sum(axis=-1) > 1, unseen, sigma) * clipped.any(axis=-1)
             bright = cv2.dilate((pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8), self._disc) > 0
-            found["saturated"] = np.where(bright, cost, nothing)
-            found["dark"] = np.where(bright, nothing, cost)
+            found["saturated"], found["dark"] = (
+                np.where(bright, cost, nothing),
+                np.where(bright, nothing, cost),
+            )
         if lost is not None:
             level = cv2.blur(pixels, (LOST_BLOCK_PX, LOST_BLOCK_PX))
             bright = lost & (level.max(axis=-1) >= LOST_SATURATED_FROM)
@@ -187,13 +199,12 @@ class PreparedCauses:
                 ("inconsistent", lost & ~bright & ~dark),
             ):
                 found[name] = np.where(where, unseen, found[name])
-        common = color_change.mean(axis=-1) / np.maximum(
-            np.sqrt(np.mean(np.square(color_change), axis=-1)), 1e-12
-        )
+        size = np.sqrt(np.mean(np.square(color_change), axis=-1))
+        common = color_change.mean(axis=-1) / np.maximum(size, 1e-12)
         darker, brighter = common < -ALIKE, common > ALIKE
-        kinds = ("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)
-        found |= {name: np.where(where, maps["outlier"], nothing) for name, where in kinds}
-        return {**found, "wall": maps["wall"], "compression": maps["compression"]}
+        for name, where in (("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)):
+            found[name] = np.where(where, maps["outlier"], nothing)
+        return found
 
 
 class AllAlike:
@@ -213,25 +224,22 @@ def outside_of_gel(background: NDArray[Any]) -> NDArray[np.bool_] | None:
     return large[labels] if count > 1 and large.any() else None
 
 
-def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Whole grey levels of an image (H, W, 3), 0-255, in C order."""
-    if image.dtype != np.uint8:
-        image = np.rint(image).astype(np.uint8)
-    return np.ascontiguousarray(image)
-
-
 def either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
     """Where one of two masks (H, W) is, each of which may be None: nowhere."""
     return one if other is None else other if one is None else one | other
 
 
-BLOCK_PX = 8  # of JPEG
-LEAST_BLOCKS = 4  # across a frame
-EVERY = 4  # rows are looked at
-USUALLY = 1.5  # times the calibrated images' noise is usual: presses are no flat fields
-LEAST_LEVELS = 1.0  # less is as good as none
-FROM_JUMP = 0.8862  # sigma of a normal distribution over the mean of |a - b| of two of its values
-EXCESS = 1.15  # times the usual jump, that jumps between blocks have to be
+JPEG_BLOCK_PX = 8
+LEAST_BLOCKS = 4  # across a frame: the medians over fewer columns are noise
+EVERY_ROW = 4  # of how many rows one is looked at: a quarter says the same
+USUAL_NOISE = 1.5  # times the calibrated images' noise is still usual: presses are no flat fields
+LEAST_LEVELS = 1.0  # grey level, a step of the camera: less noise is as good as none
+SIGMA_OF_JUMP = (
+    0.8862  # sqrt(pi)/2: sigma of a normal distribution over the mean |a - b| of two of its values
+)
+JUMP_EXCESS = (
+    1.15  # times the usual jump is what jumps between blocks exceed; the usual's own scatter stays under it
+)
 _column_jumps = Kernel(
     "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
 )
@@ -250,13 +258,13 @@ def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_level
         is counted, and nothing where it is infinite
     """
     width = pixels.shape[1]
-    if (width - 1) // BLOCK_PX < LEAST_BLOCKS:
+    if (width - 1) // JPEG_BLOCK_PX < LEAST_BLOCKS:
         return 0.0
-    medians = np.empty(BLOCK_PX, dtype=np.float32)
-    _column_jumps(pixels, rest, np.empty(4 * width, dtype=np.int32), medians, EVERY)
+    medians = np.empty(JPEG_BLOCK_PX, dtype=np.float32)
+    _column_jumps(pixels, rest, np.empty(4 * width, dtype=np.int32), medians, EVERY_ROW)
     by_place = sorted(medians.tolist())
-    usual, most = (by_place[BLOCK_PX // 2 - 1] + by_place[BLOCK_PX // 2]) / 2, by_place[-1]
-    single = FROM_JUMP * usual
-    blocks = FROM_JUMP * sqrt(max(most**2 - usual**2, 0.0)) if most > EXCESS * usual else 0.0
-    added = sqrt(max(single**2 - (USUALLY * usual_levels) ** 2, 0.0) + blocks**2)
+    usual, most = (by_place[JPEG_BLOCK_PX // 2 - 1] + by_place[JPEG_BLOCK_PX // 2]) / 2, by_place[-1]
+    single = SIGMA_OF_JUMP * usual
+    blocks = SIGMA_OF_JUMP * sqrt(max(most**2 - usual**2, 0.0)) if most > JUMP_EXCESS * usual else 0.0
+    added = sqrt(max(single**2 - (USUAL_NOISE * usual_levels) ** 2, 0.0) + blocks**2)
     return added if added > LEAST_LEVELS else 0.0

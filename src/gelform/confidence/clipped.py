@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-DARK_TO, SATURATED_FROM = 2, 254  # grey levels
-BLOOMS_PX = 1  # beside what the color change's blur reaches
+DARK_TO, SATURATED_FROM = 2, 254  # grey levels at which a camera clips, a level of rounding included
+BLOOMS_PX = 1  # further than the color change's blur: a full pixel spills into the next
 
 _clipped_channels = Kernel(
     "clipped_channels",
@@ -54,8 +54,7 @@ class ClippedChannels:
         usual = np.ones((2, 3), dtype=bool) if learnt is None else ~np.asarray(learnt, dtype=bool)
         self._counts, self._spare = [np.ascontiguousarray(row) for row in usual], spare
         self._outside = outside
-        size = 2 * (int(np.ceil(2 * blur_px)) + BLOOMS_PX) + 1
-        self.disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        self._disc = bloom_disc(blur_px)
 
     def __call__(self, pixels: NDArray[np.uint8], hidden: NDArray[np.bool_] | None) -> Clipped:
         """The clipped channels of an image (H, W, 3), but for those of hidden pixels (H, W), which reach nowhere."""
@@ -67,9 +66,15 @@ class ClippedChannels:
                 channels[nothing] = 0
         if not channels.any():
             return Clipped(None, None)
-        channels = np.asarray(cv2.dilate(channels, self.disc), dtype=np.uint8)
+        channels = np.asarray(cv2.dilate(channels, self._disc), dtype=np.uint8)
         unseen = channels.sum(axis=-1, dtype=np.uint8) > self._spare
         return Clipped(channels, unseen)
+
+
+def bloom_disc(blur_px: float) -> NDArray[np.uint8]:
+    """Structuring element of how far a clipped pixel reaches in a color change of that blur."""
+    size = 2 * (int(np.ceil(2 * blur_px)) + BLOOMS_PX) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
 def ends_shown(images: NDArray[Any]) -> NDArray[np.float64]:

@@ -55,11 +55,6 @@ class Blocks:
         return mask[BLOCK_PX // 2 :: BLOCK_PX, BLOCK_PX // 2 :: BLOCK_PX][:height, :width]
 
 
-def pixels_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """An RGB image (H, W, 3), uint8 or float 0-255, as a camera would have given it."""
-    return np.ascontiguousarray(image if image.dtype == np.uint8 else np.rint(image).astype(np.uint8))
-
-
 def blocks_from_image(image: NDArray[np.uint8], rest: NDArray[np.uint8]) -> Blocks:
     """The blocks of an image (H, W, 3); `rest` is the untouched image."""
     height, width = image.shape[:2]

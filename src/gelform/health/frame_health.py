@@ -14,6 +14,7 @@ from gelform._native import Kernel
 from gelform.checks import value_range
 from gelform.errors import CalibrationError
 from gelform.findings import Finding
+from gelform.frames import as_levels
 from gelform.health.blocks import (
     BLOCK_PX,
     FLAT_RANGE,
@@ -23,7 +24,6 @@ from gelform.health.blocks import (
     Levels,
     Torn,
     blocks_from_image,
-    pixels_from_image,
     torn_finding,
 )
 
@@ -86,7 +86,7 @@ class FrameHealth:
 
     def __init__(self, background: NDArray[Any]) -> None:
         self._background = background
-        self._pixels = pixels_from_image(background)
+        self._pixels = as_levels(background)
         rest = blocks_from_image(self._pixels, self._pixels)
         self._rest_digests = rest.row_digests
         self._levels = Levels(rest)
@@ -94,7 +94,7 @@ class FrameHealth:
 
     def __call__(self, image: NDArray[Any]) -> FrameFaults:
         """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
-        blocks = blocks_from_image(pixels_from_image(image), self._pixels)
+        blocks = blocks_from_image(as_levels(image), self._pixels)
         if self._is_background(blocks, image):
             message = "The frame is the background itself, pixel for pixel: frozen, or the background was given as a frame."
             return FrameFaults(image, (Finding("frozen", message, 1.0),))

@@ -121,6 +121,7 @@ class Shown:
             "contacts": [_contact_facts(contact) for contact in self.result.contacts[:MOST_CONTACTS]],
             "markers": _marker_rows(self.result.markers),
             "causes": list(CAUSES),
+            "cause_colors": [cause.color for cause in CAUSES.values()],
             "solver": self.result.solver,
             "curl_rms": self.result.curl_rms,
             "health": [[f.name, f.message, float(f.figure)] for f in self.result.health],

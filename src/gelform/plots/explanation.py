@@ -9,15 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
 from gelform.confidence import Explanation
+from gelform.confidence.causes import CAUSES
 from gelform.plots.canvas import INK, canvas, draw_map, pixels_of
 from gelform.reconstruction.maps import MAPS
 
 WIDTH = 13.0
 COLUMNS = 4
 LEAST_SHARE = 5e-4  # of the frame that a cause touches: less gets no panel
-COLORS = (
-    "#e8e8e8", "#f4731c", "#5b2a86", "#29507a", "#f5c400", "#3aa655", "#d62839", "#29a3e0", "#8a8a8a", "#1f1f1f", "#b08968",
-)  # fmt: skip
+COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
 """Of the law and of each cause, in the order of `CAUSES`."""
 
 

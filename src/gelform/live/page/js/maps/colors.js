@@ -25,10 +25,5 @@ export function packedRamp(name) {
   return new Uint32Array(bytes.buffer);
 }
 
-// Okabe and Ito's colours, told apart with every kind of colour blindness.
-export const CAUSE_COLORS = {
-  saturated: "e69f00", dark: "0072b2", shadow: "56b4e9", specular: "f0e442", off_gamut: "cc79a7",
-  inconsistent: "d55e00", marker: "999999", outside: "009e73", compression: "ffffff",
-  wall: "000000",
-};
-export const causeColor = (name) => channels(CAUSE_COLORS[name] ?? "ffffff");
+/** [r, g, b] of "#rrggbb". */
+export const rgb = (color) => channels(color.slice(1));

@@ -1,6 +1,6 @@
 // The maps that a pane can show: which planes they need, how a pixel gets its colour, what the legend says.
 
-import { CAUSE_COLORS, causeColor, packedRamp } from "./colors.js";
+import { packedRamp, rgb } from "./colors.js";
 import { eachNormal } from "./normals.js";
 
 const OPAQUE = 0xff000000; // of an ImageData seen as 32 bits, little end first
@@ -40,9 +40,9 @@ function paintOther(frame, pixels, settings) {
 }
 
 function paintCauses(frame, pixels, settings) {
-  const bits = frame.planes.causes.values, names = frame.header.causes ?? [];
+  const bits = frame.planes.causes.values;
   const image = frame.planes.image?.kind === "rgb" && frame.planes.image.width === frame.planes.causes.width ? frame.planes.image.values : null;
-  const colors = names.map((name) => pack(...causeColor(name)));
+  const colors = (frame.header.cause_colors ?? []).map((color) => pack(...rgb(color)));
   for (let k = 0; k < pixels.length; k++) {
     const first = bits[k] ? Math.log2(bits[k] & -bits[k]) : -1;
     const grey = image ? (image[3 * k] * 2 + image[3 * k + 1] * 5 + image[3 * k + 2]) >> 4 : 40;
@@ -56,7 +56,7 @@ export const VIEWS = {
   normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, legend: () => ({ text: "red: x to the right, green: y down, blue: towards the camera" }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
   sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
-  causes: { title: "Why not trusted", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name) => [CAUSE_COLORS[name] ?? "ffffff", name.replace("_", " ")]) }) },
+  causes: { title: "Why not trusted", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name, k) => [f.header.cause_colors[k].slice(1), name.replace("_", " ")]) }) },
   other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
   difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, legend: (s, f) => ({ text: `orange: deeper than by the other, blue: less deep; full colour at ${(s.range / 5).toPrecision(2)} ${f.unit}; apart by ${f.header.other?.apart?.toFixed(4)} ${f.unit} (RMS)` }) },
 };
