@@ -47,8 +47,13 @@ from gelform.simulate import (
     simulate_sequence,
     slide_poses,
 )
-from gelform.simulate.twin import Twin, press_depth_of_rim
+from gelform.simulate.gel.ball_press import depth_of_ball
+from gelform.simulate.twin import GEL, RELAXATION_MM, Twin
 from presses import DATA, Circle, reference_circles
+
+RIM_MM = (
+    0.25  # how far inside the rim that one sees a GelSight Mini's gel leaves the ball, found on ball presses
+)
 
 
 def far_lights() -> tuple[SimulatedSensor, np.ndarray]:
@@ -351,7 +356,11 @@ def _pose_of(press: Any, circle: Circle, sensor: SimulatedSensor) -> tuple[Pose,
     radius = press.ball_diameter_mm / 2
     height, width = sensor.shape
     center = (x - (width - 1) / 2) * sensor.mm_per_px, (y - (height - 1) / 2) * sensor.mm_per_px
-    return Pose(press_depth_of_rim(radius, a * sensor.mm_per_px), center), Ball(radius)
+    rim_mm = a * sensor.mm_per_px
+    contact = min(max(rim_mm - RIM_MM, 0.05 * rim_mm), 0.95 * radius)
+    slope = contact / np.sqrt(radius**2 - contact**2)
+    depth = depth_of_ball(radius, slope, RELAXATION_MM, thickness_mm=GEL.thickness_mm, bulge=GEL.bulge)
+    return Pose(depth, center), Ball(radius)
 
 
 def main() -> None:

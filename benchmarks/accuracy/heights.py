@@ -17,11 +17,11 @@ import gelform
 from accuracy.objects import FACE, OBJECTS, SEED, height_of, usual_presses, walls
 from gelform.metrics import press_errors
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_press
-from gelform.simulate.background import exposed
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.presets import gelsight_mini
+from gelform.simulate.render import exposed
 from gelform.simulate.sensor.coating import Coating
-from gelform.simulate.sensor.led import led_row
+from gelform.simulate.sensor.sensor import led_row
 from presses import mini_ball, presses_of, unlabelled
 from report import table
 

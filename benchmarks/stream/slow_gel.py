@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gelform.simulate import LAYOUTS, Ball, SimulatedSensor, exposed
 from gelform.simulate.gel.gel import Surface, flat_surface, surface_from_ball
-from gelform.simulate.light.render import render
+from gelform.simulate.render import render
 
 SHAPE = 132, 176  # of drawn sensors: what takes minutes has many frames
 DRIFT_TIME_S = 100.0, 300.0

@@ -21,7 +21,8 @@ from gelform.calibration.fitted import (
 )
 from gelform.color_models.forward_response import RIDGES
 from gelform.simulate import LAYOUTS, Ball
-from gelform.simulate.gel import contact_radius_of_ball, surface_from_ball
+from gelform.simulate.gel.ball_press import ball_press
+from gelform.simulate.gel.gel import surface_from_ball
 
 
 class Change:
@@ -148,7 +149,7 @@ def presses(length, noise=0.02, tilt=0.0, centers=((0, 0), (-2, 1), (3, -2))):
         change = rng.normal(tilt, noise, REST.shape).astype(np.float32)
         change[..., :2] += surface.gradients
         made.append(PreparedPress("a", change, np.zeros(REST.shape[:2], np.float32), radius / PITCH))
-        contact_px = contact_radius_of_ball(radius, depth, length) / PITCH
+        contact_px = ball_press(radius, depth, length).contact_radius_mm / PITCH
         middle = (center[0] / PITCH + 159.5, center[1] / PITCH + 119.5)
         circles.append(ContactCircle(*middle, contact_px, 0.9, 5.0))
     return made, circles

@@ -14,7 +14,7 @@ from gelform.color_models.near_light import (
     light_ratio_derivatives,
 )
 from gelform.simulate import Ball, SimulatedSensor, simulate_background, simulate_press
-from gelform.simulate.sensor.led import Led
+from gelform.simulate.sensor.sensor import Led
 from kernel_agreement import assert_kernel_agrees
 
 MM_PER_PX = 0.1

@@ -8,8 +8,7 @@ import pytest
 from gelform.background.change import color_change_from_image
 from gelform.importers.taxim import read_taxim
 from gelform.simulate import Ball, Pose
-from gelform.simulate.gel.ball_press import contact_radius_of_ball
-from gelform.simulate.twin import GEL, RELAXATION_MM, RIM_MM, CalibratedLook, Twin, press_depth_of_rim
+from gelform.simulate.twin import CalibratedLook, Twin
 from made.taxim_tables import taxim_arrays
 
 
@@ -91,13 +90,6 @@ def test_the_noise_is_that_of_the_images(calibration, presses):
     np.testing.assert_array_equal(
         CalibratedLook(replace(calibration, settings=older)).noise, calibration.background_noise
     )
-
-
-def test_a_rim_that_is_seen_says_how_deep_a_ball_stands():
-    deep, deeper = (press_depth_of_rim(3.0, rim) for rim in (1.5, 1.8))
-    assert 0.2 < deep < deeper < 1.5
-    contact = contact_radius_of_ball(3.0, deep, RELAXATION_MM, thickness_mm=GEL.thickness_mm, bulge=GEL.bulge)
-    assert contact == pytest.approx(1.5 - RIM_MM, abs=1e-6)
 
 
 def test_the_same_seed_gives_the_same_presses_with_noise(calibration):

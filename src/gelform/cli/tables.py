@@ -35,7 +35,7 @@ def names_in(file: str, table: str) -> tuple[str, ...]:
 
 COLOR_MODELS = names_in("color_models/__init__.py", "COLOR_MODELS")
 PACKAGES = names_in("importers/calibrations.py", "PACKAGES")
-LAYOUTS = names_in("simulate/sensor/layouts.py", "LAYOUTS")
+LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
 SENSORS = names_in("sensors/profiles.py", "SENSORS")
 
 

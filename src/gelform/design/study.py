@@ -25,10 +25,9 @@ from gelform.simulate import (
     simulate_ball_presses,
 )
 from gelform.simulate.gel.gel import Surface
-from gelform.simulate.light.irradiance import irradiance_from_surface
-from gelform.simulate.light.scattering import spread_in_gel
+from gelform.simulate.light import irradiance_from_surface, spread_in_gel
 from gelform.simulate.sensor.camera import levels_from_irradiance
-from gelform.simulate.sensor.led import Triple
+from gelform.simulate.sensor.sensor import Triple
 from gelform.view import View
 
 SLOPE_STEP = 1e-3

@@ -20,7 +20,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_path
 from gelform.errors import CalibrationError
 from gelform.exporters.folders import written_whole
-from gelform.simulate.twin import STEEPEST
+from gelform.simulate.twin import STEEPEST_RENDERED
 
 RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, grad_b
     "taxim": (2, 1, 0),  # whose images are OpenCV's, blue first
@@ -103,7 +103,7 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     terms = np.stack([x_px**2, y_px**2, x_px * y_px, x_px, y_px, np.ones(x_px.size)], axis=1)
     fit = np.linalg.pinv(terms)
     angles = (np.arange(BINS) + 0.5) * (np.pi / 2 / (BINS - 1))
-    slopes = np.minimum(np.tan(np.minimum(angles, np.pi / 2 - 1e-6)), STEEPEST)
+    slopes = np.minimum(np.tan(np.minimum(angles, np.pi / 2 - 1e-6)), STEEPEST_RENDERED)
     slopes[0] = 0
     directions = (np.arange(BINS) + 0.5) * (2 * np.pi / (BINS - 1)) - np.pi
     table = np.empty((BINS, BINS, 3, 6))

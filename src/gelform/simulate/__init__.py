@@ -1,22 +1,36 @@
 """The simulator: indenter, gel, lights, camera -> image and exact truth. Arrays only."""
 
-from gelform.simulate.background import exposed, simulate_background
-from gelform.simulate.gel.drag import Drag
-from gelform.simulate.gel.gel import Gel, relaxation_from_gel
-from gelform.simulate.indenters.faces import Ball, Coin, HeightMap, Indenter, Screw
+from gelform.simulate.gel.gel import Drag, Gel, relaxation_from_gel
+from gelform.simulate.indenters.faces import (
+    Ball,
+    BoxEdge,
+    Coin,
+    Cone,
+    Cylinder,
+    HeightMap,
+    Indenter,
+    Punch,
+    Pyramid,
+    Screw,
+    Torus,
+    text_relief,
+)
 from gelform.simulate.indenters.mesh import Mesh
-from gelform.simulate.indenters.pose import Pose
-from gelform.simulate.indenters.scene import Placed, Posed, Several
-from gelform.simulate.indenters.shapes import BoxEdge, Cone, Cylinder, Punch, Pyramid, Torus, text_relief
+from gelform.simulate.indenters.pose import Placed, Pose, Posed, Several
+from gelform.simulate.presets import LAYOUTS
 from gelform.simulate.press import SimulatedPress, simulate_pose, simulate_press
+from gelform.simulate.render import exposed, simulate_background
 from gelform.simulate.sensor.coating import Coating
-from gelform.simulate.sensor.layouts import LAYOUTS
-from gelform.simulate.sensor.led import Led, led_color
-from gelform.simulate.sensor.optics import Optics
-from gelform.simulate.sensor.sensor import SimulatedSensor
-from gelform.simulate.sensor.timing import Timing
-from gelform.simulate.sequence import press_poses, roll_poses, simulate_sequence, slide_poses, twist_poses
-from gelform.simulate.sets import SimulatedPresses, simulate_ball_presses
+from gelform.simulate.sensor.sensor import Led, Optics, SimulatedSensor, Timing, led_color
+from gelform.simulate.sets import (
+    SimulatedPresses,
+    press_poses,
+    roll_poses,
+    simulate_ball_presses,
+    simulate_sequence,
+    slide_poses,
+    twist_poses,
+)
 from gelform.simulate.twin import Twin
 
 __all__ = [

@@ -9,17 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
-from gelform.simulate.gel.ball_press import contact_radius_of_ball
-from gelform.simulate.gel.drag import DRAG_STRIDE, Drag, displacement_at, thinned
-from gelform.simulate.gel.gel import Surface, cropped, flat_surface, surface_from_ball, surface_from_indenter
+from gelform.simulate.gel.ball_press import ball_press
+from gelform.simulate.gel.gel import (
+    Drag,
+    Surface,
+    displacement_at,
+    flat_surface,
+    surface_from_ball,
+    surface_from_indenter,
+)
 from gelform.simulate.indenters.faces import Ball, Indenter
-from gelform.simulate.indenters.pose import Pose
-from gelform.simulate.indenters.scene import Posed
-from gelform.simulate.light.render import Rendered, middle_samples, render
-from gelform.simulate.sensor.projection import px_seen
+from gelform.simulate.indenters.pose import Pose, Posed
+from gelform.simulate.render import Rendered, render
+from gelform.simulate.sensor.camera import px_seen
 from gelform.simulate.sensor.sensor import SimulatedSensor
-
-MARGIN_LENGTHS = 4  # the gel reaches this many relaxation lengths beyond the image: e^-4 = 2 % is left there
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,7 @@ def simulate_pose(
     rest = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px)
     shift = np.zeros_like(rest)
     if len(rest):
-        coarse = thinned(middle_samples(surface, oversample), DRAG_STRIDE)
+        coarse = surface.middles(oversample).middles(4)  # drag is smooth over the gel's thickness
         shift = displacement_at((drag or Drag(sensor.gel))(coarse, pose), coarse, rest)
     rendered = render(
         sensor,
@@ -181,10 +184,12 @@ def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample
     }
     if isinstance(indenter, Ball):
         return surface_from_ball(indenter, *sensor.grid_mm(oversample), **how)
-    margin = int(np.ceil(MARGIN_LENGTHS * sensor.relaxation_mm / sensor.mm_per_px * oversample))
+    # The gel reaches four relaxation lengths beyond the image: e^-4 = 2 % is left there.
+    margin = int(np.ceil(4 * sensor.relaxation_mm / sensor.mm_per_px * oversample))
     turned = pose.spin_deg != 0 or pose.tilt_deg != (0, 0)
     posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
-    return cropped(surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how), margin)
+    wide = surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how)
+    return wide.sampled(slice(margin, -margin or None))
 
 
 def _press(
@@ -198,19 +203,12 @@ def _press(
     radius_mm, rim_mm = _rim(sensor, indenter, pose.depth_mm)
     center = px_seen(sensor, np.array([pose.center_mm]), rim_mm)[0]
     return SimulatedPress(
-        image=rendered.image,
-        depth_mm=rendered.depth_mm,
-        gradients=rendered.gradients,
-        contact=rendered.contact,
+        **vars(rendered),
         indenter=indenter,
         center_mm=pose.center_mm,
         center_px=(float(center[0]), float(center[1])),
         press_depth_mm=pose.depth_mm,
         contact_radius_px=None if radius_mm is None else radius_mm / sensor.mm_per_px,
-        albedo=rendered.albedo,
-        shadowed=rendered.shadowed,
-        saturated=rendered.saturated,
-        markers_px=rendered.markers_px,
         markers_shift_mm=shift,
         pose=pose,
         time_s=time_s,
@@ -222,9 +220,8 @@ def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[
     if not isinstance(indenter, Ball) or depth_mm <= 0:
         return None, 0.0
     gel, radius = sensor.gel, indenter.radius_mm
-    a = contact_radius_of_ball(
-        radius, depth_mm, sensor.relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
-    )
+    lengths = {"thickness_mm": gel.thickness_mm, "bulge": gel.bulge}
+    a = ball_press(radius, depth_mm, sensor.relaxation_mm, **lengths).contact_radius_mm
     rim = depth_mm - radius + float(np.sqrt(radius**2 - a**2))
     height = sensor.optics.height_mm
     return (a if height is None else a / (1 - rim / height)), rim

@@ -1,18 +1,20 @@
-"""Presses of balls spread over the image: what a calibration is made from, with the truth."""
+"""Many presses of one sensor: balls spread over the image, as calibrations are made from, and indenters that move."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.progress import Progress, no_progress
-from gelform.simulate.background import simulate_background
 from gelform.simulate.gel.ball_press import depth_of_ball
-from gelform.simulate.indenters.faces import Ball
-from gelform.simulate.press import SimulatedPress, simulate_press
+from gelform.simulate.gel.gel import Drag
+from gelform.simulate.indenters.faces import Ball, Indenter
+from gelform.simulate.indenters.pose import Pair, Pose
+from gelform.simulate.press import SimulatedPress, simulate_pose, simulate_press
+from gelform.simulate.render import simulate_background
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
 RIM_SLOPES = (0.5, 0.95)
@@ -92,3 +94,65 @@ def _place(sensor: SimulatedSensor, k: int, shift: NDArray[np.float64]) -> tuple
     height, width = sensor.shape
     x, y = (unit - 0.5) * 0.96 * np.array([width, height]) * sensor.mm_per_px
     return float(x), float(y)
+
+
+def simulate_sequence(
+    sensor: SimulatedSensor,
+    indenter: Indenter,
+    poses: Iterable[Pose],
+    *,
+    rng: np.random.Generator | None,
+    oversample: int = 1,
+    start_s: float = 0.0,
+) -> Iterator[SimulatedPress | None]:
+    """Images of an indenter that moves from pose to pose, one per frame of the sensor's camera.
+
+    The surface is dragged along (`markers_shift_mm`), the light drifts and flickers; a frame that the camera
+    drops is None. Poses may stand off the gel (depth 0 or less).
+    """
+    drag = Drag(sensor.gel)
+    for k, pose in enumerate(poses):
+        press = simulate_pose(
+            sensor,
+            indenter,
+            pose,
+            rng=rng,
+            oversample=oversample,
+            drag=drag,
+            time_s=start_s + k / sensor.timing.frame_rate_hz,
+        )
+        dropped = rng is not None and rng.random() < sensor.timing.drop_probability
+        yield None if dropped else press
+
+
+def press_poses(depth_mm: float, count: int, *, center_mm: Pair = (0.0, 0.0)) -> tuple[Pose, ...]:
+    """From just touching to `depth_mm` in equal steps."""
+    return tuple(Pose(float(d), center_mm) for d in np.linspace(0, depth_mm, _check_count(count)))
+
+
+def slide_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
+    """Along a line at one depth, dragging the surface."""
+    return tuple(Pose(depth_mm, at) for at in _line(start_mm, end_mm, count))
+
+
+def roll_poses(depth_mm: float, start_mm: Pair, end_mm: Pair, count: int) -> tuple[Pose, ...]:
+    """Along a line at one depth, as a ball or a cylinder rolls: the touched side stands still."""
+    return tuple(Pose(depth_mm, at, carried_mm=start_mm) for at in _line(start_mm, end_mm, count))
+
+
+def twist_poses(
+    depth_mm: float, angle_deg: float, count: int, *, center_mm: Pair = (0.0, 0.0)
+) -> tuple[Pose, ...]:
+    """Turning about the view axis on the spot, from 0 to `angle_deg`."""
+    return tuple(Pose(depth_mm, center_mm, float(a)) for a in np.linspace(0, angle_deg, _check_count(count)))
+
+
+def _line(start_mm: Pair, end_mm: Pair, count: int) -> Sequence[Pair]:
+    points = np.linspace(start_mm, end_mm, _check_count(count))
+    return [(float(x), float(y)) for x, y in points]
+
+
+def _check_count(count: int) -> int:
+    if count < 1:
+        raise ValueError(f"Expected count >= 1 poses, got {count}.")
+    return count

@@ -12,30 +12,19 @@ from numpy.typing import NDArray
 from gelform.background.change import image_from_color_change
 from gelform.calibration_file import Calibration
 from gelform.checks import check_positive
-from gelform.simulate.gel.ball_press import depth_of_ball
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.indenters.faces import Indenter
 from gelform.simulate.indenters.pose import Pose
 from gelform.simulate.press import SimulatedPress, simulate_pose
-from gelform.simulate.sensor.grey_levels import draws, normal_table, saturated_from_levels
-from gelform.simulate.sensor.led import Led
-from gelform.simulate.sensor.sensor import SimulatedSensor
+from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_levels
+from gelform.simulate.sensor.sensor import Led, SimulatedSensor
 from gelform.simulate.sets import SimulatedPresses, simulate_ball_presses
 
-STEEPEST = 1.2  # calibrations see slopes up to about 1; a cubic response says nothing beyond
-# A GelSight Mini's, found on ball presses: the gel leaves the ball this far inside the rim that one sees.
-GEL = Gel(thickness_mm=3.5, bulge=0.5)
-RELAXATION_MM = 0.5
-RIM_MM = 0.25
-GEL_OF = "GelSight Mini"
-_ANY_LIGHT = Led((0.0, 0.0, 1e3), (1.0, 1.0, 1.0))
-
-
-def press_depth_of_rim(ball_radius_mm: float, rim_radius_mm: float) -> float:
-    """How deep a ball stands in the twin's gel, mm, when the rim that one sees has this radius."""
-    contact = min(max(rim_radius_mm - RIM_MM, 0.05 * rim_radius_mm), 0.95 * ball_radius_mm)
-    slope = contact / np.sqrt(ball_radius_mm**2 - contact**2)
-    return depth_of_ball(ball_radius_mm, slope, RELAXATION_MM, thickness_mm=GEL.thickness_mm, bulge=GEL.bulge)
+STEEPEST_RENDERED = (
+    1.2  # slope: calibrations are fitted up to about 1, and a cubic response says nothing beyond
+)
+GEL = Gel(thickness_mm=3.5, bulge=0.5)  # a GelSight Mini's, found on ball presses
+RELAXATION_MM = 0.5  # of that gel, from the same presses
 
 
 class Look(Protocol):
@@ -79,7 +68,7 @@ class CalibratedLook:
         Steeper slopes are rendered as this one: the response was fitted on gentler ones.
     """
 
-    def __init__(self, calibration: Calibration, *, steepest: float = STEEPEST) -> None:
+    def __init__(self, calibration: Calibration, *, steepest: float = STEEPEST_RENDERED) -> None:
         pitch_x, pitch_y = np.broadcast_to(np.asarray(calibration.known_mm_per_px, dtype=np.float64), 2)
         if abs(pitch_x / pitch_y - 1) > 1e-6:
             raise ValueError(
@@ -139,7 +128,7 @@ class Twin:
         self.look: Look = CalibratedLook(look) if isinstance(look, Calibration) else look
         height, width = self.look.background.shape[:2]
         self.sensor = SimulatedSensor(
-            (_ANY_LIGHT,),
+            (Led((0.0, 0.0, 1e3), (1.0, 1.0, 1.0)),),
             name=f"like {self.look.name}",
             shape=(height, width),
             mm_per_px=self.look.mm_per_px,

@@ -23,7 +23,7 @@ from gelform.calibration.circles.refine import (
 )
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.simulate import LAYOUTS, Ball, simulate_press
-from gelform.simulate.background import simulate_background
+from gelform.simulate.render import simulate_background
 
 
 def errors_px(contacts, simulated):

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from gelform.simulate import Ball, Gel
 from gelform.simulate.gel import ball_press
-from gelform.simulate.gel.ball_press import contact_radius_of_ball, depth_of_ball
+from gelform.simulate.gel.ball_press import ball_press as press_of_ball
+from gelform.simulate.gel.ball_press import depth_of_ball
 from gelform.simulate.gel.gel import surface_from_ball
 from kernel_agreement import assert_kernel_agrees
 from made.sensors import LENGTH, grid
@@ -23,7 +24,7 @@ def test_the_gel_follows_a_ball_in_the_contact_and_falls_off_beside_it():
     surface = ball_surface(0.02)
     x, y = surface.x_mm - 0.13, surface.y_mm + 0.21
     r = np.hypot(x, y)
-    a = contact_radius_of_ball(2.0, 0.7, LENGTH)
+    a = press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm
     np.testing.assert_array_equal(surface.contact, r <= a)
     cap = np.sqrt(4 - r[surface.contact] ** 2) - 2 + 0.7
     np.testing.assert_allclose(surface.depth_mm[surface.contact], cap, atol=1e-14)
@@ -36,12 +37,12 @@ def test_beside_the_contact_the_surface_obeys_its_equation():
     u = surface.depth_mm
     laplacian = (u[1:-1, 2:] + u[1:-1, :-2] + u[2:, 1:-1] + u[:-2, 1:-1] - 4 * u[1:-1, 1:-1]) / 0.01**2
     r = np.hypot(surface.x_mm - 0.13, surface.y_mm + 0.21)[1:-1, 1:-1]
-    free = r > contact_radius_of_ball(2.0, 0.7, LENGTH) + 0.03
+    free = r > press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm + 0.03
     np.testing.assert_allclose(LENGTH**2 * laplacian[free], u[1:-1, 1:-1][free], atol=2e-4)
 
 
 def test_the_slope_is_continuous_at_the_rim():
-    a = contact_radius_of_ball(2.0, 0.7, LENGTH)
+    a = press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm
     x = np.array([[a - 1e-7, a + 1e-7]])
     surface = surface_from_ball(
         Ball(2.0), x, np.zeros((1, 1)), center_mm=(0, 0), depth_mm=0.7, relaxation_mm=LENGTH
@@ -57,7 +58,7 @@ def test_truth_slopes_are_those_of_the_truth_depth_to_second_order():
         surface = ball_surface(pitch)
         slope_y, slope_x = np.gradient(surface.depth_mm, pitch, edge_order=2)
         r = np.hypot(surface.x_mm - 0.13, surface.y_mm + 0.21)
-        smooth = np.abs(r - contact_radius_of_ball(2.0, 0.7, LENGTH)) > 0.2
+        smooth = np.abs(r - press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm) > 0.2
         difference = np.stack([slope_x, slope_y], axis=-1) - surface.gradients
         errors.append(np.sqrt(np.mean(difference[smooth] ** 2)))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -70,7 +71,7 @@ def test_slopes_of_the_closed_form_are_those_of_its_depth():
         Ball(2.0), x, y[498:503], center_mm=(0.1, 0), depth_mm=0.5, relaxation_mm=LENGTH, gel=Gel(1.5, 0.7)
     )
     slope = np.gradient(surface.depth_mm[2], 0.01)
-    rim = contact_radius_of_ball(2.0, 0.5, LENGTH, thickness_mm=1.5, bulge=0.7)
+    rim = press_of_ball(2.0, 0.5, LENGTH, thickness_mm=1.5, bulge=0.7).contact_radius_mm
     smooth = np.abs(np.abs(x[0] - 0.1) - rim) > 0.03
     np.testing.assert_allclose(surface.gradients[2, :, 0][smooth][1:-1], slope[smooth][1:-1], atol=3e-4)
 
@@ -78,25 +79,29 @@ def test_slopes_of_the_closed_form_are_those_of_its_depth():
 @given(depth_mm=st.floats(0.01, 1.5), radius=st.floats(1.6, 20), length=st.floats(0.1, 2))
 @settings(max_examples=50, deadline=None)
 def test_depth_and_contact_radius_of_a_ball_are_one_relation(depth_mm, radius, length):
-    a = contact_radius_of_ball(radius, depth_mm, length)
+    a = press_of_ball(radius, depth_mm, length).contact_radius_mm
     slope = a / np.sqrt(radius**2 - a**2)
     assert 0 < a < radius
     assert depth_of_ball(radius, slope, length) == pytest.approx(depth_mm, rel=1e-6)
 
 
 def test_a_gel_that_bulges_touches_more_of_the_ball():
-    radii = [contact_radius_of_ball(3.0, 0.5, LENGTH, thickness_mm=2, bulge=b) for b in (0, 0.4, 0.8)]
+    radii = [
+        press_of_ball(3.0, 0.5, LENGTH, thickness_mm=2, bulge=b).contact_radius_mm for b in (0, 0.4, 0.8)
+    ]
     assert radii[0] < radii[1] < radii[2]
 
 
 def test_depth_and_rim_slope_are_one_relation_with_a_bulge():
     depth = depth_of_ball(3.0, 0.6, LENGTH, thickness_mm=2.0, bulge=0.7)
-    a = contact_radius_of_ball(3.0, depth, LENGTH, thickness_mm=2.0, bulge=0.7)
+    a = press_of_ball(3.0, depth, LENGTH, thickness_mm=2.0, bulge=0.7).contact_radius_mm
     assert a / np.sqrt(9 - a**2) == pytest.approx(0.6, rel=1e-6)
 
 
 def test_equal_lengths_are_no_pole():
-    near, at = (contact_radius_of_ball(3.0, 0.5, 0.5, thickness_mm=h, bulge=0.5) for h in (0.505, 0.5))
+    near, at = (
+        press_of_ball(3.0, 0.5, 0.5, thickness_mm=h, bulge=0.5).contact_radius_mm for h in (0.505, 0.5)
+    )
     assert near == pytest.approx(at, rel=0.01)
 
 

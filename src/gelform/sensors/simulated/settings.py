@@ -14,14 +14,11 @@ import numpy as np
 
 from gelform.errors import SensorError
 from gelform.sensors.profiles import SENSORS
-from gelform.simulate.background import exposed
 from gelform.simulate.gel.gel import Gel
+from gelform.simulate.presets import LAYOUTS
+from gelform.simulate.render import exposed
 from gelform.simulate.sensor.coating import Coating
-from gelform.simulate.sensor.layouts import LAYOUTS
-from gelform.simulate.sensor.led import Led, led_color
-from gelform.simulate.sensor.optics import Optics
-from gelform.simulate.sensor.sensor import SimulatedSensor
-from gelform.simulate.sensor.timing import Timing
+from gelform.simulate.sensor.sensor import Led, Optics, SimulatedSensor, Timing, led_color
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -26,7 +26,7 @@ from gelform.simulate import (
     simulate_pose,
     text_relief,
 )
-from gelform.simulate.sensor.grey_levels import image_from_levels
+from gelform.simulate.sensor.camera import image_from_levels
 
 RATE_HZ = 60.0  # frames a second
 IMAGE_RATE_HZ = (

@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-NODES = 200  # of the bulge inside the contact
-TABLE = 4096
-REACH_LENGTHS = 16  # e^-16: beyond, the gel is at rest
-APART = 1e-3  # the two lengths of the gel may not be closer than this (their solutions would coincide)
-
+NODES = 200  # of the differences that the bulge inside the contact is solved by: good to 1e-5 of its height
+TABLE = 4096  # distances at which depth beside the contact is tabulated
 
 _ball_surface = Kernel(
     "ball_surface",
@@ -72,20 +69,11 @@ def ball_press(
         cosine = np.sqrt(radius_mm**2 - a**2)
         return float(_rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)[0] * cosine)
 
-    a = float(
-        scipy.optimize.brentq(mismatch, 1e-6 * radius_mm, radius_mm * (1 - 1e-12), xtol=1e-12 * radius_mm)
-    )
+    limits = 1e-6 * radius_mm, radius_mm * (1 - 1e-12)
+    a = float(scipy.optimize.brentq(mismatch, *limits, xtol=1e-12 * radius_mm))
     _, membrane, risen = _rim(a, radius_mm, depth_mm, relaxation_mm, thickness_mm, bulge)
     follows = bulge * membrane / (1 - (thickness_mm / relaxation_mm) ** 2)
     return BallPress(radius_mm, depth_mm, a, membrane - follows, risen - follows, relaxation_mm, thickness_mm)
-
-
-def contact_radius_of_ball(
-    radius_mm: float, depth_mm: float, relaxation_mm: float, *, thickness_mm: float = 3.0, bulge: float = 0.0
-) -> float:
-    """Radius in mm of the circle in which the gel touches a ball pressed `depth_mm` deep."""
-    press = ball_press(radius_mm, depth_mm, relaxation_mm, thickness_mm=thickness_mm, bulge=bulge)
-    return press.contact_radius_mm
 
 
 def depth_of_ball(
@@ -108,10 +96,8 @@ def ball_on_grid(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Depth (H, W), gradients (H, W, 2) and contact of a ball on a grid."""
     a = press.contact_radius_mm
-    reach = REACH_LENGTHS * (
-        max(press.relaxation_mm, press.thickness_mm) if press.bulge_mm else press.relaxation_mm
-    )
-    step = reach / (TABLE - 1)
+    length = max(press.relaxation_mm, press.thickness_mm) if press.bulge_mm else press.relaxation_mm
+    step = 16 * length / (TABLE - 1)  # e^-16: beyond, the gel is at rest
     depth, slope = _table(press, step)
     z, gradients = np.zeros((y_mm.size, x_mm.size)), np.zeros((y_mm.size, x_mm.size, 2))
     touching = np.zeros(z.shape, dtype=bool)
@@ -168,6 +154,4 @@ def _bulge_inside(
 
 def _apart(thickness_mm: float, relaxation_mm: float) -> float:
     """The thickness, a thousandth off where it equals the relaxation length: the formula has a pole there."""
-    if abs(thickness_mm / relaxation_mm - 1) < APART:
-        return relaxation_mm * (1 + APART)
-    return thickness_mm
+    return relaxation_mm * (1 + 1e-3) if abs(thickness_mm / relaxation_mm - 1) < 1e-3 else thickness_mm

@@ -1,4 +1,4 @@
-"""The gel: its surface follows the indenter where it touches and relaxes beside it.
+"""The gel: its surface follows the indenter where it touches, relaxes beside it, and is dragged along.
 
 The surface is a membrane under tension on an elastic bed, held up by the indenter: of all surfaces u that do
 not enter the indenter's face g, the one of least energy
@@ -22,15 +22,24 @@ elastic bed: Kerr, Elastic and viscoelastic foundation models, J. Appl. Mech. 31
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_positive
 from gelform.simulate.gel.ball_press import ball_on_grid, ball_press
-from gelform.simulate.gel.membrane import TOLERANCE, bulging_membrane_over, membrane_over
+from gelform.simulate.gel.membrane import (
+    TOLERANCE,
+    bulging_membrane_over,
+    carried_along,
+    membrane_over,
+    spread,
+)
 from gelform.simulate.indenters.faces import Ball, Indenter
+from gelform.simulate.indenters.pose import Pose
 
 
 @dataclass(frozen=True)
@@ -64,10 +73,8 @@ def relaxation_from_gel(tension_n_per_m: float, stiffness_kpa: float, thickness_
 
     The bed's spring constant per area is E/h (Winkler), the membrane's equation `T laplace(u) = E/h u`.
     """
-    tension, stiffness = (
-        check_positive(tension_n_per_m, "tension_n_per_m"),
-        check_positive(stiffness_kpa, "stiffness_kpa"),
-    )
+    tension = check_positive(tension_n_per_m, "tension_n_per_m")
+    stiffness = check_positive(stiffness_kpa, "stiffness_kpa")
     return float(np.sqrt(tension * check_positive(thickness_mm, "thickness_mm") / stiffness))
 
 
@@ -88,6 +95,20 @@ class Surface:
     depth_mm: NDArray[np.float64]
     gradients: NDArray[np.float64]
     contact: NDArray[np.bool_]
+
+    def sampled(self, at: slice) -> Surface:
+        """The surface at these rows, and at the same of its columns."""
+        return Surface(
+            self.x_mm[:, at],
+            self.y_mm[at],
+            np.ascontiguousarray(self.depth_mm[at, at]),
+            np.ascontiguousarray(self.gradients[at, at]),
+            np.ascontiguousarray(self.contact[at, at]),
+        )
+
+    def middles(self, stride: int) -> Surface:
+        """The surface at the middle of each `stride` samples: at the pixels' centres, of an odd number per pixel."""
+        return self if stride == 1 else self.sampled(slice(stride // 2, None, stride))
 
 
 def flat_surface(x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Surface:
@@ -146,14 +167,70 @@ def surface_from_indenter(
     return Surface(x_mm, y_mm, depth, np.stack([slope_x, slope_y], axis=-1), touching)
 
 
-def cropped(surface: Surface, margin: int) -> Surface:
-    """The surface without `margin` samples on each side."""
-    inner = slice(margin, -margin or None)
-    return replace(
-        surface,
-        x_mm=surface.x_mm[:, inner],
-        y_mm=surface.y_mm[inner],
-        depth_mm=surface.depth_mm[inner, inner],
-        gradients=surface.gradients[inner, inner],
-        contact=surface.contact[inner, inner],
+class Drag:
+    """The surface's sideways displacement during a sequence; it has memory, so one per sequence.
+
+    In the contact the surface sticks to the indenter until it has been dragged `friction` times the local
+    depth (Coulomb: the bed's pressure grows with the depth); then it slips. Beside the contact the
+    displacement falls off over the gel's thickness. What is pressed away flows sideways by `-h grad b` (b the
+    bulge): the layer's mean flow that keeps its volume where bulge = 1.
+    """
+
+    def __init__(self, gel: Gel) -> None:
+        self.gel = gel
+        self._stuck: NDArray[np.float64] | None = None
+        self._pose: Pose | None = None
+        self._contact: NDArray[np.bool_] | None = None
+
+    def __call__(self, surface: Surface, pose: Pose) -> NDArray[np.float64]:
+        """Displacement (h, w, 2) in mm, x and y, on the surface's grid."""
+        x, y = surface.x_mm, surface.y_mm
+        pitch = float(x[0, 1] - x[0, 0])
+        if self._stuck is None:
+            self._stuck = np.zeros((*surface.depth_mm.shape, 2))
+        elif self._stuck.shape[:2] != surface.depth_mm.shape:
+            raise ValueError("Expected surfaces on one grid, got another: use one Drag per sequence.")
+        touched = np.zeros_like(surface.contact) if self._contact is None else surface.contact & self._contact
+        moved = np.where(touched[..., None], self._stuck + self._step(x, y, pose), self._stuck)
+        limit = self.gel.friction * np.maximum(surface.depth_mm, 0)
+        length = np.linalg.norm(moved, axis=-1)
+        moved *= np.minimum(1, limit / np.maximum(length, 1e-12))[..., None]
+        if surface.contact.any():
+            thickness_px = self.gel.thickness_mm / pitch
+            moved = np.stack(
+                [carried_along(moved[..., k], surface.contact, thickness_px) for k in (0, 1)], axis=-1
+            )
+        else:
+            moved = np.zeros_like(moved)
+        self._stuck, self._pose, self._contact = moved, pose, surface.contact
+        return moved + self._pressed_away(surface, pitch)
+
+    def _step(self, x: NDArray[Any], y: NDArray[Any], pose: Pose) -> NDArray[np.float64]:
+        """How far the indenter's surface has moved sideways since the last pose, at each point."""
+        last = self._pose or pose
+        turn = np.deg2rad(pose.spin_deg - last.spin_deg)
+        dx, dy = np.broadcast_arrays(x - pose.center_mm[0], y - pose.center_mm[1])
+        step_x = pose.travel_mm[0] - last.travel_mm[0] - np.sin(turn) * dy + (np.cos(turn) - 1) * dx
+        step_y = pose.travel_mm[1] - last.travel_mm[1] + np.sin(turn) * dx + (np.cos(turn) - 1) * dy
+        return np.stack([step_x, step_y], axis=-1)
+
+    def _pressed_away(self, surface: Surface, pitch: float) -> NDArray[np.float64]:
+        """The gel's flow from under the indenter, `-h grad b`, with b from the positive part of the depth."""
+        thickness = self.gel.thickness_mm
+        bulge = self.gel.bulge * spread(np.maximum(surface.depth_mm, 0), thickness / pitch)
+        slope_y, slope_x = np.gradient(bulge, pitch)
+        return -thickness * np.stack([slope_x, slope_y], axis=-1)
+
+
+def displacement_at(
+    displacement_mm: NDArray[np.float64], surface: Surface, points_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """A displacement field (h, w, 2) at points (N, 2), bilinear; at the border the nearest value."""
+    pitch_x = float(surface.x_mm[0, 1] - surface.x_mm[0, 0])
+    pitch_y = float(surface.y_mm[1, 0] - surface.y_mm[0, 0])
+    column = ((points_mm[:, 0] - surface.x_mm[0, 0]) / pitch_x).astype(np.float32)
+    row = ((points_mm[:, 1] - surface.y_mm[0, 0]) / pitch_y).astype(np.float32)
+    found = cv2.remap(
+        displacement_mm, column[:, None], row[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
+    return np.asarray(found[:, 0], dtype=np.float64)

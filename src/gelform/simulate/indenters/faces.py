@@ -6,16 +6,17 @@ that point, negative elsewhere, -inf where there is nothing. x to the right, y d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_map, check_mm_per_px, check_positive
 
-MAX_SIZE_MM = 1000.0
+MAX_SIZE_MM = 1000.0  # of an indenter: over a metre the unit is mistaken
 
 
 class Indenter(Protocol):
@@ -26,14 +27,31 @@ class Indenter(Protocol):
         ...
 
 
+def check_size(value: float, name: str) -> None:
+    """Refuse a length in mm that is not positive, or is so large that its unit is mistaken."""
+    if check_positive(value, name) > MAX_SIZE_MM:
+        raise ValueError(
+            f"Expected {name} in mm, at most {MAX_SIZE_MM:g}, got {value:g}. Is it in another unit?"
+        )
+
+
+class _Sized:
+    """An indenter of lengths `..._mm` and opening angles `..._deg`, which are checked when it is made."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            if one.name.endswith("_mm") and value is not None:
+                check_size(value, one.name)
+            if one.name.endswith("_deg") and not 0 < value < 180:
+                raise ValueError(f"Expected {one.name} in 0-180 degrees (both excluded), got {value}.")
+
+
 @dataclass(frozen=True)
-class Ball:
+class Ball(_Sized):
     """A ball of the given radius in mm."""
 
     radius_mm: float
-
-    def __post_init__(self) -> None:
-        check_size(self.radius_mm, "radius_mm")
 
     def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
         inside = self.radius_mm**2 - x_mm**2 - y_mm**2
@@ -74,7 +92,7 @@ class HeightMap:
 
 
 @dataclass(frozen=True)
-class Coin:
+class Coin(_Sized):
     """A coin-like relief: a raised rim, a star and a ring of beads on a flat disc.
 
     Attributes
@@ -86,10 +104,6 @@ class Coin:
 
     diameter_mm: float = 8.0
     relief_mm: float = 0.15
-
-    def __post_init__(self) -> None:
-        check_size(self.diameter_mm, "diameter_mm")
-        check_size(self.relief_mm, "relief_mm")
 
     def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
         x, y = np.broadcast_arrays(x_mm, y_mm)
@@ -113,7 +127,7 @@ class Coin:
 
 
 @dataclass(frozen=True)
-class Screw:
+class Screw(_Sized):
     """A metric screw thread lying on its side, its axis along x.
 
     A V thread of the given pitch, flanks at 60 degrees (30 from the normal of the axis each), cut to five
@@ -123,11 +137,6 @@ class Screw:
     major_diameter_mm: float = 8.0
     pitch_mm: float = 1.25
     length_mm: float = 12.0
-
-    def __post_init__(self) -> None:
-        check_size(self.major_diameter_mm, "major_diameter_mm")
-        check_size(self.pitch_mm, "pitch_mm")
-        check_size(self.length_mm, "length_mm")
 
     def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
         major = self.major_diameter_mm / 2
@@ -140,14 +149,134 @@ class Screw:
         return np.where(there, np.sqrt(np.maximum(inside, 0)) - major, -np.inf)
 
 
-def check_size(value: float, name: str) -> float:
-    """Return a length in mm; one over a metre is a mistaken unit."""
-    size = check_positive(value, name)
-    if size > MAX_SIZE_MM:
-        raise ValueError(
-            f"Expected {name} in mm, at most {MAX_SIZE_MM:g}, got {value:g}. Is it in another unit?"
-        )
-    return size
+@dataclass(frozen=True)
+class Cylinder(_Sized):
+    """A cylinder lying on its side, its axis along x."""
+
+    radius_mm: float
+    length_mm: float
+
+    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        inside = self.radius_mm**2 - y_mm**2
+        there = (inside > 0) & (np.abs(x_mm) <= self.length_mm / 2)
+        return np.where(there, np.sqrt(np.maximum(inside, 0)) - self.radius_mm, -np.inf)
+
+
+@dataclass(frozen=True)
+class BoxEdge(_Sized):
+    """A long edge of a box, along x: a roof whose two sides fall off alike.
+
+    Attributes
+    ----------
+    length_mm : of the edge
+    angle_deg : between the two sides, 90 for a box
+    """
+
+    length_mm: float
+    angle_deg: float = 90.0
+
+    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        fall = np.abs(y_mm) / np.tan(np.deg2rad(self.angle_deg) / 2)
+        return np.where(np.abs(x_mm) <= self.length_mm / 2, -fall, -np.inf)
+
+
+@dataclass(frozen=True)
+class Punch(_Sized):
+    """A flat punch: a disc, or a rectangle where `width_mm` is given; its edge is sharp."""
+
+    diameter_mm: float
+    width_mm: float | None = None
+
+    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        if self.width_mm is None:
+            there = x_mm**2 + y_mm**2 <= (self.diameter_mm / 2) ** 2
+        else:
+            there = (np.abs(x_mm) <= self.diameter_mm / 2) & (np.abs(y_mm) <= self.width_mm / 2)
+        return np.where(there, 0.0, -np.inf)
+
+
+@dataclass(frozen=True)
+class Pyramid(_Sized):
+    """A square pyramid, its point towards the camera.
+
+    Attributes
+    ----------
+    base_mm : side of the base
+    angle_deg : between opposite sides at the point
+    """
+
+    base_mm: float
+    angle_deg: float = 120.0
+
+    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        away = np.maximum(np.abs(x_mm), np.abs(y_mm))
+        fall = away / np.tan(np.deg2rad(self.angle_deg) / 2)
+        return np.where(away <= self.base_mm / 2, -fall, -np.inf)
+
+
+@dataclass(frozen=True)
+class Cone(_Sized):
+    """A cone, its point towards the camera.
+
+    Attributes
+    ----------
+    diameter_mm : of the base
+    angle_deg : the opening at the point
+    """
+
+    diameter_mm: float
+    angle_deg: float = 120.0
+
+    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        r = np.hypot(x_mm, y_mm)
+        return np.where(r <= self.diameter_mm / 2, -r / np.tan(np.deg2rad(self.angle_deg) / 2), -np.inf)
+
+
+@dataclass(frozen=True)
+class Torus(_Sized):
+    """A ring lying flat.
+
+    Attributes
+    ----------
+    ring_radius_mm : from the axis to the middle of the tube
+    tube_radius_mm : of the tube
+    """
+
+    ring_radius_mm: float
+    tube_radius_mm: float
+
+    def face_mm(self, x_mm: NDArray[Any], y_mm: NDArray[Any]) -> NDArray[np.float64]:
+        inside = self.tube_radius_mm**2 - (np.hypot(x_mm, y_mm) - self.ring_radius_mm) ** 2
+        return np.where(inside > 0, np.sqrt(np.maximum(inside, 0)) - self.tube_radius_mm, -np.inf)
+
+
+def text_relief(text: str, *, height_mm: float, relief_mm: float = 0.3) -> HeightMap:
+    """Raised letters on a plate, as on a stamp that reads right in the image.
+
+    Parameters
+    ----------
+    text : printable ASCII
+    height_mm : of a capital letter
+    relief_mm : how far the letters stand over the plate
+
+    Raises
+    ------
+    ValueError
+        Text that is empty or holds a character that the font has not.
+    """
+    if not text.strip() or not all(32 <= ord(letter) < 127 for letter in text):
+        raise ValueError(f"Expected text of printable ASCII letters, got {text!r}.")
+    check_size(height_mm, "height_mm")
+    check_size(relief_mm, "relief_mm")
+    capital_px = 48  # height of a capital letter in the map
+    font, thickness = cv2.FONT_HERSHEY_SIMPLEX, 6
+    scale = capital_px / 22.0  # this font's capitals are 22 px high at scale 1
+    (width, height), below = cv2.getTextSize(text, font, scale, thickness)
+    border = capital_px // 2
+    drawing = np.zeros((height + below + 2 * border, width + 2 * border), dtype=np.uint8)
+    cv2.putText(drawing, text, (border, border + height), font, scale, 255, thickness, cv2.LINE_AA)
+    heights = cv2.GaussianBlur(drawing.astype(np.float64), (0, 0), 1.5) * (relief_mm / 255)
+    return HeightMap(heights - heights.max(), height_mm / capital_px)
 
 
 def _inside_star(r: NDArray[Any], angle: NDArray[Any], radius: float) -> NDArray[np.float64]:

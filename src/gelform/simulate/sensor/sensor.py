@@ -1,7 +1,8 @@
-"""What a simulated sensor is: its grid, lights, optics, noise and gel, as plain numbers."""
+"""What a simulated sensor is, as plain numbers: its lights, optics, clock, grid, noise and gel."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
@@ -11,12 +12,200 @@ from numpy.typing import NDArray
 from gelform.checks import check_mm_per_px, check_positive
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.sensor.coating import Coating
-from gelform.simulate.sensor.led import Led, Triple
-from gelform.simulate.sensor.optics import Optics
-from gelform.simulate.sensor.timing import Timing
 
+Triple = tuple[float, float, float]
+RED: Triple = (1, 0, 0)
+GREEN: Triple = (0, 1, 0)
+BLUE: Triple = (0, 0, 1)
 SHADING_DEGREES = {6: 2, 15: 4}  # numbers of a polynomial in two variables: its degree
 IDENTITY: tuple[Triple, Triple, Triple] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+
+
+@dataclass(frozen=True)
+class Led:
+    """A small light near the gel; unless it has a beam it shines alike in all directions.
+
+    Attributes
+    ----------
+    position_mm : (x, y, z)
+        From the gel's centre; x to the right, y down, z towards the camera: z > 0.
+    color : (red, green, blue)
+        Strength in each channel, >= 0: grey levels that a white surface facing it gives at 1 mm.
+    beam_power : int, 0-64
+        Falls off beside its axis with this power of the cosine: 0 not at all, 1 Lambert's emitter, more:
+        narrow.
+    aim_mm : (x, y, z)
+        The point that its axis goes through; the gel's centre unless said.
+    size_mm : float
+        Its diameter; only cast shadows know it: larger is softer.
+    """
+
+    position_mm: Triple
+    color: Triple
+    beam_power: int = 0
+    aim_mm: Triple = (0.0, 0.0, 0.0)
+    size_mm: float = 1.0
+
+    def __post_init__(self) -> None:
+        position, color = _triple(self.position_mm, "position_mm"), _triple(self.color, "color")
+        if position[2] <= 0:
+            raise ValueError(
+                f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm="
+                f"{self.position_mm}. "
+                "z points from the gel towards the camera."
+            )
+        if min(color) < 0 or max(color) == 0:
+            raise ValueError(f"Expected color >= 0 and not all 0, got {self.color}.")
+        if np.all(_triple(self.aim_mm, "aim_mm") == position):
+            raise ValueError(f"Expected aim_mm away from the LED itself, got {self.aim_mm}.")
+        if int(self.beam_power) != self.beam_power or not 0 <= self.beam_power <= 64:
+            raise ValueError(f"Expected beam_power as a whole number in 0-64, got {self.beam_power}.")
+        if not 0 <= self.size_mm < np.inf:
+            raise ValueError(f"Expected size_mm >= 0, got {self.size_mm}.")
+
+
+def led_row(start_mm: Triple, end_mm: Triple, color: Triple, count: int) -> tuple[Led, ...]:
+    """`count` equal LEDs from one point to another; together as strong as `color`."""
+    share: Triple = (color[0] / count, color[1] / count, color[2] / count)
+    points = np.linspace(start_mm, end_mm, count)
+    return tuple(Led((float(x), float(y), float(z)), share) for x, y, z in points)
+
+
+def led_ring(
+    distance_mm: float,
+    height_mm: float,
+    angles_deg: Sequence[float],
+    colors: Sequence[Triple] = (RED, GREEN, BLUE),
+) -> tuple[Led, ...]:
+    """One LED of each colour around the gel's centre; 0 degrees is to the right, 90 is down."""
+    angles = np.deg2rad(angles_deg)
+    return tuple(
+        Led((float(distance_mm * np.cos(a)), float(distance_mm * np.sin(a)), height_mm), color)
+        for a, color in zip(angles, colors)
+    )
+
+
+def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, float]:
+    """Strength in the three channels of an LED of unit power with a Gaussian spectrum.
+
+    The channels' sensitivities are taken as Gaussians about 600, 540 and 465 nm, 45, 45 and 35 nm wide (standard
+    deviations): round figures, measured on no camera. The product of two Gaussians integrates in closed form.
+
+    Parameters
+    ----------
+    peak_nm : 380-750
+    width_nm : full width at half maximum
+    """
+    if not 380 <= peak_nm <= 750 or not 0 < width_nm < 400:
+        raise ValueError(f"Expected peak_nm in 380-750 and width_nm in 0-400, got {peak_nm} and {width_nm}.")
+    sd = width_nm / 2.3548
+    centers, widths = np.array([600.0, 540.0, 465.0]), np.array([45.0, 45.0, 35.0])
+    total = widths**2 + sd**2
+    seen = widths / np.sqrt(total) * np.exp(-((peak_nm - centers) ** 2) / (2 * total))
+    return float(seen[0]), float(seen[1]), float(seen[2])
+
+
+def _triple(values: Any, name: str) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (3,) or not np.all(np.isfinite(array)):
+        raise ValueError(f"Expected {name} as three finite numbers, got {values}.")
+    return array
+
+
+@dataclass(frozen=True)
+class Optics:
+    """A camera over the middle of the gel.
+
+    Attributes
+    ----------
+    height_mm : float or None
+        Of a pinhole over the gel: pressed surface is nearer and looks larger. None: orthographic.
+    distortion : (k1, k2)
+        Radial, Brown's model: a point at distance r from the middle appears at r (1 + k1 r^2 + k2 r^4), r in
+        units of half the image's diagonal; k1 < 0 is a barrel.
+    response_gamma : float
+        Grey level = 255 (linear level/255)^(1/gamma): 1 is linear, 2.2 about sRGB.
+    exposure : float
+        Times the light; noise follows, as its signal does.
+    jpeg_quality : int 1-100, or None
+        Of the camera's compression; None: none.
+    """
+
+    height_mm: float | None = None
+    distortion: tuple[float, float] = (0.0, 0.0)
+    response_gamma: float = 1.0
+    exposure: float = 1.0
+    jpeg_quality: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.height_mm is not None and not 1 <= self.height_mm < np.inf:
+            raise ValueError(f"Expected height_mm >= 1 or None (orthographic), got {self.height_mm}.")
+        if np.shape(self.distortion) != (2,) or not np.all(np.isfinite(self.distortion)):
+            raise ValueError(f"Expected distortion as (k1, k2), got {self.distortion}.")
+        r = np.linspace(0, 1.2, 200)
+        if np.any(np.diff(r * (1 + self.distortion[0] * r**2 + self.distortion[1] * r**4)) <= 0):
+            raise ValueError(f"Expected distortion that does not fold the image over, got {self.distortion}.")
+        if not 0.2 <= self.response_gamma <= 5:
+            raise ValueError(f"Expected response_gamma in 0.2-5, got {self.response_gamma}.")
+        if not 0 < self.exposure < np.inf:
+            raise ValueError(f"Expected exposure > 0, got {self.exposure}.")
+        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
+            raise ValueError(f"Expected jpeg_quality in 1-100 or None, got {self.jpeg_quality}.")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether every pixel looks straight down at its own place."""
+        return self.height_mm is None and self.distortion == (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """A camera's clock and the LEDs' age.
+
+    Attributes
+    ----------
+    frame_rate_hz : float
+    readout_s : float
+        From the first row's exposure to the last row's (rolling shutter); 0: all rows at once.
+    flicker : float, 0-1, flicker_hz : float
+        The LEDs' light swings by this part of its mean, at this rate.
+    drift : (red, green, blue), drift_time_s : float
+        The light moves by this part of itself in the end, exponentially with this time (warming up).
+    drop_probability : float, 0-1
+        Of each frame to be lost; its index is skipped.
+    """
+
+    frame_rate_hz: float = 25.0
+    readout_s: float = 0.0
+    flicker: float = 0.0
+    flicker_hz: float = 100.0
+    drift: Triple = (0.0, 0.0, 0.0)
+    drift_time_s: float = 300.0
+    drop_probability: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("frame_rate_hz", "flicker_hz", "drift_time_s"):
+            check_positive(getattr(self, name), name)
+        if not 0 <= self.readout_s <= 1 / self.frame_rate_hz:
+            raise ValueError(
+                "Expected readout_s between 0 and the frame's time "
+                f"1/{self.frame_rate_hz:g} s, got {self.readout_s}."
+            )
+        if not 0 <= self.flicker < 1 or not 0 <= self.drop_probability < 1:
+            raise ValueError(
+                f"Expected flicker and drop_probability in 0-1 (1 excluded), got {self.flicker} and "
+                f"{self.drop_probability}."
+            )
+        if np.shape(self.drift) != (3,) or min(self.drift) <= -1:
+            raise ValueError(f"Expected drift as three numbers > -1, got {self.drift}.")
+
+    def light_at(self, time_s: float, rows: int) -> NDArray[np.float64]:
+        """The LEDs' light relative to time 0 without flicker, for each row and channel: (rows, 1, 3)."""
+        warm = 1 + np.asarray(self.drift) * -np.expm1(-time_s / self.drift_time_s)
+        when = time_s + self.readout_s * np.arange(rows) / rows
+        swing = 1 + self.flicker * np.sin(2 * np.pi * self.flicker_hz * when)
+        light: NDArray[Any] = swing[:, None, None] * warm
+        return np.asarray(light, dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.simulate.gel.gel import Surface
-from gelform.simulate.light.irradiance import irradiance_from_surface
-from gelform.simulate.light.scattering import spread_in_gel
-from gelform.simulate.light.shadows import shadowed_from_surface, visible_from_surface
-from gelform.simulate.sensor.camera import levels_from_irradiance
+from gelform.simulate.gel.gel import Surface, flat_surface
+from gelform.simulate.light import (
+    irradiance_from_surface,
+    shadowed_from_surface,
+    spread_in_gel,
+    visible_from_surface,
+)
+from gelform.simulate.sensor.camera import (
+    Maps,
+    image_from_levels,
+    levels_from_irradiance,
+    maps_from_depth,
+    px_seen,
+    saturated_from_levels,
+)
 from gelform.simulate.sensor.coating import albedo_map, texture_gradients, with_markers
-from gelform.simulate.sensor.grey_levels import image_from_levels, saturated_from_levels
-from gelform.simulate.sensor.projection import Maps, maps_from_depth, px_seen
-from gelform.simulate.sensor.sensor import SimulatedSensor
+from gelform.simulate.sensor.sensor import SimulatedSensor, Triple
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ def render(
     time_s : since the LEDs were switched on, for their drift and flicker
     """
     dtype = np.float32 if quantise else np.float64
-    coarse = middle_samples(surface, oversample)
+    coarse = surface.middles(oversample)
     visible = visible_from_surface(coarse, sensor.leds) if sensor.cast_shadows else None
     light = irradiance_from_surface(
         surface,
@@ -102,20 +110,6 @@ def _truth(
     return depth, seen[..., 1:3].astype(np.float64), bright, (flags & 1) > 0, flags > 1
 
 
-def middle_samples(surface: Surface, oversample: int) -> Surface:
-    """The surface at the pixels' centres."""
-    if oversample == 1:
-        return surface
-    at = slice(oversample // 2, None, oversample)
-    return Surface(
-        surface.x_mm[:, at],
-        surface.y_mm[at],
-        np.ascontiguousarray(surface.depth_mm[at, at]),
-        np.ascontiguousarray(surface.gradients[at, at]),
-        np.ascontiguousarray(surface.contact[at, at]),
-    )
-
-
 def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray[np.float32]:
     """Reflectance (H, W) on the gel's grid, its markers where they are now."""
     albedo = albedo_map(sensor.coating, sensor.shape, sensor.mm_per_px)
@@ -129,3 +123,37 @@ def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray
 def _dimmed(light: NDArray[Any], albedo: NDArray[np.float32], lamps: NDArray[Any]) -> NDArray[Any]:
     """Light (H, W, 3) times the reflectance (H, W) and the LEDs' light (H, 1, 3)."""
     return np.asarray(cv2.multiply(light, cv2.merge([albedo * lamps[..., channel] for channel in range(3)])))
+
+
+def simulate_background(
+    sensor: SimulatedSensor, rng: np.random.Generator | None, *, frames: int = 1, quantise: bool = True
+) -> NDArray[Any]:
+    """The image of the untouched gel, the mean of `frames` images where there are several.
+
+    Returns
+    -------
+    image : (H, W, 3), uint8; float32 for several frames; float64 where not quantised
+    """
+    if frames < 1:
+        raise ValueError(f"Expected frames >= 1, got {frames}.")
+    surface = flat_surface(*sensor.grid_mm())
+    images = [render(sensor, surface, rng=rng, quantise=quantise).image for _ in range(frames)]
+    if frames == 1:
+        return images[0]
+    mean = np.mean(images, axis=0, dtype=np.float64)
+    return np.asarray(mean, dtype=np.float32 if quantise else np.float64)
+
+
+def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:
+    """The sensor with the white balance that gives its untouched image these mean grey levels."""
+    flat = replace(sensor.linear(), white_balance=(1, 1, 1))
+    light = simulate_background(flat, None, quantise=False)
+    if light.mean(axis=(0, 1)).min() <= 0:
+        raise ValueError(
+            f"Expected light in every channel, got mean levels {light.mean(axis=(0, 1))} for {sensor.name!r}."
+        )
+    wanted = np.broadcast_to(np.asarray(levels, dtype=np.float64), 3)
+    gamma = sensor.optics.response_gamma
+    mean_root = np.mean((light / 255) ** (1 / gamma), axis=(0, 1))  # the response of a gain is a gain
+    gains = (wanted / (255 * mean_root)) ** gamma
+    return replace(sensor, white_balance=(float(gains[0]), float(gains[1]), float(gains[2])))
