@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
-from hostile.small_gel import (
+from made.small_gel import (
     LIGHTS,
     MM_PER_PX,
     SHAPE,

@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.solvers import SOLVERS
-from hostile.small_gel import (
+from made.small_gel import (
     MM_PER_PX,
     SHAPE,
     Touch,

@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hostile.commands import save
-from hostile.small_gel import SHAPE, Touch, calibration, image_of
+from made.small_gel import SHAPE, Touch, calibration, image_of, save
 
 COUNT = 4  # images in each folder
 KEY, STORED, FPS = "observation.images.gel", "observation.images.still", 30

@@ -8,8 +8,7 @@ import pytest
 
 from gelform.batch import BatchSettings, run_batch
 from gelform.errors import DataError
-from hostile.commands import save
-from hostile.small_gel import image_of
+from made.small_gel import image_of, save
 
 PARTS = BatchSettings(part_frames=2)
 

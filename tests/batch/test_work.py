@@ -9,8 +9,7 @@ from gelform.batch.inputs.plan import plan_of
 from gelform.batch.records import read_record
 from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Job, Stopped, Worker
-from hostile.commands import save
-from hostile.small_gel import image_of
+from made.small_gel import image_of, save
 
 
 def job(cal, output, **settings):

@@ -11,7 +11,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exporters.press_folder import save_simulated_presses
 from gelform.simulate import LAYOUTS, simulate_ball_presses
-from made.torch_file_writer import network_arrays, torch_file
+from made.networks import network_arrays, torch_file
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.1268, name="small")
 

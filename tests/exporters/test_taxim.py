@@ -13,7 +13,7 @@ from gelform.errors import CalibrationError, DataError
 from gelform.exporters.taxim import BINS, save_taxim
 from gelform.importers.taxim_forward import read_taxim_forward
 from gelform.simulate import Ball, simulate_press
-from made.torch_file_writer import network_arrays, torch_file
+from made.networks import network_arrays, torch_file
 
 
 def rendered(folder, height_px, order):

@@ -12,7 +12,7 @@ import pytest
 import gelform
 from gelform.exporters.surface import save_surface
 from gelform.exporters.x3p import x3p_bytes
-from hostile.small_gel import MM_PER_PX, SHAPE, Touch, calibration, image_of
+from made.small_gel import MM_PER_PX, SHAPE, Touch, calibration, image_of
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 import gelform
 from gelform.exporters.press_folder import save_press_folder
-from hostile.small_gel import MM_PER_PX, Touch, background, calibration, image_of
-from made.torch_file_writer import network_arrays, torch_file
+from made.networks import network_arrays, torch_file
+from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
 WRITE_NOTHING = ("evaluate", "info", "cameras", "verify")
@@ -43,11 +42,6 @@ def make_work(folder: Path) -> Path:
         name="known gel",
     )
     return folder
-
-
-def save(path: Path, image: np.ndarray) -> None:
-    """An RGB image as a file."""
-    path.write_bytes(cv2.imencode(path.suffix, image[..., ::-1])[1].tobytes())
 
 
 def commands(work: Path, out: Path) -> dict[str, list[Any]]:

@@ -23,7 +23,7 @@ from gelform.metrics import press_errors
 from gelform.plots.canvas import save_picture
 from gelform.sensors.files import read_background
 from gelform.view import frame_from_image
-from hostile.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
+from made.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
 
 PLACE = tempfile.TemporaryDirectory(prefix="gelform-doors-")
 FOLDER = Path(PLACE.name)

@@ -17,8 +17,8 @@ import gelform
 from gelform.exporters.press_folder import save_press_folder
 from gelform.npz_files import digest_of
 from gelform.sensors.files import read_sensor_toml
-from hostile.small_gel import MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
-from made.torch_file_writer import network_arrays, torch_file
+from made.networks import network_arrays, torch_file
+from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
 SENSOR_TOML = (
     'name = "known gel"\nmm_per_px = 0.1\nserial = "a1"\n'
@@ -103,11 +103,6 @@ def _like_image(suffix: str, pixels: np.ndarray) -> Callable[[Any], bool]:
     return lambda got: got.dtype == np.uint8 and got.ndim == 3 and got.shape[2] == 3
 
 
-def _png(path: Path, image: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
-
-
 def _press_folder(folder: Path) -> dict[str, RealFile]:
     touches = [Touch(seed=k, x_px=30.0 + 8 * k) for k in range(ROWS)]
     save_press_folder(
@@ -133,8 +128,8 @@ def _press_folder(folder: Path) -> dict[str, RealFile]:
 
 
 def _gs_sdk_folder(folder: Path) -> dict[str, RealFile]:
-    _png(folder / "background.png", image_of(None))
-    _png(folder / "p0" / "gelsight.png", image_of(Touch()))
+    save(folder / "background.png", image_of(None))
+    save(folder / "p0" / "gelsight.png", image_of(Touch()))
     (folder / "catalog.csv").write_text("experiment_reldir,diameter(mm)\np0,8.0\n")
     (folder / "sensor.toml").write_text('name = "known gel"\nmm_per_px = 0.1\n')
     label = folder / "p0" / "label.npz"
@@ -163,12 +158,9 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
     )
     rest = np.ascontiguousarray(background()[:60, :80])
     read = lambda path, name: lambda: gelform.import_calibration(path, name, background=rest)  # noqa: E731
-    digests = {path: read(path, name)().digest for path, name in ((weights, "gs_sdk"), (table, "taxim"))}
     return {
-        "torch weights": _real(
-            weights, read(weights, "gs_sdk"), lambda got: _as_imported(got, weights, digests)
-        ),
-        "Taxim table": _real(table, read(table, "taxim"), lambda got: _as_imported(got, table, digests)),
+        "torch weights": _real(weights, read(weights, "gs_sdk"), _all_finite),
+        "Taxim table": _real(table, read(table, "taxim"), _all_finite),
         "Taxim pack": _real(
             pack,
             lambda: gelform.read_presses(pack, mm_per_px=0.1, ball_diameter_mm=8.0),
@@ -177,10 +169,8 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
     }
 
 
-def _as_imported(got: Any, path: Path, digests: dict[Path, str]) -> bool:
-    """The model's numbers as they were; the digest of a calibration holds the minute, so they are compared."""
-    del digests, path
-    arrays, _ = got.color_model.to_arrays()
+def _all_finite(calibration: Any) -> bool:
+    arrays, _ = calibration.color_model.to_arrays()
     return all(np.isfinite(array).all() for array in arrays.values())
 
 
@@ -204,6 +194,3 @@ def sealed(arrays: dict[str, Any], meta: dict[str, Any]) -> bytes:
             np.lib.format.write_array(member, array, allow_pickle=True)
             archive.writestr(f"{name}.npy", member.getvalue())
     return stream.getvalue()
-
-
-__all__ = ["SHAPE", "RealFile", "depth_of", "real_files", "sealed", "unsealed"]

@@ -5,7 +5,7 @@ import pytest
 
 import gelform
 from gelform.importers.calibrations import UNTOUCHED_CHANGE
-from made.torch_file_writer import network_arrays, torch_file
+from made.networks import network_arrays, torch_file
 
 SHAPE = (48, 64)
 BACKGROUND = np.random.default_rng(0).integers(60, 160, (*SHAPE, 3)).astype(np.uint8)

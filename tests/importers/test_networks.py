@@ -6,7 +6,7 @@ import pytest
 
 import gelform
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
-from made.torch_file_writer import network_arrays, torch_file
+from made.networks import network_arrays, torch_file
 
 SHAPE = (12, 16)
 BACKGROUND = np.random.default_rng(0).uniform(60, 160, (*SHAPE, 3)).astype(np.float32)

@@ -8,7 +8,7 @@ import pytest
 
 import gelform
 from gelform.importers.torch_files import MAX_PICKLE_BYTES, read_tensors
-from made.torch_file_writer import ORDERED, network_arrays, pickled_dict, pickled_tensor, text, torch_file
+from made.networks import ORDERED, network_arrays, pickled_dict, pickled_tensor, text, torch_file
 
 ARRAYS = network_arrays((5, 8, 2))
 

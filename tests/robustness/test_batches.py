@@ -18,8 +18,7 @@ import pytest
 from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.errors import DataError
 from hostile.budget import FACTOR
-from hostile.commands import save
-from hostile.small_gel import Touch, calibration, image_of
+from made.small_gel import Touch, calibration, image_of, save
 
 IMAGES, PART_FRAMES = 24, 3
 KILLS = 2 if FACTOR < 5 else 20

@@ -11,7 +11,7 @@ from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import ODD_VALUES, byte_damages, damaged, odd_arrays
 from hostile.files import real_files, sealed, unsealed
 from hostile.outcome import judge
-from hostile.small_gel import Touch, image_of
+from made.small_gel import Touch, image_of
 
 pytestmark = SLOW_IF_ALL
 

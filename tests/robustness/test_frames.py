@@ -12,7 +12,7 @@ import gelform
 from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import odd_arrays
 from hostile.outcome import judge
-from hostile.small_gel import SHAPE, Touch, calibration, depth_error, image_of
+from made.small_gel import SHAPE, Touch, calibration, depth_error, image_of
 
 pytestmark = SLOW_IF_ALL
 

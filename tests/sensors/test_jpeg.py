@@ -9,7 +9,7 @@ import pytest
 import gelform
 from gelform.sensors.jpeg import MAX_STRICT_BYTES, image_from_jpeg, jpeg_shape, pixels_of_jpeg, reduction_of
 from hostile.damage import damaged
-from hostile.small_gel import Touch, image_of
+from made.small_gel import Touch, image_of
 
 SMOOTH = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8), (0, 0), 2)
 GEL = cv2.resize(

@@ -31,8 +31,7 @@ from gelform.simulate import (
     simulate_sequence,
     text_relief,
 )
-from made.faces import box
-from made.sensors import DRAGGED, PLAIN, SMALL
+from made.sensors import DRAGGED, PLAIN, SMALL, box
 
 REFUSED = [
     (lambda: Coating(specular=-1), "specular"),

@@ -8,8 +8,7 @@ from gelform.batch import run_batch
 from gelform.batch.inputs.backgrounds import backgrounds_of
 from gelform.batch.manifest import read_manifest
 from gelform.errors import DataError
-from hostile.commands import save
-from hostile.small_gel import image_of
+from made.small_gel import image_of, save
 
 RED = np.array([1.1, 1, 1])
 

@@ -10,8 +10,7 @@ from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
-from hostile.commands import save
-from hostile.small_gel import image_of
+from made.small_gel import image_of, save
 
 
 def parts_of(source, part_frames=256, background_frames=0):

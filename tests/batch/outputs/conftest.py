@@ -7,7 +7,7 @@ from gelform.batch.inputs.plan import Part
 from gelform.batch.outputs.places import Place
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.settings import BatchSettings
-from hostile.small_gel import MM_PER_PX, SHAPE
+from made.small_gel import MM_PER_PX, SHAPE
 
 COUNT = 5
 

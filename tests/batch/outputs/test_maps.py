@@ -7,7 +7,7 @@ import gelform
 from gelform.batch.outputs.maps import attributes_of, blank_maps, check_names, facts_of, maps_of
 from gelform.batch.settings import KEPT, BatchSettings
 from gelform.errors import DataError
-from hostile.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
+from made.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
 
 
 @pytest.fixture(scope="module")

@@ -132,6 +132,7 @@ def test_crop_is_applied_once_to_an_iterator_too(filmed, sensor):
     assert cropped.view.crop == crop
 
 
+@pytest.mark.slow
 def test_a_video_calibrates_nearly_as_well_as_stills(filmed, read):
     by_video = gelform.calibrate(read, color_model="polynomial").report
     stills = replace(

@@ -18,8 +18,7 @@ from gelform.simulate import (
     simulate_press,
     text_relief,
 )
-from made.faces import X, Y
-from made.sensors import grid
+from made.sensors import X, Y, grid
 
 
 def test_a_height_map_of_a_ball_is_a_ball():

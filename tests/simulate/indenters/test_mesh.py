@@ -6,7 +6,7 @@ import pytest
 from gelform.simulate import LAYOUTS, Mesh, Punch, simulate_press
 from gelform.simulate.indenters import mesh
 from kernel_agreement import assert_kernel_agrees
-from made.faces import X, Y, box
+from made.sensors import X, Y, box
 
 
 def test_a_mesh_of_a_box_is_a_punch():

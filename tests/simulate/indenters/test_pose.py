@@ -7,8 +7,7 @@ import pytest
 
 from gelform.simulate import Ball, Coating, Cylinder, Mesh, Placed, Posed, Punch, Several, simulate_press
 from gelform.simulate.indenters.pose import rotation
-from made.faces import AXIS, X, Y, box
-from made.sensors import DRAGGED
+from made.sensors import AXIS, DRAGGED, X, Y, box
 
 
 def test_a_pose_turns_the_indenter():

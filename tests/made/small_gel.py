@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from gelform.background.change import ChangeSettings
@@ -58,6 +60,12 @@ def image_of(touch: Touch | None) -> np.ndarray:
     light = background() * np.maximum(normals @ LIGHTS.T, 0)
     noise = np.random.default_rng(0 if touch is None else touch.seed).normal(0, 1, light.shape)
     return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+
+
+def save(path: Path, image: np.ndarray) -> None:
+    """An RGB image as a file, in a folder that is made where there is none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(path.suffix, image[..., ::-1])[1].tobytes())
 
 
 @cache
