@@ -10,10 +10,10 @@ from gelform.confidence.slope_sigma import SlopeSigma
 from gelform.confidence.solved import (
     BLURRED,
     OPTICS_PX,
-    STEEPEST,
+    STEEPEST_GEL,
     SolvedErrors,
     SolvedSigma,
-    curvature_worth,
+    error_per_difference,
     reach_px,
     with_solved_factors,
 )
@@ -95,9 +95,9 @@ def test_a_slope_that_was_read_badly_follows_from_its_neighbours():
 
 def test_no_slope_is_less_known_than_the_steepest():
     unseen = both(np.full(SHAPE, 40.0, np.float32))
-    least = replace(LAW, solved_slopes=(0.2, 0.6), solved_places=(((solved.LEAST_FACTOR,),),) * 2)
+    least = replace(LAW, solved_slopes=(0.2, 0.6), solved_places=(((solved.LEAST_SOLVED_FACTOR,),),) * 2)
     for law in (LAW, least):  # however good solved slopes are, where nothing is known nothing is
-        np.testing.assert_allclose(SolvedSigma(law, SHAPE, None)(unseen, flat()), STEEPEST, rtol=1e-5)
+        np.testing.assert_allclose(SolvedSigma(law, SHAPE, None)(unseen, flat()), STEEPEST_GEL, rtol=1e-5)
 
 
 def test_a_model_that_states_its_own_is_left_as_it_is():
@@ -114,7 +114,7 @@ def test_a_wall_is_doubted_beside_its_edges_alone(axis):
     found = np.moveaxis(SolvedSigma(LAW, (40, 40), 1.25)(sigma, gradients), axis, 0)
     assert reach_px(1.25) == 2
     bend = np.sqrt(0.6**2 - OF_NOISE * 0.04**2)
-    np.testing.assert_allclose(found[18:22], np.hypot(0.04, bend * curvature_worth(1.25)), rtol=1e-4)
+    np.testing.assert_allclose(found[18:22], np.hypot(0.04, bend * error_per_difference(1.25)), rtol=1e-4)
     np.testing.assert_allclose(found[:18], 0.04, rtol=1e-4)
     np.testing.assert_allclose(found[22:], 0.04, rtol=1e-4)
     unknown = SolvedSigma(LAW, (40, 40), None)(sigma, gradients)  # imported: no slope is a wall's
@@ -125,8 +125,10 @@ def test_a_wall_is_doubted_beyond_the_steepest():
     gradients = np.zeros((20, 20, 2), np.float32)
     gradients[:, 10:, 0] = 9.0
     found = SolvedSigma(LAW, (20, 20), 1.25)(both(np.full((20, 20), 40.0, np.float32)), gradients)
-    bend = np.sqrt(9.0**2 - OF_NOISE * STEEPEST**2)
-    np.testing.assert_allclose(found[:, 8:12], np.hypot(STEEPEST, bend * curvature_worth(1.25)), rtol=1e-4)
+    bend = np.sqrt(9.0**2 - OF_NOISE * STEEPEST_GEL**2)
+    np.testing.assert_allclose(
+        found[:, 8:12], np.hypot(STEEPEST_GEL, bend * error_per_difference(1.25)), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.25, 2.5])
@@ -144,13 +146,13 @@ def test_what_blur_takes_from_a_slope_is_stated(blur_px):
 
 
 def held_out_errors(size, presses=40, count=60_000):
-    """Errors whose deviation is 0.05 times size(slope, x), where 0.05 is foretold and 0.02 of it is no reading's."""
+    """Errors whose deviation is 0.05 times size(slope, x), where 0.05 is predicted and 0.02 of it is no reading's."""
     rng = np.random.default_rng(0)
     slopes, x, y = rng.uniform(0, 0.8, count), rng.uniform(0, 1, count), rng.uniform(0, 1, count)
-    foretold, beyond = np.full(count, 0.05), np.full(count, 0.02)
-    deviation = np.sqrt((foretold**2 - beyond**2) * size(slopes, x) ** 2 + beyond**2)
+    predicted, extra = np.full(count, 0.05), np.full(count, 0.02)
+    deviation = np.sqrt((predicted**2 - extra**2) * size(slopes, x) ** 2 + extra**2)
     errors = deviation[:, None] * rng.standard_normal((count, 2))
-    return SolvedErrors(slopes, errors, foretold, beyond, x, y, rng.integers(0, presses, count))
+    return SolvedErrors(slopes, errors, predicted, extra, x, y, rng.integers(0, presses, count))
 
 
 def test_factors_are_recovered_by_slope_and_place():
@@ -176,7 +178,7 @@ def test_a_place_that_one_press_touched_counts_little():
 def test_what_is_not_the_readings_own_is_not_taken_down_by_good_readings():
     held_out = held_out_errors(lambda s, x: 0 * s)
     gentle, _ = with_solved_factors(LAW, held_out).solved_places
-    np.testing.assert_allclose(gentle, solved.LEAST_FACTOR)
+    np.testing.assert_allclose(gentle, solved.LEAST_SOLVED_FACTOR)
 
 
 def test_slopes_that_are_all_alike_say_nothing():

@@ -4,7 +4,7 @@
 
 v is the normal's first two components over 0.3, z the depth of the frame over 10 px. A pressed gel is nearer to the lamps
 than an untouched one: it changes its colour where it is level too, which no map from colour to slope can say. So the slopes
-that a color model read get one Gauss-Newton step towards those whose colour was seen, with the step's prior: the color
+that a color model read get one Gauss-Newton step towards those of the colour in the image, with the step's prior: the color
 model's own error. Its covariance and what it leaves unexplained come with it (C. M. Bishop, Pattern Recognition and Machine
 Learning, 2006, section 4.4, Laplace's approximation; Huber weights as in P. J. Huber, Robust Statistics, 1981).
 """
@@ -36,16 +36,16 @@ from gelform.color_models._shared.least_squares import (
 )
 from gelform.color_models.seam import Samples
 
-NORMAL_UNIT = 0.3  # of the normal's first two components: about the root mean square in contacts
-DEPTH_UNIT_PX = 10.0
-PLACE_DEGREES = (5, 4, 3, 2)  # of terms of order 1 to 4 in the normal
-DEPTH_PLACE_DEGREE = 4
-DEPTH_RIDGE, DEPTH_SLOPE_RIDGE = 3.0, 9.0  # of z, and of z times the normal
-HUBER_CHANGE = 0.03  # of color change: about twice the usual residual
+# Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
+NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
+PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4  # of terms of order 1 to 4 in the normal; of the depth
+DEPTH_RIDGE, DEPTH_SLOPE_RIDGE = 3.0, 9.0  # of z, and of z times the normal: ORDER_GROWTH for each order
+HUBER_CHANGE = 0.03  # color change, about twice the usual residual: from there on a sample counts less
 LONGEST_STEP = 0.3  # mm/mm: beyond it the response is not linear
-RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # what calibration tries, the stiffest first
-# Standard deviation of a slope of which one channel of three says nothing: the prior of its steps, of which it takes two.
-CLIPPED_STEP_SIGMA = 0.3
+RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
+CLIPPED_STEP_SIGMA = (
+    0.3  # mm/mm, the prior of a slope of which one channel says nothing: as wide as slopes are
+)
 
 _POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
 TERMS = len(_POWERS) + 3
@@ -87,7 +87,7 @@ class ForwardResponse:
         deviation of hypot(at rest, per slope |g|), mm/mm; None where no step is taken, because held-out presses were not
         read better by it, or the response is of an older calibration
     residual_scale : of squared residuals on presses that were held out over those that the covariance says, at the 95 %
-        that usual pixels stay under; what is an outlier is told in that unit
+        that usual pixels stay under: the unit in which outliers are judged
     clipped : (2, 3) bool, whether the training presses show red, green, blue at the camera's lower and upper end: what
         was learnt holds for such pixels too
     """
@@ -153,57 +153,10 @@ class ForwardResponse:
         depth_px: NDArray[Any] | float = 0.0,
     ) -> NDArray[np.float64]:
         """Expected color change (N, 3) of gradients (N, 2), and depths (N,), at pixel positions (N,)."""
-        return self._value_and_jacobian(gradients, x_px, y_px, depth_px)[0]
-
-    def step(
-        self,
-        color_change: NDArray[Any],
-        gradients: NDArray[Any],
-        x_px: NDArray[Any],
-        y_px: NDArray[Any],
-        depth_px: NDArray[Any] | float = 0.0,
-    ) -> Step:
-        """One step at scattered pixels (N,), from gradients (N, 2): what a `PreparedStep` does for whole frames."""
-        assert self.step_sigma is not None
-        value, jacobian = self._value_and_jacobian(gradients, x_px, y_px, depth_px)
-        inverse = np.linalg.inv(self.covariance)
-        weighted = np.einsum("ncm,ck->nmk", jacobian, inverse)
-        at_rest, per_slope = self.step_sigma
-        prior = 1 / (at_rest**2 + per_slope**2 * np.sum(np.square(gradients), axis=-1))
-        information = np.einsum("nmk,nkl->nml", weighted, jacobian) + np.eye(2) * prior[:, None, None]
-        step = np.linalg.solve(
-            information, np.einsum("nmk,nk->nm", weighted, color_change - value)[..., None]
-        )[..., 0]
-        step *= np.minimum(1, LONGEST_STEP / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
-        left = color_change - value - np.einsum("ncm,nm->nc", jacobian, step)
-        variance = np.trace(np.linalg.inv(information), axis1=1, axis2=2) / 2
-        return Step(gradients + step, variance, np.einsum("nc,ck,nk->n", left, inverse, left))
-
-    def _value_and_jacobian(
-        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any], depth_px: NDArray[Any] | float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """f (N, 3), and its derivative by the slopes (N, 3, 2)."""
-        slopes = np.asarray(gradients, dtype=np.float64)
-        v, z = normal_terms(slopes), np.broadcast_to(np.asarray(depth_px) / DEPTH_UNIT_PX, len(slopes))
+        v, z = normal_terms(gradients), np.broadcast_to(np.asarray(depth_px) / DEPTH_UNIT_PX, len(gradients))
         coefficients = at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
         products = np.stack([*monomial_products(v.T, _POWERS), z, z * v[:, 0], z * v[:, 1]])
-        by_v = np.zeros((2, TERMS, len(slopes)))
-        for t, term in enumerate(_POWERS):
-            for axis in (0, 1):
-                count = term.count(axis)
-                rest = list(term)
-                if count:
-                    rest.remove(axis)
-                    by_v[axis, t] = count * np.prod(v[:, rest], axis=1)
-        by_v[0, -2] = by_v[1, -1] = z
-        along_v = np.einsum("atn,ntc->nca", by_v, coefficients)
-        return np.einsum("tn,ntc->nc", products, coefficients), np.einsum(
-            "nca,nab->ncb", along_v, _normal_jacobian(slopes)
-        )
-
-    def prepare(self) -> PreparedStep:
-        """What steps whole frames."""
-        return PreparedStep(self)
+        return np.asarray(np.einsum("tn,ntc->nc", products, coefficients))
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and settings that `from_arrays` makes it of."""
@@ -223,7 +176,7 @@ class ForwardResponse:
 
     @cached_property
     def slope_per_change(self) -> float:
-        """Slope that a color change of 1 is worth, mm/mm: the median over the image, of gel at rest."""
+        """Error of a slope, mm/mm, that an error of the color change of 1 makes at rest: the median over the image."""
         along = np.moveaxis(self.nodes[:, :, :2], 2, 3) / NORMAL_UNIT
         information = np.einsum("rcka,rckb->rcab", along, along) + 1e-12 * np.eye(2)
         variance = np.trace(np.linalg.inv(information), axis1=2, axis2=3) / 2
@@ -286,14 +239,6 @@ def normal_terms(gradients: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(slopes / (NORMAL_UNIT * length))
 
 
-def _normal_jacobian(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Derivative (N, 2, 2) of `normal_terms` by the slopes."""
-    p, q = slopes.T
-    jacobian = np.stack([np.stack([1 + q * q, -p * q], 1), np.stack([-p * q, 1 + p * p], 1)], 1)
-    scale = (1 + p * p + q * q) ** -1.5 / NORMAL_UNIT
-    return np.asarray(jacobian * scale[:, None, None])
-
-
 def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
     v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
     of_normal = terms_of_orders(
@@ -306,8 +251,8 @@ def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
     ]
 
 
-DEPTH_DEGREE = 3  # in place, of the depth's terms
-STEEPEST = 0.7  # mm/mm, to which polynomials of slopes are translated: what presses of balls show
+OLDER_DEPTH_DEGREE = 3  # in place, of the depth's terms, before format 3
+STEEPEST_OLDER = 0.7  # mm/mm, to which polynomials of slopes are translated: what presses of balls show
 
 
 def older_response(
@@ -341,7 +286,7 @@ def older_response(
         nodes[:, :, t] = at_nodes(first, degree) * (NORMAL_UNIT ** len(term) if knows_depth else 1)
         first += len(position_powers(degree))
     if knows_depth and mm_per_px is not None:
-        nodes[:, :, -3] = at_nodes(first, DEPTH_DEGREE) * DEPTH_UNIT_PX * mm_per_px
+        nodes[:, :, -3] = at_nodes(first, OLDER_DEPTH_DEGREE) * DEPTH_UNIT_PX * mm_per_px
     else:
         of_slopes = nodes[:, :, : len(terms)].copy()
         nodes[:, :, : TERMS - 3] = np.einsum("ts,rcsk->rctk", _normal_from_slope_terms(terms), of_slopes)
@@ -351,9 +296,9 @@ def older_response(
 
 
 def _normal_from_slope_terms(terms: list[tuple[int, ...]]) -> NDArray[np.float64]:
-    """(14, terms): coefficients of the normal's monomials that give each monomial of the slopes best, up to `STEEPEST`."""
-    p, q = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-STEEPEST, STEEPEST, 21),) * 2))
-    slopes = np.stack([p, q])[:, np.hypot(p, q) <= STEEPEST]
+    """(14, terms): coefficients of the normal's monomials that give each monomial of the slopes best."""
+    p, q = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-STEEPEST_OLDER, STEEPEST_OLDER, 21),) * 2))
+    slopes = np.stack([p, q])[:, np.hypot(p, q) <= STEEPEST_OLDER]
     of_normal = np.stack(monomial_products(normal_terms(slopes.T).T, monomials(2, 4)), axis=1)
     return np.asarray(
         np.linalg.lstsq(of_normal, np.stack(monomial_products(slopes, terms), axis=1), rcond=None)[0]

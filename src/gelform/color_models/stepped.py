@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.color_models.forward_response import ForwardResponse, Step
+from gelform.color_models.forward_response import ForwardResponse, PreparedStep, Step
 from gelform.filters import medians_where
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
@@ -89,7 +89,7 @@ class SteppedSlopes:
 
     def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
         self._depth = FrameDepth(shape, untouched)
-        self._step = None if forward is None or forward.step_sigma is None else forward.prepare()
+        self._step = None if forward is None or forward.step_sigma is None else PreparedStep(forward)
 
     @property
     def steps(self) -> bool:

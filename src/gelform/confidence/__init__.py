@@ -4,8 +4,8 @@ from gelform.confidence.causes import AllAlike, PreparedCauses
 from gelform.confidence.clipped import ClippedChannels
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
-from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, solved_factor
-from gelform.confidence.solved import SolvedErrors, SolvedSigma, with_solved_factors
+from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors, solved_factor
+from gelform.confidence.solved import SolvedSigma, with_solved_factors
 
 __all__ = [
     "AllAlike",

@@ -15,7 +15,7 @@ from gelform.confidence.causes import CAUSES
 from gelform.findings import Finding
 
 LAW = "law"
-LEAST_PX = 12  # connected, where a cause adds enough to be named: less is not named
+LEAST_NAMED_PX = 12  # connected pixels where a cause adds enough: fewer are not named, as noise makes a few
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +44,15 @@ class Explanation:
         squares = {LAW: np.square(self.law), **{name: np.square(one) for name, one in self.maps.items()}}
         total = np.maximum(sum(squares.values()), np.float32(1e-12))
         found = {name: float(np.mean(square / total)) for name, square in squares.items()}
-        return {name: share / sum(found.values()) for name, share in found.items()}
+        return {name: fraction / sum(found.values()) for name, fraction in found.items()}
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """The faults that matter: each with the share of the frame where it alone leaves nothing of a slope."""
         return tuple(
-            Finding(name, f"{100 * share:.1f} % of the frame is {CAUSES[name].sentence}", share)
+            Finding(name, f"{100 * fraction:.1f} % of the frame is {CAUSES[name].sentence}", fraction)
             for name, one in self.maps.items()
-            if CAUSES[name].sentence and (share := _named_share(one > CAUSES[name].named_from)) > 0
+            if CAUSES[name].sentence and (fraction := _named_fraction(one > CAUSES[name].named_from)) > 0
         )
 
     @cached_property
@@ -85,8 +85,8 @@ def explanation_of(
     return Explanation(maps, np.asarray(law, np.float32), gradients_sigma, confidence, clean)
 
 
-def _named_share(mask: NDArray[np.bool_]) -> float:
+def _named_fraction(mask: NDArray[np.bool_]) -> float:
     """Share of the pixels in regions of a mask (H, W) that are large enough to be named."""
     _, _, boxes, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
     areas = boxes[1:, cv2.CC_STAT_AREA]
-    return float(areas[areas >= LEAST_PX].sum()) / mask.size
+    return float(areas[areas >= LEAST_NAMED_PX].sum()) / mask.size

@@ -11,7 +11,7 @@ from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from gelform.confidence.solved import for_both
 from gelform.solvers.inputs import HIGHEST_SLOPE, check_slopes
 
-TABLE = 64  # the law, tabulated for the frame's kernel
+LAW_STEPS = 64  # of the table of the law in the frame's kernel: linear between, to a thousandth
 _frame_sigma = Kernel(
     "frame_sigma",
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, f32[t] law, "
@@ -31,9 +31,9 @@ class PreparedSigma:
     def __init__(self, sigma: SlopeSigma, shape: tuple[int, int]) -> None:
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
         self._place = (factor_at(np.array(sigma.place), x[None, :], y[:, None]) ** 2).astype(np.float32)
-        step = np.float32(1.25 * max(sigma.slopes) / (TABLE - 2))
+        step = np.float32(1.25 * max(sigma.slopes) / (LAW_STEPS - 2))
         knots = np.array(sigma.slopes), np.array(sigma.sigmas)
-        self._law = (law_at(step * np.arange(TABLE), *knots) ** 2).astype(np.float32)
+        self._law = (law_at(step * np.arange(LAW_STEPS), *knots) ** 2).astype(np.float32)
         grows = (knots[1][-1] / knots[0][-1]) ** 2 if knots[0][-1] > 0 else 0.0
         self._numbers = (1 / step, grows, sigma.rest**2)
 

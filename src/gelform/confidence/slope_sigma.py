@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,14 +11,18 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_values, check_within
 
-SLOPE_BINS = 10
-PLACES = (3, 4)  # rows, columns
-ONE_SIGMA = 0.6827
-MIN_IN_BIN = 50
-GOOD = 0.95
+SLOPE_BINS = 10  # of equal counts, between which the law is linear
+PLACES = (3, 4)  # rows and columns of the factors by place: a press touches about one of them
+ONE_SIGMA = 0.6827  # fraction of a normal distribution within one standard deviation
+MIN_IN_BIN = 50  # pixels: fewer do not tell a quantile
+CLEAN_FRACTION = 0.95  # of the pixels in contact whose confidence is 1
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
-ROUNDS = 3
-LEAST_APART, MOST_FACTOR = 1e-6, 1e3  # of the factors of solved slopes
+LAW_ROUNDS = 3  # of law and factors in turn; more change neither by a hundredth
+LEAST_FACTOR = 0.1  # of a place, over the law
+LEAST_APART, MOST_FACTOR = (
+    1e-6,
+    1e3,
+)  # of the slopes between which solved factors are linear; of those factors
 NO_LONGER = (
     "surround_sigma",
     "steepest",
@@ -58,6 +63,29 @@ class SlopeErrors:
 
 
 @dataclass(frozen=True)
+class SolvedErrors:
+    """Errors of solved slopes on presses that the model has not seen.
+
+    Attributes
+    ----------
+    slopes : (N,) |gradient| of the solved depth
+    errors : (N, 2) of its components
+    predicted : (N,) standard deviation by a `SolvedSigma` without factors
+    extra : (N,) the part of it that does not come from the readings
+    x, y : (N,) place in the frame, 0-1
+    press : (N,) index of the press
+    """
+
+    slopes: NDArray[Any]
+    errors: NDArray[Any]
+    predicted: NDArray[Any]
+    extra: NDArray[Any]
+    x: NDArray[Any]
+    y: NDArray[Any]
+    press: NDArray[Any]
+
+
+@dataclass(frozen=True)
 class SlopeSigma:
     """Standard deviation of a slope component: that of its step, times factors of slope and place.
 
@@ -71,7 +99,7 @@ class SlopeSigma:
     gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
     solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact; see `solved_factor`
     solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over what a slope's
-        reading and its neighbours foretell; linear between the slopes, constant beyond. None in calibrations that do not
+        reading and its neighbours predict; linear between the slopes, constant beyond. None in calibrations that do not
         hold it
     place : factors on a grid of 3 rows and 4 columns over the frame, interpolated between its cells' centres
     clean : what 95 % of the pixels in contact stay under: confidence is 1 up to it, since errors that are alike over
@@ -128,14 +156,12 @@ class SlopeSigma:
         cls, held_out: SlopeErrors, correlation_px: float, correlated_share: float, gain_sigma: float = 0.0
     ) -> SlopeSigma:
         """The law and the factors that hold 68 % of the held-out errors within one sigma, everywhere alike."""
-        stated = np.broadcast_to(np.asarray(held_out.stated, dtype=np.float64), held_out.slopes.shape)[
-            :, None
-        ]
+        stated = np.broadcast_to(np.float64(held_out.stated), held_out.slopes.shape)[:, None]
         slopes, error = held_out.slopes, np.abs(held_out.errors) / stated
         edges = np.unique(np.quantile(slopes, np.linspace(0, 1, SLOPE_BINS + 1)))
         bins = np.clip(np.digitize(slopes, edges[1:-1]), 0, len(edges) - 2)
         place = np.ones(PLACES)
-        for _ in range(ROUNDS):
+        for _ in range(LAW_ROUNDS):
             factor = factor_at(place, held_out.x, held_out.y)[:, None]
             knots = [
                 (float(slopes[bins == b].mean()), float(np.quantile((error / factor)[bins == b], ONE_SIGMA)))
@@ -143,13 +169,11 @@ class SlopeSigma:
                 if np.count_nonzero(bins == b) >= MIN_IN_BIN
             ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
             law = law_at(slopes, *np.array(knots).T)[:, None]
-            place = _place_factors(held_out, error / law)
-        rest = (
-            float(np.quantile(np.abs(held_out.rest), ONE_SIGMA))
-            if held_out.rest.size
-            else knots[0][1] * float(np.median(stated))
-        )
-        clean = float(np.quantile(law * factor * stated, GOOD))
+            place = place_factors(held_out, lambda here, law=law: _size((error / law)[here]), PRIOR_PRESSES)
+        rest = knots[0][1] * float(np.median(stated))
+        if held_out.rest.size:
+            rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA))
+        clean = float(np.quantile(law * factor * stated, CLEAN_FRACTION))
         return cls(
             rest=max(rest, 1e-5),
             slopes=tuple(k[0] for k in knots),
@@ -167,24 +191,17 @@ class SlopeSigma:
         if "growth" in values:
             slopes = np.linspace(0, 1, SLOPE_BINS + 1)
             sigmas = np.hypot(values["rest"], values["growth"] * slopes)
-            return cls(
-                values["rest"],
-                tuple(slopes.tolist()),
-                tuple(sigmas.tolist()),
-                values["clean"],
-                values["correlation_px"],
-            )
-        exact = {name: tuple(values[name]) for name in ("slopes", "sigmas")}
-        grids: dict[str, Any] = {
-            name: tuple(tuple(row) for row in values[name])
-            for name in ("place",)
-            if values.get(name) is not None
-        }
-        if values.get("solved_places") is not None:
-            grids["solved_slopes"] = tuple(values["solved_slopes"])
-            grids["solved_places"] = tuple(tuple(map(tuple, grid)) for grid in values["solved_places"])
-        kept = {name: value for name, value in values.items() if name not in NO_LONGER}
-        return cls(**{**kept, **exact, **grids})
+            law = tuple(slopes.tolist()), tuple(sigmas.tolist())
+            return cls(values["rest"], *law, values["clean"], values["correlation_px"])
+        kept = {name: value for name, value in values.items() if name not in NO_LONGER and value is not None}
+        for name in ("slopes", "sigmas", "solved_slopes"):
+            if name in kept:
+                kept[name] = tuple(kept[name])
+        if "place" in kept:
+            kept["place"] = tuple(map(tuple, kept["place"]))
+        if "solved_places" in kept:
+            kept["solved_places"] = tuple(tuple(map(tuple, grid)) for grid in kept["solved_places"])
+        return cls(**kept)
 
     @property
     def correlation(self) -> dict[str, Any]:
@@ -223,16 +240,35 @@ def factor_at(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[n
     return value
 
 
-def _place_factors(held_out: SlopeErrors, ratio: NDArray[Any]) -> NDArray[np.float64]:
-    """What each cell's errors are over the law, drawn towards 1 where few presses touched it."""
+def place_factors(
+    held_out: SlopeErrors | SolvedErrors,
+    size_of: Callable[[NDArray[np.bool_]], float],
+    prior: float,
+    among: NDArray[np.bool_] | bool = True,
+    whole: float = 1.0,
+) -> NDArray[np.float64]:
+    """Factors of `PLACES`, each drawn towards that of the whole frame where few presses touched the place.
+
+    Parameters
+    ----------
+    held_out : errors with their places and presses
+    size_of : factor of the errors where a mask (N,) is
+    prior : presses that count for the whole frame
+    among : (N,), errors that count
+    whole : factor of the whole frame
+    """
     rows, columns = PLACES
     row = np.clip((held_out.y * rows).astype(int), 0, rows - 1)
     column = np.clip((held_out.x * columns).astype(int), 0, columns - 1)
-    factors = np.ones(PLACES)
+    factors = np.full(PLACES, whole)
     for r, c in np.ndindex(PLACES):
-        here = (row == r) & (column == c)
+        here = among & (row == r) & (column == c)
         if np.count_nonzero(here) >= MIN_IN_BIN:
             presses = len(np.unique(held_out.press[here]))
-            trust = presses / (presses + PRIOR_PRESSES)
-            factors[r, c] = max(float(np.quantile(ratio[here], ONE_SIGMA)), 0.1) ** trust
+            trust = presses / (presses + prior)
+            factors[r, c] = whole ** (1 - trust) * size_of(here) ** trust
     return factors
+
+
+def _size(ratio: NDArray[Any]) -> float:
+    return max(float(np.quantile(ratio, ONE_SIGMA)), LEAST_FACTOR)

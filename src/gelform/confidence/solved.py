@@ -7,26 +7,34 @@ None of it changes how slopes are weighted, nor the depth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.confidence.slope_sigma import LEAST_APART, MIN_IN_BIN, ONE_SIGMA, PLACES, SlopeSigma, factor_at
-
-STEEPEST = (
-    1.0  # mm/mm: no slope of a gel is known less well than that; saturated or hidden, it is known no better
+from gelform.confidence.slope_sigma import (
+    LEAST_APART,
+    MIN_IN_BIN,
+    ONE_SIGMA,
+    SlopeSigma,
+    SolvedErrors,
+    factor_at,
+    place_factors,
 )
-UNLIMITED = 4 * STEEPEST  # before the factors
-LEAST_FACTOR = 0.3
-PRIOR_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
+
+STEEPEST_GEL = 1.0  # mm/mm: no slope of a gel is known less well; saturated or hidden, it is known no better
+UNLIMITED = 4 * STEEPEST_GEL  # mm/mm, before the factors
+LEAST_SOLVED_FACTOR = (
+    0.3  # of the predicted deviation: neighbours share errors that the prediction takes for independent
+)
+PRIOR_SOLVED_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
 # Blur of standard deviation d px takes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that holds two thirds
 # of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. Both were chosen on eight
 # objects on twelve simulated sensors and on a real one, and held on eight others.
 OPTICS_PX, BLURRED = 2.5, 0.6
-REACH = 1.6  # blurs, to the slopes that a slope is compared with
+REACH_BLURS = 1.6  # to the slopes that a slope is compared with: further than what the blur makes alike
 
 _solved_sigma = Kernel(
     "solved_sigma",
@@ -55,9 +63,11 @@ class SolvedSigma:
         self._factors = [
             factor_at(np.array(grid), x[None, :], y[:, None]).astype(np.float32) for grid in grids
         ]
-        walls = (0.0, 1) if blur_px is None else (curvature_worth(blur_px), reach_px(blur_px))
+        per_difference, reach = 0.0, 1
+        if blur_px is not None:
+            per_difference, reach = error_per_difference(blur_px), reach_px(blur_px)
         law = slopes[0], 1 / (slopes[1] - slopes[0])
-        self._numbers = (walls[0], UNLIMITED, *law, STEEPEST, walls[1])
+        self._numbers = per_difference, UNLIMITED, *law, STEEPEST_GEL, reach
 
     def __call__(
         self, sigma: NDArray[np.float32] | None, gradients: NDArray[np.float32]
@@ -66,7 +76,7 @@ class SolvedSigma:
 
         A slope that was read badly follows from its neighbours: beside its own reading each is known by the two loops of
         four edges that it closes. Where slopes bend sharply they are off by what the blur takes. No slope is less known than
-        within `STEEPEST` but for a wall's.
+        within `STEEPEST_GEL` but for a wall's.
 
         Parameters
         ----------
@@ -87,10 +97,10 @@ class SolvedSigma:
 
 def reach_px(blur_px: float) -> int:
     """How far from a pixel those lie that its slope is compared with, of a color change that is blurred so much."""
-    return max(1, round(REACH * blur_px))
+    return max(1, round(REACH_BLURS * blur_px))
 
 
-def curvature_worth(blur_px: float) -> float:
+def error_per_difference(blur_px: float) -> float:
     """Error of a slope over the sum of its differences to those `reach_px` away on four sides."""
     return float(BLURRED * (blur_px**2 + OPTICS_PX**2) / (2 * reach_px(blur_px) ** 2))
 
@@ -100,29 +110,6 @@ def for_both(sigma: NDArray[np.float32]) -> NDArray[np.float32]:
     both: NDArray[np.float32] = np.ndarray((*sigma.shape, 2), sigma.dtype, sigma, 0, (*sigma.strides, 0))
     both.flags.writeable = False
     return both
-
-
-@dataclass(frozen=True)
-class SolvedErrors:
-    """Errors of solved slopes on presses that the model has not seen.
-
-    Attributes
-    ----------
-    slopes : (N,) |gradient| of the solved depth
-    errors : (N, 2) of its components
-    foretold : (N,) standard deviation by a `SolvedSigma` without factors
-    beyond : (N,) the part of it that does not come from the readings
-    x, y : (N,) place in the frame, 0-1
-    press : (N,) index of the press
-    """
-
-    slopes: NDArray[Any]
-    errors: NDArray[Any]
-    foretold: NDArray[Any]
-    beyond: NDArray[Any]
-    x: NDArray[Any]
-    y: NDArray[Any]
-    press: NDArray[Any]
 
 
 def with_solved_factors(sigma: SlopeSigma, held_out: SolvedErrors) -> SlopeSigma:
@@ -135,29 +122,15 @@ def with_solved_factors(sigma: SlopeSigma, held_out: SolvedErrors) -> SlopeSigma
         return sigma
     steep = held_out.slopes > held_out.slopes.mean()
     gentle_slope, steep_slope = (float(np.median(held_out.slopes[part])) for part in (~steep, steep))
-    squares = np.maximum(held_out.foretold**2 - held_out.beyond**2, 1e-12)
-    ratio = (held_out.errors**2 - held_out.beyond[:, None] ** 2) / squares[:, None]
-    grids = tuple(_factors(ratio, held_out, part) for part in (~steep, steep))
-    return replace(sigma, solved_slopes=(gentle_slope, steep_slope), solved_places=grids)
+    squares = np.maximum(held_out.predicted**2 - held_out.extra**2, 1e-12)
+    ratio = (held_out.errors**2 - held_out.extra[:, None] ** 2) / squares[:, None]
 
+    def size_of(here: NDArray[np.bool_]) -> float:
+        return float(np.sqrt(max(np.quantile(ratio[here], ONE_SIGMA), LEAST_SOLVED_FACTOR**2)))
 
-def _factors(
-    ratio: NDArray[Any], held_out: SolvedErrors, among: NDArray[np.bool_]
-) -> tuple[tuple[float, ...], ...]:
-    """Of one range of slopes, on a grid of places; `ratio` (N, 2) are squares of errors over those foretold."""
-    rows, columns = PLACES
-    row = np.clip((held_out.y * rows).astype(int), 0, rows - 1)
-    place = row * columns + np.clip((held_out.x * columns).astype(int), 0, columns - 1)
-    whole = _root_of_share(ratio[among])
-    factors = np.full(rows * columns, whole)
-    for k in range(factors.size):
-        here = among & (place == k)
-        if np.count_nonzero(here) >= MIN_IN_BIN:
-            presses = len(np.unique(held_out.press[here]))
-            trust = presses / (presses + PRIOR_PRESSES)
-            factors[k] = whole ** (1 - trust) * _root_of_share(ratio[here]) ** trust
-    return tuple(tuple(map(float, line)) for line in factors.reshape(PLACES))
-
-
-def _root_of_share(ratio: NDArray[Any]) -> float:
-    return float(np.sqrt(max(np.quantile(ratio, ONE_SIGMA), LEAST_FACTOR**2)))
+    grids = [
+        place_factors(held_out, size_of, PRIOR_SOLVED_PRESSES, part, size_of(part))
+        for part in (~steep, steep)
+    ]
+    places = tuple(tuple(tuple(map(float, line)) for line in grid) for grid in grids)
+    return replace(sigma, solved_slopes=(gentle_slope, steep_slope), solved_places=places)
