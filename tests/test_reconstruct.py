@@ -1,5 +1,6 @@
 """The Reconstructor: a pure function of the image, zero at rest, two doors, and honest about its input."""
 
+import pickle
 import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ import pytest
 
 import gelform
 from gelform.frames import Frame
+from gelform.reconstruction.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
 from gelform.view import View
 
@@ -355,14 +357,34 @@ def test_a_path_is_a_calibration_and_a_wrong_solver_is_refused_at_once(calibrati
 
 
 def test_another_state_of_the_same_gel(calibration, simulated):
-    """As if it had been given from the start, and the first one is not touched."""
+    """As if it had been given from the start, down to health, causes and noise; and the first one is not touched."""
     image, before = simulated.presses[0].image, gelform.Reconstructor(calibration)
-    brighter = np.clip(calibration.background * np.float32(1.02), 0, 255)
-    expected = gelform.Reconstructor(calibration, brighter).from_image(image)
-    np.testing.assert_array_equal(before.with_background(brighter).from_image(image).depth, expected.depth)
+    image = image.astype(np.float32)
+    image[50:65, 30:] += np.random.default_rng(0).normal(0, 9, image[50:65, 30:].shape)
+    other = np.clip(calibration.background * np.linspace(1.03, 0.9, 176)[:, None], 0, 255).astype(np.float32)
+    other[:20, :30] = 0.5  # a corner where today's image says nothing
+    changed = before.with_background(other)
+    given = gelform.Reconstructor(replace(calibration, background=other), other)
+    for frame in (np.clip(image, 0, 255), other):
+        one, expected = changed.from_image(frame), given.from_image(frame)
+        for row in MAPS.values():
+            np.testing.assert_array_equal(getattr(one, row.name), getattr(expected, row.name), row.name)
+        assert one.health == expected.health
+        why, wanted = changed.explain(frame), given.explain(frame)
+        for name, added in wanted.maps.items():
+            np.testing.assert_array_equal(why.maps[name], added, name)
+    assert [finding.name for finding in one.health] == ["frozen"]
     assert before.background is calibration.background
-    assert before.own_background
-    assert not before.with_background(brighter).own_background
+    assert (before.own_background, changed.own_background) == (True, False)
+
+
+def test_a_result_can_be_pickled(calibration, press):
+    """As it is saved: without what works out albedo and differences when asked."""
+    result = gelform.Reconstructor(calibration).from_image(press.image)
+    again = pickle.loads(pickle.dumps(result))
+    for row in MAPS.values():
+        np.testing.assert_array_equal(getattr(again, row.name), getattr(result, row.name), row.name)
+    assert (again.contacts, again.health, again.difference_source) == (result.contacts, result.health, None)
 
 
 def test_a_helper_changes_no_byte(calibration, press):

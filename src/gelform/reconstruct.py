@@ -68,6 +68,80 @@ class _Read(NamedTuple):
     maps: dict[str, NDArray[np.float32]] | None = None
 
 
+class _Calibrated:
+    """What follows from a calibration alone; immutable, shared by threads and by all states of the untouched gel."""
+
+    def __init__(
+        self, calibration: Calibration, solver: str, *, depth_sigma: bool, slope_sigma: bool
+    ) -> None:
+        self.calibration, self.solver, self.slope_sigma = calibration, checked_solver(solver), slope_sigma
+        if not slope_sigma and (depth_sigma or takes_weights(solver)):
+            raise ValueError("Expected slope_sigma=True for a solver with weights and for depth_sigma=True.")
+        shape, forward, known = calibration.image_shape, calibration.forward, calibration.slope_sigma
+        self.pitch = calibration.mm_per_px or USUAL_WIDTH_MM / shape[1]
+        self.clean = known.clean if known else USUAL_SIGMA
+        self.stepped = SteppedSlopes(forward, shape, calibration.untouched_change)
+        self.residual_scale = 1.0 if forward is None else forward.residual_scale
+        self.states_sigma = slope_sigma and known is not None
+        self.sigma: PreparedSigma | UnknownSigma = UnknownSigma(self.clean)
+        if known is not None and slope_sigma:
+            self.sigma = PreparedSigma(known, shape)
+        self.anchor = RestAnchor(shape, self.pitch, self.clean)
+        self.depth_sigma: DepthSigma | None = None
+        if depth_sigma and known is not None and calibration.mm_per_px is not None:
+            self.depth_sigma = DepthSigma(shape, mm_per_px=self.pitch, **known.correlation)
+        self.gain_sigma = known.gain_sigma if known else 0.0
+        self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
+        self.solved_sigma = SolvedSigma(known, shape, calibration.change.blur_px if known else None)
+
+    def integrate(
+        self, read: _Read, start: Callable[[Work], Work]
+    ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
+        """Depth of the slopes, weighted and anchored where the solver can, its standard deviation, and differences'.
+
+        It has two parts: errors of slopes here and there, and what all in or around a contact share, in proportion to depth.
+        """
+        solve_args: dict[str, Any] = {"zero": read.untouched}
+        if takes_weights(self.solver):
+            anchor = self.anchor(read.observed, read.untouched, read.confidence)
+            solve_args = {"weights": read.confidence, "anchor": anchor}
+        sigma_of: Work | None = None
+        if self.depth_sigma is not None and read.observed_sigma is not None:
+            sigma_args = {**solve_args, "rest": read.untouched}
+            slopes_sigma = checked_sigma(read.observed_sigma)
+            sigma_of = start(partial(self.depth_sigma.unchecked, slopes_sigma, **sigma_args))
+        solution = integrate_unchecked(read.observed, mm_per_px=self.pitch, solver=self.solver, **solve_args)
+        if self.depth_sigma is None or read.observed_sigma is None or sigma_of is None:
+            return solution, None, None
+        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self.gain_sigma, self.limit.ignorance_mm)
+        parts = self.depth_sigma, read.observed_sigma, sigma_args, solution.depth_mm, self.gain_sigma
+        return solution, sigma, DepthDifference(*parts)
+
+
+class _Today:
+    """What follows from the untouched image of today (H, W, 3), 0-255; immutable, shared by threads."""
+
+    def __init__(self, fixed: _Calibrated, background: NDArray[np.float32]) -> None:
+        calibration, forward = fixed.calibration, fixed.calibration.forward
+        change, noise = calibration.change, calibration.settings.image_noise
+        self.untouched_image = PreparedBackground(background, change)
+        self.model = calibration.color_model.prepare(background, calibration.image_shape)
+        self.health = FrameHealth(background)
+        # Where crosstalk is undone, a channel that clips is part of all three.
+        spare = int(fixed.stepped.steps and change.crosstalk is None)
+        learnt = None if forward is None else forward.clipped
+        outside = outside_of_gel(background)
+        self.clipped = ClippedChannels(change.blur_px, learnt, spare, outside)
+        self.causes: PreparedCauses | AllAlike = AllAlike()
+        if fixed.slope_sigma:
+            self.causes = PreparedCauses(
+                background, change, clean=fixed.clean, levels=noise, walls=calibration.slope_sigma is not None,
+                outside=outside, slope_per_change=1.0 if forward is None else forward.slope_per_change,
+            )  # fmt: skip
+        at_rest = noise_by_place(self.model, self.untouched_image, noise)
+        self.contact = PreparedContact((fixed.pitch,) * 2, calibration.settings.relaxation_mm, at_rest)
+
+
 class Reconstructor:
     """Depth in mm from images of the sensor that a calibration belongs to.
 
@@ -114,9 +188,8 @@ class Reconstructor:
         slope_sigma: bool = True,
     ) -> None:
         self.calibration = calibration = as_calibration(calibration)
-        self.solver = checked_solver(solver)
-        if not slope_sigma and (depth_sigma or takes_weights(solver)):
-            raise ValueError("Expected slope_sigma=True for a solver with weights and for depth_sigma=True.")
+        self._calibrated = _Calibrated(calibration, solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma)
+        self.solver = self._calibrated.solver
         self.findings: tuple[Finding, ...] = ()
         self.background = calibration.background
         self._checked = partial(check_viewed_image, calibration.image_shape, calibration.view.frame_shape)
@@ -126,49 +199,23 @@ class Reconstructor:
             self.findings = check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
-        self._untouched_image = PreparedBackground(self.background, calibration.change)
-        self._model = calibration.color_model.prepare(self.background, calibration.image_shape)
-        self._pitch = calibration.mm_per_px or USUAL_WIDTH_MM / calibration.image_shape[1]
-        self._clean = calibration.slope_sigma.clean if calibration.slope_sigma else USUAL_SIGMA
-        forward, change = calibration.forward, calibration.change
-        self._stepped = SteppedSlopes(forward, calibration.image_shape, calibration.untouched_change)
-        learnt, self._scale = (None, 1.0) if forward is None else (forward.clipped, forward.residual_scale)
-        # Where crosstalk is undone, a channel that clips is part of all three.
-        spare = int(self._stepped.steps and change.crosstalk is None)
-        outside = outside_of_gel(self.background)
-        self._clipped = ClippedChannels(change.blur_px, learnt, spare, outside)
-        self._sigma: PreparedSigma | UnknownSigma = UnknownSigma(self._clean)
-        self._states_sigma = slope_sigma and calibration.slope_sigma is not None
-        if calibration.slope_sigma is not None and slope_sigma:
-            self._sigma = PreparedSigma(calibration.slope_sigma, calibration.image_shape)
-        self._causes: PreparedCauses | AllAlike = AllAlike()
-        if slope_sigma:
-            per_change = 1.0 if forward is None else forward.slope_per_change
-            self._causes = PreparedCauses(
-                self.background, change, clean=self._clean, levels=calibration.settings.image_noise,
-                slope_per_change=per_change, walls=calibration.slope_sigma is not None, outside=outside,
-            )  # fmt: skip
-        self._anchor = RestAnchor(calibration.image_shape, self._pitch, self._clean)
-        self._depth_sigma = self._prepared_sigma() if depth_sigma else None
-        known = calibration.slope_sigma
-        self._gain_sigma = known.gain_sigma if known else 0.0
-        self._health = FrameHealth(self.background)
-        shape = calibration.image_shape
-        self._limit = DepthLimit.of(shape, self._pitch, calibration.settings.gel_thickness_mm)
-        noise = noise_by_place(self._model, self._untouched_image, calibration.settings.image_noise)
-        self._contact = PreparedContact((self._pitch,) * 2, calibration.settings.relaxation_mm, noise)
-        self.solved_sigma = SolvedSigma(known, shape, change.blur_px if known else None)
+        self._today = _Today(self._calibrated, self.background)
+        self.solved_sigma = self._calibrated.solved_sigma
         self.markers = MarkerFollower(self.background, calibration.mm_per_px)
         self._start: Callable[[Work], Work] = lambda work: work
+        height, width = shape = calibration.image_shape
         self._pool = Pool(lambda: np.empty((*shape, 3), dtype=np.float32))
-        keep_freed_memory(BYTES_PER_PX * shape[0] * shape[1])
+        keep_freed_memory(BYTES_PER_PX * height * width)
 
     def with_background(self, background: NDArray[np.float32]) -> Reconstructor:
-        """The same for another state (H, W, 3) of the same untouched gel, 0-255: quick, and nothing is checked."""
+        """The same for another state (H, W, 3) of the same untouched gel, 0-255; nothing is checked.
+
+        All but the marker dots is as if the Reconstructor had been made with it: they are still where they were found.
+        Takes about as long as a frame.
+        """
         other = copy(self)
         other.background, other.own_background = background, False
-        other._untouched_image = PreparedBackground(background, self.calibration.change)
-        other._model = self.calibration.color_model.prepare(background, self.calibration.image_shape)
+        other._today = _Today(self._calibrated, background)
         return other
 
     def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
@@ -214,20 +261,19 @@ class Reconstructor:
         with self._pool.one() as change:
             read = self._read(self._checked(image), change, markers)
             albedo = self._albedo_source(change)
-        faults, observed = read.faults, read.observed
-        solution, depth_sigma, difference = self._integrate(read)
-        depth_mm, too_deep = self._limit.bound(solution.depth_mm)
-        faults.widen(depth_sigma, self._limit.ignorance_mm)
-        gradients = slopes_of_solution(depth_mm, (self._pitch, self._pitch))
-        contact = self._contact(depth_mm, depth_sigma)
+        faults, fixed = read.faults, self._calibrated
+        solution, depth_sigma, difference = fixed.integrate(read, self._start)
+        depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
+        faults.widen(depth_sigma, fixed.limit.ignorance_mm)
+        gradients = slopes_of_solution(depth_mm, (fixed.pitch, fixed.pitch))
         return Reconstruction(
-            depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(self._pitch),
+            depth=depth_mm if self.calibration.mm_per_px else depth_mm / np.float32(fixed.pitch),
             depth_sigma_mm=depth_sigma,
             gradients=gradients,
             gradients_sigma=self.solved_sigma(read.observed_sigma, gradients),
-            observed_gradients=observed,
+            observed_gradients=read.observed,
             confidence=read.confidence,
-            contact=contact,
+            contact=self._today.contact(depth_mm, depth_sigma),
             known=faults.seen(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
@@ -246,12 +292,12 @@ class Reconstructor:
 
         Of the sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
         """
-        if isinstance(self._causes, AllAlike):
+        if isinstance(self._today.causes, AllAlike):
             raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
         image, change = self._checked(image), np.empty((*self.calibration.image_shape, 3), dtype=np.float32)
         read = self._read(image, change, explains=True)
         assert read.maps is not None
-        return explanation_of(read.maps, read.sigma, read.confidence, self._clean)
+        return explanation_of(read.maps, read.sigma, read.confidence, self._calibrated.clean)
 
     def _read(
         self,
@@ -262,80 +308,38 @@ class Reconstructor:
         explains: bool = False,
     ) -> _Read:
         """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
-        raw_image, faults = image, self._health(image)
+        fixed, today = self._calibrated, self._today
+        raw_image, faults = image, today.health(image)
         image = faults.image  # what says nothing shows the untouched gel, and has no weight
-        exposure, drifted = self._untouched_image.compare(image)
+        exposure, drifted = today.untouched_image.compare(image)
         flow = self.markers(image) if flow is None and len(self.markers) else flow
         markers = self.markers.hidden(image, flow, self.calibration.change.blur_px)
         hidden = faults.hidden(markers)
-        clipped = self._clipped(as_levels(image), hidden)
+        clipped = today.clipped(as_levels(image), hidden)
         unseen = either(hidden, clipped.unseen)
-        pending = self._untouched_image.pending(image, exposure)
-        direct, model_sigma = gradients_from_pending(self._model, pending, out=change)
-        step = self._stepped(change, direct, unseen, clipped.channels)
+        pending = today.untouched_image.pending(image, exposure)
+        direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
+        step = fixed.stepped(change, direct, unseen, clipped.channels)
         observed, variance = (direct, None) if step is None else (step.gradients, step.variance)
         reference = reference_from_color_change(change, observed, self.calibration.untouched_change, hidden)
-        untouched, sigma = self._sigma(change, observed, reference, hidden, variance)
+        untouched, sigma = fixed.sigma(change, observed, reference, hidden, variance)
         maps: dict[str, NDArray[np.float32]] | None = {} if explains else None
         own = sigma.copy() if explains else sigma
-        residual = None if step is None else (step.residual * np.float32(1 / self._scale), step.variance)
-        confidence = self._causes(observed, sigma, unseen, raw_image, residual, maps)
-        if maps is not None and isinstance(self._causes, PreparedCauses):
-            maps = self._causes.maps_of(
-                maps,
-                own,
-                raw_image,
-                clipped=clipped.channels,
-                markers=markers,
-                lost=faults.lost,
-                color_change=change,
-            )
-        stated = sigma if self._states_sigma else None
-        observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, self._clean)
-        return _Read(
-            faults,
-            flow,
-            markers,
-            drifted,
-            reference,
-            observed,
-            observed_sigma,
-            untouched,
-            sigma,
-            confidence,
-            maps,
+        residual = (
+            None if step is None else (step.residual * np.float32(1 / fixed.residual_scale), step.variance)
         )
-
-    def _prepared_sigma(self) -> DepthSigma | None:
-        """The depth's standard deviation, where that of the slopes and the scale are known."""
-        if (known := self.calibration.slope_sigma) is None or self.calibration.mm_per_px is None:
-            return None
-        return DepthSigma(self.calibration.image_shape, mm_per_px=self._pitch, **known.correlation)
-
-    def _integrate(
-        self, read: _Read
-    ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
-        """Depth of the slopes, weighted and anchored where the solver can, its standard deviation, and differences'.
-
-        It has two parts: errors of slopes here and there, and what all in or around a contact share, in proportion to depth.
-        """
-        how: dict[str, Any] = {"zero": read.untouched}
-        if takes_weights(self.solver):
-            anchor = self._anchor(read.observed, read.untouched, read.confidence)
-            how = {"weights": read.confidence, "anchor": anchor}
-        sigma_of: Work | None = None
-        if self._depth_sigma is not None and read.observed_sigma is not None:
-            known = {**how, "rest": read.untouched}
-            slopes_sigma = checked_sigma(read.observed_sigma)
-            sigma_of = self._start(partial(self._depth_sigma.unchecked, slopes_sigma, **known))
-        solution = integrate_unchecked(read.observed, mm_per_px=self._pitch, solver=self.solver, **how)
-        if self._depth_sigma is None or read.observed_sigma is None or sigma_of is None:
-            return solution, None, None
-        sigma = add_in_proportion(sigma_of(), solution.depth_mm, self._gain_sigma, self._limit.ignorance_mm)
-        parts = self._depth_sigma, read.observed_sigma, known, solution.depth_mm, self._gain_sigma
-        return solution, sigma, DepthDifference(*parts)
+        confidence = today.causes(observed, sigma, unseen, raw_image, residual, maps)
+        if maps is not None and isinstance(today.causes, PreparedCauses):
+            maps = today.causes.maps_of(
+                maps, own, raw_image, clipped=clipped.channels, markers=markers, lost=faults.lost, color_change=change
+            )  # fmt: skip
+        stated = sigma if fixed.states_sigma else None
+        observed_sigma, confidence = with_model_sigma(stated, confidence, model_sigma, fixed.clean)
+        return _Read(
+            faults, flow, markers, drifted, reference, observed, observed_sigma, untouched, sigma, confidence, maps
+        )  # fmt: skip
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; color models that know none give none."""
-        albedo_from_color = getattr(self._model, "albedo_from_color", None)
+        albedo_from_color = getattr(self._today.model, "albedo_from_color", None)
         return None if albedo_from_color is None else partial(albedo_from_color, change.copy())

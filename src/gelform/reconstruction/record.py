@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,6 +80,10 @@ class Reconstruction:
             values, wanted = getattr(self, one.name), (*shape, *one.axes)
             if np.shape(values) != wanted and not (values is None and one.optional):
                 raise ValueError(f"Expected {one.name} of shape {wanted}, as depth, got {np.shape(values)}.")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickled as saved: without the sources."""
+        return {**self.__dict__, "albedo_source": None, "difference_source": None}
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
