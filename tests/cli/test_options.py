@@ -1,8 +1,9 @@
-"""Values of options are checked where they are read: a wrong one is a usage error that names the option."""
+"""Values of options are checked where they are read, groups of them are flat on the command line, names are the tables'."""
 
 import pytest
 import typer
 
+from gelform.cli import options
 from gelform.cli.options import numbers, one_of, positive
 
 
@@ -34,3 +35,37 @@ def test_the_option_is_named(fails, press_folder, tmp_path):
         said = fails("calibrate", press_folder, "-o", tmp_path / "c.npz", "--mm-per-px", value, status=2)
         assert "--mm-per-px" in said
         assert f"'{value}'" in said
+
+
+def test_the_names_are_those_of_the_tables():
+    from gelform.color_models import COLOR_MODELS
+    from gelform.importers.calibrations import PACKAGES
+    from gelform.sensors.profiles import SENSORS
+    from gelform.simulate import LAYOUTS
+
+    assert tuple(COLOR_MODELS) == options.COLOR_MODELS
+    assert tuple(PACKAGES) == options.PACKAGES
+    assert tuple(SENSORS) == options.SENSORS
+    assert tuple(LAYOUTS) == options.LAYOUTS
+    assert [sensor.name for sensor in LAYOUTS.values()] == list(LAYOUTS)
+
+
+def test_the_help_names_them_all(run):
+    for command, names in (("calibrate", options.COLOR_MODELS), ("import", options.PACKAGES)):
+        said = " ".join(run(command, "--help")[1].split())
+        assert options.listed(names) in said.replace("auto, ", "")
+
+
+def test_a_table_that_is_none_is_said():
+    with pytest.raises(LookupError, match="Expected a dict THEM"):
+        options.names_in("color_models/__init__.py", "THEM")
+    with pytest.raises(LookupError, match="keys written out"):
+        options.names_in("color_models/__init__.py", "__all__")
+
+
+def test_names_as_a_sentence_has_them():
+    assert [options.listed(names) for names in (("a",), ("a", "b"), ("a", "b", "c"))] == [
+        "a",
+        "a or b",
+        "a, b or c",
+    ]

@@ -9,7 +9,7 @@ import pytest
 
 from gelform.background.change import ChangeSettings, gain_from_background
 from gelform.ball import ball_gradients
-from gelform.cli.commands.inspection.explain import explain
+from gelform.cli.commands.inspection import explain
 from gelform.confidence import causes
 from gelform.confidence.causes import (
     CAUSES,

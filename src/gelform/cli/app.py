@@ -6,27 +6,39 @@ import os
 
 import typer
 
-from gelform.cli.commands import (
-    batch,
-    calibrate,
-    demo,
-    design,
-    export,
-    import_,
-    lens,
-    live,
-    reconstruct,
-    scale,
-    simulate,
-    verify,
-)
-from gelform.cli.commands.inspection import compare, evaluate, explain, info
+from gelform.cli.commands.batch import batch, verify
+from gelform.cli.commands.calibrate import calibrate
+from gelform.cli.commands.demo import demo
+from gelform.cli.commands.exchange import export, import_
+from gelform.cli.commands.geometry import lens, scale
+from gelform.cli.commands.info import info
+from gelform.cli.commands.inspection import compare, evaluate, explain
+from gelform.cli.commands.live import live
+from gelform.cli.commands.reconstruct import reconstruct
 from gelform.cli.commands.robots import bag, ros
+from gelform.cli.commands.simulate import design, simulate
 from gelform.cli.commands.sources import cameras, record
-from gelform.cli.failures import DEBUG, ReportedFailures
-from gelform.cli.process import as_process
+from gelform.cli.options import flat
+from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+COMMANDS = (
+    *(
+        demo,
+        calibrate,
+        reconstruct,
+        evaluate,
+        scale,
+        lens,
+        simulate,
+        design,
+        import_,
+        compare,
+        explain,
+        export,
+    ),
+    *(info, cameras, record, live, batch, verify, bag, ros),
+)
 
 app = typer.Typer(
     name="gelform",
@@ -37,31 +49,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-app.command()(demo.demo)
-app.command()(calibrate.calibrate)
-app.command()(reconstruct.reconstruct)
-app.command()(evaluate.evaluate)
-app.command()(scale.scale)
-app.command()(lens.lens)
-app.command()(simulate.simulate)
-app.command()(design.design)
-app.command("import")(import_.import_)
-app.command()(compare.compare)
-app.command()(explain.explain)
-app.command()(export.export)
-app.command()(info.info)
-app.command()(cameras.cameras)
-app.command()(record.record)
-app.command()(live.live)
-app.command()(batch.batch)
-app.command()(verify.verify)
-app.command()(bag.bag)
-app.command()(ros.ros)
+for command in COMMANDS:
+    app.command(command.__name__.rstrip("_"))(flat(command))
 
 
 def command_names() -> tuple[str, ...]:
     """The names of all commands, in the order of the help."""
-    return tuple(command.name or str(command.callback.__name__) for command in app.registered_commands)  # type: ignore[union-attr]
+    return tuple(command.__name__.rstrip("_") for command in COMMANDS)
 
 
 def _print_version(asked: bool) -> None:

@@ -43,12 +43,8 @@ def say(text: str, quiet: bool = False) -> None:
         typer.echo(text, err=True)
 
 
-def show_table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, quiet: bool = False
-) -> None:
+def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table on standard output; its first column is text, the others are numbers."""
-    if quiet:
-        return
     from rich.console import Console
     from rich.table import Table
 

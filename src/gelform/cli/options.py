@@ -1,16 +1,55 @@
-"""Options that several commands share, and the parsers of their values."""
+"""Options that several commands share, alone and in groups, the parsers of their values, and names for the help."""
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from gelform.cli.tables import listed
+from gelform.cli.console import print_json, progress_shown, say, show_table
+from gelform.progress import Progress
 from gelform.robots.topics import TOPICS
 from gelform.sensors.profiles import PROFILES
+
+PACKAGE = Path(__file__).parents[1]
+
+
+def names_in(file: str, table: str) -> tuple[str, ...]:
+    """The keys of a dict literal in a file of the package, in its order; the file is not imported.
+
+    `--help` has to start at once, and the tables hold classes that need numpy.
+
+    Raises
+    ------
+    LookupError
+        There is no such table, or it is no dict with keys written out.
+    """
+    for node in ast.parse((PACKAGE / file).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict):
+            target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
+            keys = [key.value for key in node.value.keys if isinstance(key, ast.Constant)]
+            if isinstance(target, ast.Name) and target.id == table and len(keys) == len(node.value.keys):
+                return tuple(str(key) for key in keys)
+    raise LookupError(f"Expected a dict {table} with its keys written out in {file}.")
+
+
+COLOR_MODELS = names_in("color_models/__init__.py", "COLOR_MODELS")
+PACKAGES = names_in("importers/calibrations.py", "PACKAGES")
+LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
+SENSORS = names_in("sensors/profiles.py", "SENSORS")
+
+
+def listed(names: tuple[str, ...]) -> str:
+    """Names as a sentence has them: a, b or c."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def positive(text: str) -> float:
@@ -47,8 +86,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that are already there.")]
 Images = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")]
 PictureFolder = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image."),
+    Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
+]
+NewCalibration = Annotated[
+    Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
 ]
 CalibrationFile = Annotated[
     Path, typer.Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
@@ -60,24 +101,98 @@ Sensor = Annotated[
 MmPerPx = Annotated[
     float | None, typer.Option(metavar="F", parser=positive, help="Width of an image pixel on the gel, mm.")
 ]
-BallDiameter = Annotated[
-    float | None,
-    typer.Option(
-        metavar="F",
-        parser=positive,
-        help="Diameter of the ball, mm, for a video or a folder without presses.csv.",
-    ),
-]
 Background = Annotated[
     Path | None,
     typer.Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average."),
 ]
+Seed = Annotated[int, typer.Option(min=0, help="Of the random numbers.")]
 ALL_TOPICS = ",".join(TOPICS)
-Topics = Annotated[str, typer.Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")]
-TopicsOf = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."),
-]
-Seconds = Annotated[
-    float | None, typer.Option(metavar="F", parser=positive, help="How long; else to the end or Ctrl-C.")
-]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How a command reports: results on standard output, the rest on standard error."""
+
+    quiet: Quiet = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")] = (
+        False
+    )
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is said beside JSON."""
+        return self.quiet or self.as_json
+
+    def say(self, text: str) -> None:
+        """A line for the user."""
+        say(text, self.quiet)
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """A table for the user."""
+        if not self.silent:
+            show_table(title, columns, rows)
+
+    def json(self, content: Mapping[str, Any]) -> None:
+        """The numbers, where they are wanted as JSON."""
+        if self.as_json:
+            print_json(content)
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """A bar for each kind of work; gives what to call."""
+        return progress_shown(self.quiet)
+
+
+@dataclass(frozen=True)
+class PressOptions:
+    """What is said of presses beside their folder: keywords of `read_presses`."""
+
+    sensor: Sensor = None
+    mm_per_px: MmPerPx = None
+    ball_diameter_mm: Annotated[
+        float | None,
+        typer.Option(
+            metavar="F",
+            parser=positive,
+            help="Diameter of the ball, mm, for a video or a folder without presses.csv.",
+        ),
+    ] = None
+    background: Background = None
+
+
+def flat(function: Callable[..., None]) -> Callable[..., None]:
+    """A command as typer takes it: each field of a dataclass of options is a parameter of its own."""
+    hints = get_type_hints(function, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    groups: dict[str, Any] = {}
+    for parameter in inspect.signature(function).parameters.values():
+        kind = hints[parameter.name]
+        if is_dataclass(kind):
+            groups[parameter.name] = kind
+            parameters += _parameters_of(kind)
+        else:
+            parameters.append(parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=kind))
+
+    @wraps(function)
+    def command(**given: Any) -> None:
+        made = {
+            name: kind(**{field.name: given.pop(field.name) for field in fields(kind)})
+            for name, kind in groups.items()
+        }
+        function(**given, **made)
+
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return command
+
+
+def _parameters_of(kind: Any) -> list[inspect.Parameter]:
+    hints = get_type_hints(kind, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(kind)
+    ]

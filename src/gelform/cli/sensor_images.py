@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gelform.cli.failures import mistakes_in
+from gelform.cli.process import mistakes_in
 from gelform.errors import GelformError
 
 if TYPE_CHECKING:
@@ -29,6 +29,15 @@ def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.flo
     from gelform.sensors.files import read_background
 
     return None if path is None else _viewed(read_background(path), path, calibration)
+
+
+def prepared(calibration: Path, background: Path | None, **settings: Any) -> Reconstructor:
+    """A Reconstructor of a calibration's file, and of an untouched image or a folder of them where one is given."""
+    from gelform.calibration_file import load_calibration
+    from gelform.reconstruct import Reconstructor
+
+    loaded = load_calibration(calibration)
+    return Reconstructor(loaded, background=background_in(background, loaded), **settings)
 
 
 def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) -> Reconstruction:

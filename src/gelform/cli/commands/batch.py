@@ -1,4 +1,4 @@
-"""gelform batch: every frame of a data set to depth, resumable."""
+"""gelform batch: every frame of a data set to depth, resumable; gelform verify: its output read again, whole."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import print_json, say
-from gelform.cli.failures import MISTAKE
-from gelform.cli.options import CalibrationFile, Json, Quiet, one_of
+from gelform.cli.console import progress_shown, say
+from gelform.cli.options import CalibrationFile, Shown, one_of
+from gelform.cli.process import MISTAKE
 from gelform.reconstruction.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary, Engine
 
+
+SHOWN_PROBLEMS = 20
 LINE_EVERY_S = 30.0  # where standard error is a file
 
 
@@ -30,7 +32,105 @@ def _shard(text: str) -> tuple[int, int]:
     return int(number), int(count)
 
 
+@dataclass(frozen=True)
+class Frames:
+    """Where frames and untouched images are in the input."""
+
+    dataset: Annotated[
+        str,
+        typer.Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name."),
+    ] = ""
+    background: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="IMG|DIR|CSV",
+            help="Untouched gel: an image, a folder of several, or a table of sequence,background.",
+        ),
+    ] = None
+    background_frames: Annotated[
+        int,
+        typer.Option(
+            metavar="N", min=0, help="Average the first N frames of each sequence as its background."
+        ),
+    ] = 0
+
+
+@dataclass(frozen=True)
+class Results:
+    """What is worked out and how it is written."""
+
+    form: Annotated[
+        str,
+        typer.Option(
+            "--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1, lerobot (its input with depth)."
+        ),
+    ] = "npz"
+    dtype: Annotated[
+        str | None, typer.Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
+    ] = None
+    table: Annotated[str, typer.Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto"
+    keep: Annotated[
+        str,
+        typer.Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results."),
+    ] = "depth,known"
+    solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto"
+    sigma: Annotated[
+        bool, typer.Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
+    ] = True
+
+    def settings(self, background_frames: int) -> BatchSettings:
+        """As the batch takes them; a usage error where they cannot be."""
+        from gelform.batch import BatchSettings
+
+        maps = tuple(dict.fromkeys(one.strip() for one in self.keep.split(",") if one.strip()))
+        try:
+            return BatchSettings(
+                self.form, maps, self.solver, self.sigma, background_frames, dtype=self.dtype or ""
+            )
+        except ValueError as problem:
+            raise typer.BadParameter(str(problem)) from problem
+
+
+@dataclass(frozen=True)
+class Machines:
+    """Who does the work."""
+
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes; of Ray, CPUs.")] = 1
+    engine: Annotated[str, typer.Option(help="pool: processes of this machine; ray.")] = "pool"
+    address: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a Ray cluster that runs, such as auto.")
+    ] = None
+    shard: Annotated[
+        Any, typer.Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
+    ] = "1/1"
+
+    def made(self) -> Engine:
+        """The engine; a usage error where there is no such."""
+        from gelform.batch import Engine
+
+        try:
+            return Engine(self.engine, self.workers, self.address)
+        except ValueError as problem:
+            raise typer.BadParameter(str(problem)) from problem
+
+
+@dataclass(frozen=True)
+class Run:
+    """Whether a run goes on where it was left, and what ends it."""
+
+    max_errors: Annotated[
+        int, typer.Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
+    ] = 1000
+    retry_errors: Annotated[
+        bool, typer.Option("--retry-errors", help="Do the parts again in which frames had errors.")
+    ] = False
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Delete what a batch wrote there, and begin anew.")
+    ] = False
+
+
 def batch(
+    *,
     source: Annotated[
         str,
         typer.Argument(
@@ -39,60 +139,11 @@ def batch(
     ],
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
-    dataset: Annotated[
-        str,
-        typer.Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name."),
-    ] = "",
-    background: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="IMG|DIR|CSV",
-            help="Untouched gel: an image, a folder of several, or a table of sequence,background.",
-        ),
-    ] = None,
-    background_frames: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, help="Average the first N frames of each sequence as its background."
-        ),
-    ] = 0,
-    form: Annotated[
-        str,
-        typer.Option(
-            "--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1, lerobot (its input with depth)."
-        ),
-    ] = "npz",
-    dtype: Annotated[
-        str | None, typer.Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
-    ] = None,
-    table: Annotated[str, typer.Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto",
-    keep: Annotated[
-        str,
-        typer.Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results."),
-    ] = "depth,known",
-    solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
-    sigma: Annotated[
-        bool, typer.Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
-    ] = True,
-    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes; of Ray, CPUs.")] = 1,
-    engine: Annotated[str, typer.Option(help="pool: processes of this machine; ray.")] = "pool",
-    address: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of a Ray cluster that runs, such as auto.")
-    ] = None,
-    shard: Annotated[
-        Any, typer.Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
-    ] = "1/1",
-    max_errors: Annotated[
-        int, typer.Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
-    ] = 1000,
-    retry_errors: Annotated[
-        bool, typer.Option("--retry-errors", help="Do the parts again in which frames had errors.")
-    ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Delete what a batch wrote there, and begin anew.")
-    ] = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    frames: Frames,
+    results: Results,
+    machines: Machines,
+    run: Run,
+    shown: Shown,
 ) -> None:
     """Reconstruct every frame of a data set; the same command goes on where it was left.
 
@@ -111,50 +162,26 @@ def batch(
     """
     from gelform.batch import run_batch
 
-    settings = _settings(form, keep, solver, sigma, background_frames, dtype)
-    table = one_of(table, ("auto", "parquet", "csv"), "--table")
-    with _progress(quiet or as_json) as progress:
+    settings = results.settings(frames.background_frames)
+    table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
+    with _progress(shown.silent) as progress:
         summary = run_batch(
             source,
             calibration,
             output,
             settings,
-            background=background,
-            shard=shard,
-            engine=_engine(engine, workers, address),
-            max_errors=max_errors,
-            overwrite=overwrite,
-            retry_errors=retry_errors,
+            background=frames.background,
+            dataset=frames.dataset,
+            shard=machines.shard,
+            engine=machines.made(),
             table=table,
-            dataset=dataset,
+            **vars(run),
             progress=progress,
         )
-    if as_json:
-        print_json({"output": output, **asdict(summary)})
-    _report(summary, output, max_errors, quiet or as_json)
+    shown.json({"output": output, **asdict(summary)})
+    _report(summary, output, run.max_errors, shown.silent)
     if summary.errors:
         raise typer.Exit(MISTAKE)
-
-
-def _engine(name: str, workers: int, address: str | None) -> Engine:
-    from gelform.batch import Engine
-
-    try:
-        return Engine(name, workers, address)
-    except ValueError as problem:
-        raise typer.BadParameter(str(problem)) from problem
-
-
-def _settings(
-    form: str, keep: str, solver: str, sigma: bool, background_frames: int, dtype: str | None
-) -> BatchSettings:
-    from gelform.batch import BatchSettings
-
-    maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))
-    try:
-        return BatchSettings(form, maps, solver, sigma, background_frames, dtype=dtype or "")
-    except ValueError as problem:
-        raise typer.BadParameter(str(problem)) from problem
 
 
 @contextmanager
@@ -207,3 +234,34 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
             say("Why frames have errors is in its column error; after mending them: --retry-errors.", quiet)
     else:
         say("This shard is done; the table is written when the last one is.", quiet)
+
+
+def verify(
+    *,
+    output: Annotated[Path, typer.Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
+    shown: Shown,
+) -> None:
+    """Read everything that a batch wrote and say what is missing, altered or in excess.
+
+    The exit status is 1 where something is wrong. Frames that have an error of their own are counted, and are
+    nothing wrong with the output.
+
+    \b
+    Examples:
+      gelform verify depth
+      gelform verify depth --json
+    """
+    from gelform.batch import verify_output
+
+    with progress_shown(shown.silent) as progress:
+        good, errors, problems = verify_output(output, progress)
+    listed = [{"path": str(one.path), "what": one.what} for one in problems]
+    shown.json({"frames": good, "errors": errors, "problems": listed})
+    if not shown.as_json:
+        for one in problems[:SHOWN_PROBLEMS]:
+            say(f"gelform: error: {one.path}: {one.what}")
+        if len(problems) > SHOWN_PROBLEMS:
+            say(f"{len(problems) - SHOWN_PROBLEMS} more; all with --json.")
+    say(f"{good} frames are whole, {errors} have an error, {len(problems)} problems.", shown.silent)
+    if problems:
+        raise typer.Exit(MISTAKE)

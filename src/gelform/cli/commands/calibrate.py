@@ -3,40 +3,35 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gelform.cli.console import figure, print_json, progress_shown, say, show_table
+from gelform.cli.console import figure, say, show_table
 from gelform.cli.options import (
-    Background,
-    BallDiameter,
-    Json,
-    MmPerPx,
+    COLOR_MODELS,
+    NewCalibration,
     Overwrite,
-    Quiet,
-    Sensor,
+    PressOptions,
+    Shown,
+    listed,
     numbers,
     one_of,
 )
+from gelform.cli.outputs import REPORT_FILES, check_output, check_report_folder, content_of, write_report
 from gelform.cli.process import only_writer
-from gelform.cli.report_files import REPORT_FILES, check_report_folder, content_of, write_report
-from gelform.cli.result_names import check_output
-from gelform.cli.tables import COLOR_MODELS, listed
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
-    from gelform.calibration.presses.folder import Presses
     from gelform.calibration_file import Calibration
 
 MODELS = ("auto", *COLOR_MODELS)
 
 
 def calibrate(
+    *,
     presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Ball presses: a folder or a video.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
-    ],
+    output: NewCalibration,
     model: Annotated[str, typer.Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
         Path | None,
@@ -44,10 +39,7 @@ def calibrate(
             metavar="CAL.npz", help="Calibration of another unit of this sensor to begin with: 5 presses do."
         ),
     ] = None,
-    sensor: Sensor = None,
-    mm_per_px: MmPerPx = None,
-    ball_diameter_mm: BallDiameter = None,
-    background: Background = None,
+    given: PressOptions,
     crop: Annotated[
         str | None,
         typer.Option(
@@ -65,8 +57,7 @@ def calibrate(
         ),
     ] = False,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    shown: Shown,
 ) -> None:
     """Calibrate a sensor from presses of a ball of known diameter, without a click.
 
@@ -88,18 +79,17 @@ def calibrate(
     """
     one_of(model, MODELS, "--model")
     box = None if crop is None else numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
-    _check_outputs(output, report, overwrite)
+    check_output(output, overwrite=overwrite)
+    if report is not None:
+        check_report_folder(report, overwrite)
     from gelform.calibration.fit import calibrate as calibrate_presses
     from gelform.calibration.presses.folder import read_presses
     from gelform.calibration_file import load_calibration
 
-    with only_writer(output), progress_shown(quiet) as progress:
+    with only_writer(output), shown.progress() as progress:
         found = read_presses(
             presses,
-            sensor=sensor,
-            mm_per_px=mm_per_px,
-            ball_diameter_mm=ball_diameter_mm,
-            background=background,
+            **vars(given),
             crop=box,  # type: ignore[arg-type]
             progress=progress,
         )
@@ -110,58 +100,37 @@ def calibrate(
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:
-            _write_report(content, found, calibration, output, report, overwrite)
+            try:
+                write_report(content, found, calibration, report, overwrite=overwrite)
+            except DataError as problem:
+                raise DataError(f"{output} is written, its report is not. {problem}") from problem
     verdict = content["verdict"]
-    _show(calibration, quiet or as_json)
-    say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.", quiet)
-    say(f"{verdict['headline']}.", quiet)
+    _show(calibration, shown)
+    shown.say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.")
+    shown.say(f"{verdict['headline']}.")
     marks = " (--report DIR shows where that is.)" if report is None and "marked" in verdict["next"] else ""
-    say(f"Next: {verdict['next']}{marks}", quiet)
-    if as_json:
-        print_json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
+    shown.say(f"Next: {verdict['next']}{marks}")
+    shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 
 
-def _check_outputs(output: Path, report: Path | None, overwrite: bool) -> None:
-    """Everything that could stop the writing is said before the work."""
-    check_output(output, overwrite=overwrite)
-    if report is not None:
-        check_report_folder(report, overwrite)
-
-
-def _write_report(
-    content: dict[str, Any],
-    presses: Presses,
-    calibration: Calibration,
-    output: Path,
-    report: Path,
-    overwrite: bool,
-) -> None:
-    """The report's files; where they cannot be written the calibration stays, and is said to."""
-    try:
-        write_report(content, presses, calibration, report, overwrite=overwrite)
-    except DataError as problem:
-        raise DataError(f"{output} is written, its report is not. {problem}") from problem
-
-
-def _show(calibration: Calibration, quiet: bool) -> None:
+def _show(calibration: Calibration, shown: Shown) -> None:
+    if shown.silent:
+        return
     report = calibration.report
     rejected = [(row.name, row.reason or "") for row in report.presses if not row.accepted]
     used = len(report.presses) - len(rejected)
-    say(
-        f"{calibration.sensor_name}: {used} of {len(report.presses)} presses used, {report.seconds:.0f} s.",
-        quiet,
-    )
+    say(f"{calibration.sensor_name}: {used} of {len(report.presses)} presses used, {report.seconds:.0f} s.")
     if rejected:
-        show_table("Presses left out", ("press", "why"), rejected, quiet=quiet)
+        show_table("Presses left out", ("press", "why"), rejected)
     tried = [
         (one["candidate"] + (" <" if one["chosen"] else ""), figure(one["normal_free_deg"]))
         for one in report.candidates
     ]
-    show_table("Color models tried", ("model (< chosen)", "held-out normal (deg)"), tried, quiet=quiet)
+    show_table("Color models tried", ("model (< chosen)", "held-out normal (deg)"), tried)
     held_out = [
         (name, figure(saved), figure(report.held_out[name])) for name, saved in report.held_out_saved.items()
     ]
     columns = ("figure", "saved model", "choice and fit")
-    show_table("Errors on presses that were held out", columns, held_out, quiet=quiet)
+    show_table("Errors on presses that were held out", columns, held_out)
     for note in report.notes:
-        say(f"note: {note}", quiet)
+        say(f"note: {note}")

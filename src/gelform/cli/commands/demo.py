@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import check_pictures, json_bytes, print_json, progress_shown, say, show_table
-from gelform.cli.options import Json, Quiet
+from gelform.cli.console import check_pictures, json_bytes
+from gelform.cli.options import Shown
 from gelform.progress import Progress
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ LAYOUT, PRESSES, BALLS_MM, SEED = "three-edges", 24, (6.0, 9.0), 7
 
 
 def demo(
+    *,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder for the files.")
     ] = Path("gelform-demo"),
-    quiet: Quiet = False,
-    as_json: Json = False,
+    shown: Shown,
 ) -> None:
     """Try everything without a sensor: simulate one, calibrate it, reconstruct, compare with the truth.
 
@@ -40,7 +40,7 @@ def demo(
 
     check_pictures()
     started = time.monotonic()
-    with written_whole(output) as folder, progress_shown(quiet) as progress:
+    with written_whole(output) as folder, shown.progress() as progress:
         sensor = _simulated(folder / "presses", progress)
         calibration = _calibrated(folder, progress)
         errors = {}
@@ -49,17 +49,15 @@ def demo(
             errors[name] = _compared(folder, name, press, calibration)
             progress(done + 1, 4, "reconstructing objects")
         (folder / "errors.json").write_bytes(json_bytes(errors))
-    if as_json:
-        print_json({"folder": output, "seconds": time.monotonic() - started, "errors": errors})
-        return
+    shown.json({"folder": output, "seconds": time.monotonic() - started, "errors": errors})
     rows = [(name, *(_shown(key, value) for key, value in row.items())) for name, row in errors.items()]
-    show_table(
+    shown.table(
         "Against the truth (peak; RMSE of depth; angle in the contact)",
         ("object", "peak mm", "found", "ratio", "RMSE um", "in contact", "normal deg"),
         rows,
-        quiet=quiet,
     )
-    say(f"Wrote {output} in {time.monotonic() - started:.0f} s. Look at {output / 'coin.png'}.", quiet)
+    if not shown.as_json:
+        shown.say(f"Wrote {output} in {time.monotonic() - started:.0f} s. Look at {output / 'coin.png'}.")
 
 
 def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
@@ -82,7 +80,7 @@ def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
 def _calibrated(folder: Path, progress: Progress) -> Calibration:
     from gelform.calibration.fit import calibrate
     from gelform.calibration.presses.folder import read_presses
-    from gelform.cli.report_files import content_of, write_report
+    from gelform.cli.outputs import content_of, write_report
 
     presses = read_presses(folder / "presses", progress=progress)
     calibration = calibrate(presses, progress=progress)

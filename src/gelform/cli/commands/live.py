@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from gelform.cli.console import say
-from gelform.cli.failures import mistakes_in
 from gelform.cli.options import Quiet, positive
+from gelform.cli.process import mistakes_in
 from gelform.errors import GelformError
 
 

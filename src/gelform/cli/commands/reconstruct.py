@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gelform.cli.console import check_pictures, figure, print_json, progress_shown, say, show_table
-from gelform.cli.failures import MISTAKE, one_line
-from gelform.cli.options import Background, CalibrationFile, Images, Json, Overwrite, Quiet, one_of
-from gelform.cli.result_names import check_results, make_folder, result_paths
-from gelform.cli.sensor_images import background_in, image_in, reconstruction_of
+from gelform.cli.console import check_pictures, figure, say
+from gelform.cli.options import Background, CalibrationFile, Images, Overwrite, Shown, one_of
+from gelform.cli.outputs import check_results, make_folder, result_paths
+from gelform.cli.process import MISTAKE, one_line
+from gelform.cli.sensor_images import image_in, prepared, reconstruction_of
 from gelform.errors import GelformError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction
 
 SURFACES = ("ply", "stl", "tiff", "x3p")  # as in exporters.surface; its png holds depth, ours is a picture
@@ -39,6 +38,7 @@ def _formats(text: str) -> list[str]:
 
 
 def reconstruct(
+    *,
     images: Images,
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
@@ -57,8 +57,7 @@ def reconstruct(
         bool, typer.Option("--strict", help="Exit with 1 where a result has a warning.")
     ] = False,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    shown: Shown,
 ) -> None:
     """Reconstruct depth in mm from images of a calibrated sensor.
 
@@ -81,8 +80,11 @@ def reconstruct(
     check_results([results for _, results in todo], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         check_pictures()
-    with progress_shown(quiet) as progress:
-        run = _prepared(calibration, background, solver)
+    from gelform.solvers import SOLVERS
+
+    one_of(solver, ("auto", *SOLVERS), "--solver")
+    with shown.progress() as progress:
+        run = prepared(calibration, background, solver=solver)
         rows, failed = [], []
         for done, (path, results) in enumerate(todo):
             try:
@@ -96,26 +98,13 @@ def reconstruct(
             progress(done + 1, len(todo), "reconstructing")
     for one in failed:
         say(f"gelform: error: {one['error']}")
-    _report(rows, quiet or as_json)
+    _report(rows, shown)
     if len(images) > len(rows) and len(images) > 1:
         skipped = len(images) - len(todo)
-        say(
-            f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} not possible.", quiet
-        )
-    if as_json:
-        print_json({"results": rows, "failed": failed})
+        shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} not possible.")
+    shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
-
-
-def _prepared(calibration: Path, background: Path | None, solver: str) -> Reconstructor:
-    from gelform.calibration_file import load_calibration
-    from gelform.reconstruct import Reconstructor
-    from gelform.solvers import SOLVERS
-
-    one_of(solver, ("auto", *SOLVERS), "--solver")
-    loaded = load_calibration(calibration)
-    return Reconstructor(loaded, background=background_in(background, loaded), solver=solver)
 
 
 def _write(
@@ -162,7 +151,7 @@ def _peak(result: Reconstruction) -> dict[str, Any]:
     return {"peak_mm": result.peak_mm, "contact_mm2": float(result.contact.sum()) * pitch[0] * pitch[1]}
 
 
-def _report(rows: Sequence[dict[str, Any]], quiet: bool) -> None:
+def _report(rows: Sequence[dict[str, Any]], shown: Shown) -> None:
     if not rows:
         return
     found = [(finding["name"], finding["message"]) for row in rows for finding in row["findings"]]
@@ -171,8 +160,8 @@ def _report(rows: Sequence[dict[str, Any]], quiet: bool) -> None:
         say(f"warning ({count} of {len(rows)} images): {message}")
     scaled = "peak_mm" in rows[0]
     keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
-    shown = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
+    table = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
     columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
-    show_table("Results", ("file", *columns, "curl (rms)"), shown, quiet=quiet)
-    if not scaled:
-        say("The scale of this calibration is unknown: results hold depth_px, not depth_mm.", quiet)
+    shown.table("Results", ("file", *columns, "curl (rms)"), table)
+    if not (scaled or shown.silent):
+        say("The scale of this calibration is unknown: results hold depth_px, not depth_mm.")

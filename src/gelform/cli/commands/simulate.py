@@ -1,28 +1,100 @@
-"""gelform simulate: images with exact truth."""
+"""gelform simulate: images with exact truth; gelform design: which LED layout gives the least depth error."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gelform.cli.console import print_json, progress_shown, say
-from gelform.cli.failures import mistakes_in
-from gelform.cli.options import Json, Quiet, positive
-from gelform.cli.tables import LAYOUTS, SENSORS, listed
+from gelform.cli.console import check_pictures, figure, say
+from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, positive
+from gelform.cli.outputs import check_output
+from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
     from gelform.simulate import HeightMap, Indenter, SimulatedSensor
     from gelform.simulate.twin import Twin
 
+
 MAX_MAP_BYTES = 1 << 28
 GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # the background of tables that come without one
 TABLES_NOISE = 1.0
 
 
+@dataclass(frozen=True)
+class Look:
+    """Another sensor to answer as, instead of a simulated one."""
+
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CAL.npz",
+            help="Instead: answer as this calibrated sensor does, or as Taxim's tables say.",
+        ),
+    ] = None
+    background: Annotated[
+        Path | None, typer.Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
+    ] = None
+    mm_per_px: Annotated[
+        float | None,
+        typer.Option(
+            metavar="F", parser=positive, help="Pixel pitch of that image, mm: the tables hold none."
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class Balls:
+    """A set of presses of balls."""
+
+    count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40
+    ball_diameter_mm: Annotated[
+        list[float],
+        typer.Option(
+            metavar="F", parser=positive, help="Diameter of a ball, mm; give several, they take turns."
+        ),
+    ] = (6.0, 9.0)  # type: ignore[assignment]  # typer makes a list of it
+
+
+@dataclass(frozen=True)
+class Face:
+    """Something else to press: a height map or a mesh."""
+
+    height_map: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image."),
+    ] = None
+    height_map_mm_per_px: Annotated[
+        float | None, typer.Option(metavar="F", parser=positive, help="Its sample pitch, mm.")
+    ] = None
+    height_map_range_mm: Annotated[
+        float | None, typer.Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
+    ] = None
+    depth_mm: Annotated[
+        float,
+        typer.Option(metavar="F", parser=positive, help="How deep the height map or mesh is pressed, mm."),
+    ] = 0.5
+    mesh: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
+    ] = None
+    mesh_mm_per_unit: Annotated[
+        float, typer.Option(metavar="F", parser=positive, help="Its unit: 1 for mm, 1000 for metres.")
+    ] = 1.0
+
+    def read(self) -> Indenter | None:
+        """What is pressed; None for balls."""
+        if self.mesh is not None:
+            return _mesh(self.mesh, self.mesh_mm_per_unit)
+        if self.height_map is not None:
+            return _height_map(self.height_map, self.height_map_mm_per_px, self.height_map_range_mm)
+        return None
+
+
 def simulate(
+    *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
     sensor: Annotated[
         str | None,
@@ -31,55 +103,14 @@ def simulate(
             help=f"{listed(LAYOUTS + SENSORS)} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
     ] = None,
-    like: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CAL.npz",
-            help="Instead: answer as this calibrated sensor does, or as Taxim's tables say.",
-        ),
-    ] = None,
-    background: Annotated[
-        Path | None, typer.Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
-    ] = None,
-    mm_per_px: Annotated[
-        float | None,
-        typer.Option(
-            metavar="F", parser=positive, help="Pixel pitch of that image, mm: the tables hold none."
-        ),
-    ] = None,
-    count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40,
-    ball_diameter_mm: Annotated[
-        list[float],
-        typer.Option(
-            metavar="F", parser=positive, help="Diameter of a ball, mm; give several, they take turns."
-        ),
-    ] = [6.0, 9.0],  # noqa: B006, typer reads it and never changes it
-    height_map: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image."),
-    ] = None,
-    height_map_mm_per_px: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="Its sample pitch, mm.")
-    ] = None,
-    height_map_range_mm: Annotated[
-        float | None, typer.Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
-    ] = None,
-    depth_mm: Annotated[
-        float,
-        typer.Option(metavar="F", parser=positive, help="How deep the height map or mesh is pressed, mm."),
-    ] = 0.5,
-    mesh: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
-    ] = None,
-    mesh_mm_per_unit: Annotated[
-        float, typer.Option(metavar="F", parser=positive, help="Its unit: 1 for mm, 1000 for metres.")
-    ] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
+    look: Look,
+    balls: Balls,
+    face: Face,
+    seed: Seed = 0,
     workers: Annotated[
         int, typer.Option(min=1, help="Processes; the bytes are the same for any number.")
     ] = 1,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    shown: Shown,
 ) -> None:
     """Simulate a sensor: images of pressed balls, or of your own height map or mesh, with the exact truth.
 
@@ -100,35 +131,28 @@ def simulate(
       gelform simulate -o coin --height-map coin.png --height-map-mm-per-px 0.02 --height-map-range-mm 0.3
       gelform simulate -o gear --mesh gear.stl --sensor gelsight-mini
     """
-
-    if sum(given is not None for given in (sensor, like)) > 1 or None not in (height_map, mesh):
+    both = None not in (sensor, look.like) or None not in (face.height_map, face.mesh)
+    if both:
         raise typer.BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
-    twin = _twin_of(like, background, mm_per_px)
-    if twin is not None:
-        made = twin.sensor
-    else:
-        made = sensor_of(sensor or LAYOUTS[0])
-    with progress_shown(quiet) as progress:
-        if height_map is not None or mesh is not None:
-            face = (
-                _mesh(mesh, mesh_mm_per_unit)
-                if height_map is None
-                else _height_map(height_map, height_map_mm_per_px, height_map_range_mm)
-            )
+    twin = _twin_of(look)
+    made = twin.sensor if twin is not None else sensor_of(sensor or LAYOUTS[0])
+    pressed = face.read()
+    with shown.progress() as progress:
+        if pressed is not None:
             from gelform.exporters.simulated_press import save_simulated_press
 
-            save_simulated_press(output, made, face, depth_mm=depth_mm, seed=seed, twin=twin)
+            save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
         else:
             from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
 
             oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's centre
-            wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed, oversample, twin)
+            diameters = tuple(balls.ball_diameter_mm)
+            wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
             save_simulated_set(output, wanted, workers=workers, progress=progress)
-    say(f"Wrote {output}.", quiet or as_json)
-    if as_json:
-        presses = count if height_map is None and mesh is None else 1
-        name = made.name if like is None else f"like {like}"
-        print_json({"folder": output, "sensor": name, "presses": presses, "seed": seed})
+    say(f"Wrote {output}.", shown.silent)
+    presses = balls.count if pressed is None else 1
+    name = made.name if look.like is None else f"like {look.like}"
+    shown.json({"folder": output, "sensor": name, "presses": presses, "seed": seed})
 
 
 def sensor_of(name_or_file: str) -> SimulatedSensor:
@@ -143,38 +167,38 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
         raise typer.BadParameter(str(problem), param_hint="--sensor") from problem
 
 
-def _twin_of(path: Path | None, background: Path | None, mm_per_px: float | None) -> Twin | None:
+def _twin_of(look: Look) -> Twin | None:
     """A twin of a calibration or of Taxim's tables; None without either."""
     from gelform.calibration_file import load_calibration
     from gelform.importers.taxim_forward import is_taxim_forward
     from gelform.simulate.twin import Twin
 
-    if path is not None and path.is_file() and is_taxim_forward(path):
-        return _twin_of_tables(path, background, mm_per_px)
-    for given, name in ((background, "--background"), (mm_per_px, "--mm-per-px")):
+    if look.like is not None and look.like.is_file() and is_taxim_forward(look.like):
+        return _twin_of_tables(look.like, look)
+    for given, name in ((look.background, "--background"), (look.mm_per_px, "--mm-per-px")):
         if given is not None:
             raise typer.BadParameter("is for --like with Taxim's tables only.", param_hint=name)
-    return None if path is None else Twin(load_calibration(path))
+    return None if look.like is None else Twin(load_calibration(look.like))
 
 
-def _twin_of_tables(path: Path, background: Path | None, mm_per_px: float | None) -> Twin:
+def _twin_of_tables(path: Path, look: Look) -> Twin:
     import numpy as np
 
     from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
     from gelform.sensors.files import read_image
     from gelform.simulate.twin import Twin
 
-    if mm_per_px is None:
+    if look.mm_per_px is None:
         raise typer.BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
-    rest = np.full(GREY_SHAPE, GREY_LEVEL) if background is None else read_image(background)
+    untouched = np.full(GREY_SHAPE, GREY_LEVEL) if look.background is None else read_image(look.background)
     noise = np.full(3, TABLES_NOISE)
-    return Twin(TaximLook(read_taxim_forward(path), rest.astype(np.float32), mm_per_px, noise))
+    tables = read_taxim_forward(path)
+    return Twin(TaximLook(tables, untouched.astype(np.float32), look.mm_per_px, noise))
 
 
-def _mesh(path: Path | None, mm_per_unit: float) -> Indenter:
+def _mesh(path: Path, mm_per_unit: float) -> Indenter:
     from gelform.importers.relief import read_mesh
 
-    assert path is not None
     try:
         return read_mesh(path, mm_per_unit=mm_per_unit)
     except ImportError as problem:
@@ -208,3 +232,59 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
     with mistakes_in(path):
         return HeightMap(heights, mm_per_px)
+
+
+def design(
+    *,
+    sensor: Annotated[
+        str, typer.Argument(metavar="SENSOR.toml", help="A simulated sensor, or a ready one's name.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.png", help="A picture of the study.")
+    ] = None,
+    presses: Annotated[int, typer.Option(min=4, help="Ball presses to calibrate each design on.")] = 14,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    shown: Shown,
+) -> None:
+    """Compare designs of a sensor before it is built: lights, crosstalk, noise, gel.
+
+    Each is simulated, calibrated on ball presses and measured on others, whose depth is known exactly. The
+    slope noise and the condition of the lights say where on the gel a design is weak, whatever the calibration.
+
+    \b
+    Examples:
+      gelform design mine.toml -o design.png
+      gelform design three-edges --json
+    """
+    import numpy as np
+
+    from gelform.design.study import compare_designs
+
+    chosen = sensor_of(sensor)
+    if output is not None:
+        check_pictures()
+        check_output(output, overwrite=overwrite)
+    with shown.progress() as progress:
+        results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
+    if output is not None:
+        from gelform.design.picture import design_picture
+        from gelform.plots.canvas import save_picture
+
+        save_picture(output, design_picture(results), overwrite=overwrite)
+    rows = [
+        {
+            "design": result.name,
+            "depth_rmse_um": result.depth_rmse_um,
+            "depth_rmse_se_um": result.depth_rmse_se_um,
+            "normal_deg": result.normal_deg,
+            "slope_sigma": float(np.median(result.slope_sigma)),
+            "condition": float(np.median(result.condition)),
+        }
+        for result in results
+    ]
+    shown.json({"sensor": chosen.name, "designs": rows})
+    lines = [[str(row["design"]), *(figure(row[name]) for name in list(row)[1:])] for row in rows]  # type: ignore[arg-type]
+    shown.table(f"Designs of {chosen.name}", list(rows[0]), lines)
+    if output is not None and not shown.as_json:
+        shown.say(f"Wrote {output}.")

@@ -1,12 +1,14 @@
-"""No two inputs ever share a result, and no result replaces an input."""
+"""What commands write: names of results, folders, the files of a report."""
 
+import errno
 import os
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.cli.result_names import check_output, check_results, make_folder, picture_paths, result_paths
+from gelform.cli import outputs
+from gelform.cli.outputs import check_output, check_results, make_folder, picture_paths, result_paths
 from gelform.errors import DataError
 
 part = st.sampled_from(["a", "b", "a.b", "gelsight", "ä ö", "0", "1"])
@@ -101,3 +103,30 @@ def test_an_output_is_checked_before_the_work(tmp_path):
     check_output(tmp_path / "there", overwrite=True)
     check_output(tmp_path / "a" / "b", overwrite=False)
     assert (tmp_path / "a").is_dir()
+
+
+def test_a_folder_that_holds_a_report_is_refused(tmp_path):
+    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
+    (tmp_path / "deep" / "report" / "circles.csv").touch()
+    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=True)
+    with pytest.raises(DataError, match=r"circles\.csv is already there.*--overwrite"):
+        outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
+
+
+def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
+    """The disk is full when the second file is brought to it: the first must not stay."""
+    calls = []
+
+    def full(handle):
+        calls.append(handle)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(outputs.os, "fsync", full)
+    files = {tmp_path / name: b"text" for name in outputs.REPORT_FILES}
+    with pytest.raises(DataError, match="No space left"):
+        outputs._write_all(files, overwrite=False)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    outputs._write_all(files, overwrite=False)
+    assert {path.name for path in tmp_path.iterdir()} == set(outputs.REPORT_FILES)

@@ -1,4 +1,4 @@
-"""gelform bag: what it writes and says, of a folder and of the simulated sensor; mistakes in one line."""
+"""gelform bag and gelform ros: what they write and say; mistakes in one line."""
 
 import pytest
 
@@ -42,3 +42,19 @@ def test_mistakes(run, fails, images, calibration_file, tmp_path):
     assert "No recording" in fails("bag", tmp_path / "missing.mcap", *given)
     tmp_path.joinpath("bag").mkdir()
     assert "is there already" in fails("bag", images, *given)
+
+
+pytest.importorskip("rosbags", reason="the extra zenoh is not installed")
+
+
+def test_mistakes_in_usage(run, calibration_file):
+    assert run("ros", "-c", calibration_file, "--topics", "depth")[0] == 2
+    assert run("ros", "-c", calibration_file, "--name", "Left Finger")[0] == 2
+    assert run("ros", "-c", calibration_file, "--domain", "233")[0] == 2
+
+
+def test_no_router_is_one_sentence_that_says_what_to_do(fails, calibration_file):
+    pytest.importorskip("zenoh", reason="the extra zenoh is not installed")
+    said = fails("ros", "-c", calibration_file, "--router", "tcp/127.0.0.1:1")
+    assert "No zenoh router answers at tcp/127.0.0.1:1. Start one" in said
+    assert "address of a zenoh router" in fails("ros", "-c", calibration_file, "--router", "here")

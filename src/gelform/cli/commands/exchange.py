@@ -1,0 +1,150 @@
+"""gelform import and gelform export: calibrations and results from and for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gelform.cli.console import say
+from gelform.cli.options import (
+    PACKAGES,
+    Background,
+    MmPerPx,
+    NewCalibration,
+    Overwrite,
+    Quiet,
+    Shown,
+    listed,
+    one_of,
+)
+from gelform.cli.outputs import check_output
+from gelform.cli.process import mistakes_in
+from gelform.errors import DataError
+
+RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which help does not import
+FILES = ("ply", "stl", "tiff", "png", "x3p")
+
+
+def import_(
+    *,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The package's calibration file.")],
+    package: Annotated[
+        str, typer.Option("--from", metavar="PACKAGE", help=f"Whose file it is: {listed(PACKAGES)}.")
+    ],
+    output: NewCalibration,
+    background: Background = None,
+    mm_per_px: MmPerPx = None,
+    position: Annotated[
+        str | None,
+        typer.Option(
+            metavar="zeros|true",
+            help="For gsrobotics: zeros as its program feeds its network, or the true positions.",
+        ),
+    ] = None,
+    flip_depth: Annotated[
+        bool, typer.Option("--flip-depth", help="For lut: its surface falls where pressed.")
+    ] = False,
+    name: Annotated[str | None, typer.Option(metavar="NAME", help="Name of the sensor.")] = None,
+    overwrite: Overwrite = False,
+    shown: Shown,
+) -> None:
+    """Import a calibration that another package made.
+
+    Networks of gs_sdk (nnmodel.pth), gsrobotics (nnmini.pt) and its browser port, Taxim's polycalib.npz, and
+    look-up tables (table_smooth.npy). Nothing in FILE is executed. The background is an image of the untouched
+    gel, cropped and sized as that package's images are. Without --mm-per-px, results are gradients and depth in
+    pixels.
+
+    \b
+    Examples:
+      gelform import nnmodel.pth --from gs_sdk --background rest.png --mm-per-px 0.0634 -o cal.npz
+      gelform import nnmini.pt --from gsrobotics --position zeros --background rest.png -o cal.npz
+      gelform import polycalib.npz --from taxim --background rest.png -o cal.npz
+      gelform import table_smooth.npy --from lut --flip-depth --background rest.png -o cal.npz
+    """
+    one_of(package, PACKAGES, "--from")
+    if background is None:
+        raise typer.BadParameter(
+            "needed: an image of the untouched gel; these files hold none.", param_hint="--background"
+        )
+    from gelform.importers.calibrations import import_calibration
+    from gelform.sensors.files import read_image
+
+    check_output(output, overwrite=overwrite)
+    with mistakes_in(file):
+        calibration = import_calibration(
+            file,
+            package,
+            background=read_image(background),
+            mm_per_px=mm_per_px,
+            position=position,
+            flip_depth=flip_depth,
+            sensor_name=name,
+        )
+    calibration.save(output, overwrite=overwrite)
+    if calibration.mm_per_px is None:
+        shown.say("note: without --mm-per-px the scale is unknown: results will be in pixels, not mm.")
+    shown.say(f"Wrote {output}.")
+    described = calibration.describe()
+    kept = ("sensor_name", "image_shape", "mm_per_px", "color_model", "settings", "digest")
+    shown.json({"calibration": str(output), **{key: described[key] for key in kept}})
+
+
+def export(
+    *,
+    source: Annotated[Path, typer.Argument(metavar="CAL.npz|RESULT.npz", help="A calibration or a result.")],
+    to: Annotated[
+        str,
+        typer.Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result)."),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="DIR|FILE", help="A new folder (calibration); a file (result)."
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a calibration or a result for another program.
+
+    A calibration becomes the tables (polycalib.npz, bg.jpg, real_bg.npy) from which Taxim and TacEx (--to taxim) or
+    Isaac Lab's GelSightRenderCfg (--to isaaclab) render this sensor. A result becomes a surface: ply (triangles in
+    mm, camera's optical frame), stl (closed, to print), tiff (float depth, mm), png (16 bits, 0.1 um a step),
+    x3p (ISO 25178-72).
+
+    \b
+    Examples:
+      gelform export cal.npz --to taxim -o my-sensor
+      gelform export cal.npz --to isaaclab -o assets/my-sensor
+      gelform export out/coin.npz --to stl -o coin.stl
+    """
+    from gelform.calibration_file import KIND as CALIBRATION
+    from gelform.npz_files import kind_of_npz
+    from gelform.reconstruction import KIND as RESULT
+
+    to = one_of(to, RENDERERS + FILES, "--to")
+    kind, wanted = kind_of_npz(source) or "", CALIBRATION if to in RENDERERS else RESULT
+    if kind != wanted:
+        what = {CALIBRATION: "a calibration", RESULT: "a result"}
+        raise DataError(
+            f"Expected {what[wanted]} to write for {to}, got {what.get(kind, 'neither a calibration nor a result')} "
+            f"in {source}. A calibration is written for {', '.join(RENDERERS)}; a result for {', '.join(FILES)}."
+        )
+    if to in RENDERERS:
+        from gelform.exporters.taxim import save_taxim
+
+        written = save_taxim(source, output or source.with_suffix(f".{to}"), renderer=to)
+    else:
+        from gelform.exporters.surface import save_surface
+        from gelform.reconstruction import load_result
+
+        target = output or source.with_suffix(f".{to}")
+        if target.suffix.lower().lstrip(".") not in (to, to[:3]):
+            raise typer.BadParameter(
+                f"expected a name that ends in .{to}, got {target}.", param_hint="--output"
+            )
+        written = save_surface(load_result(source), target, overwrite=overwrite)
+    say(f"Wrote {written}.", quiet)

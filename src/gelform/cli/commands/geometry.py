@@ -1,0 +1,197 @@
+"""gelform scale and gelform lens: mm per pixel, lens and crosstalk, from things whose size is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.options import Background, Sensor, Shown, numbers, positive
+from gelform.cli.process import mistakes_in
+
+if TYPE_CHECKING:
+    from gelform.calibration.geometry.files import Setup
+    from gelform.calibration.geometry.scale import Scale
+
+
+def scale(
+    *,
+    place: Annotated[
+        Path,
+        typer.Argument(metavar="PLACE", help="Press folder, its sensor.toml, or an imported calibration."),
+    ],
+    points: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X1,Y1,X2,Y2,MM", help="Two marked points of the image, px, and their distance."
+        ),
+    ] = None,
+    punch: Annotated[
+        str | None, typer.Option(metavar="IMG,MM", help="Press of a flat, round punch and its diameter.")
+    ] = None,
+    thread: Annotated[
+        str | None, typer.Option(metavar="IMG,MM", help="Press of a screw's thread and its pitch.")
+    ] = None,
+    stage: Annotated[
+        str | None, typer.Option(metavar="A,B,MM", help="One thing pressed twice, a stage's step apart.")
+    ] = None,
+    sensor: Sensor = None,
+    background: Background = None,
+    shown: Shown,
+) -> None:
+    """Measure mm per pixel and write it where `calibrate` reads it: into the folder's sensor.toml.
+
+    Images are camera frames, read through the [view] that is there. Several measurements are averaged by their
+    uncertainty; where they contradict each other, nothing is written.
+
+    \b
+    Examples:
+      gelform scale presses/ --punch punch.png,5
+      gelform scale presses/ --points 20,31.5,290,28,17.1
+      gelform scale presses/ --thread m8.png,1.25 --stage left.png,right.png,4 --background rest.png
+      gelform scale imported.npz --punch punch.png,5
+    """
+    if all(one is None for one in (points, punch, thread, stage)):
+        raise typer.BadParameter(
+            "expected one or more of --points, --punch, --thread, --stage.", param_hint="scale"
+        )
+    marked = None if points is None else numbers(points, "X1,Y1,X2,Y2,MM", "--points")
+    pressed = {
+        option: _images_and_mm(text, option)
+        for option, text in (("--punch", punch), ("--thread", thread), ("--stage", stage))
+        if text is not None
+    }
+    from gelform.calibration.geometry.files import save_scale
+    from gelform.calibration.geometry.scale import combined_scale
+
+    scales = [] if marked is None else [_scale_of_points(marked)]
+    if pressed:
+        from gelform.calibration.geometry.files import read_setup
+
+        setup = read_setup(place, background=background, sensor=sensor)
+        scales += [_scale_of_images(setup, option, *given) for option, given in pressed.items()]
+    found = combined_scale(scales)
+    written = save_scale(found, place)
+    shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
+    shown.say(f"Wrote {written}.")
+    described = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma, "source": found.source}
+    shown.json({"file": written, **described})
+
+
+def _images_and_mm(text: str, option: str) -> tuple[list[Path], float]:
+    """The image files and the length behind them."""
+    form = "A,B,MM" if option == "--stage" else "IMG,MM"
+    *paths, length = text.split(",")
+    if len(paths) != form.count(","):
+        raise typer.BadParameter(f"expected {form}, got {text!r}.", param_hint=option)
+    return [Path(path) for path in paths], numbers(length, "MM", option)[0]
+
+
+def _scale_of_points(marked: tuple[float, ...]) -> Scale:
+    from gelform.calibration.geometry.scale import scale_from_points
+
+    x1, y1, x2, y2, mm = marked
+    with mistakes_in("--points"):
+        return scale_from_points((x1, y1), (x2, y2), mm)
+
+
+def _scale_of_images(setup: Setup, option: str, paths: list[Path], mm: float) -> Scale:
+    from gelform.calibration.geometry.scale_images import (
+        scale_from_punch,
+        scale_from_stage,
+        scale_from_thread,
+    )
+
+    with mistakes_in(option):
+        images = [setup.image(path) for path in paths]
+        if option == "--stage":
+            return scale_from_stage(images[0], images[1], setup.background, mm)
+        measure = scale_from_punch if option == "--punch" else scale_from_thread
+        return measure(images[0], setup.background, mm)
+
+
+def lens(
+    *,
+    place: Annotated[
+        Path, typer.Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
+    ],
+    images: Annotated[
+        list[Path] | None,
+        typer.Option("--image", metavar="IMG", help="The grid on the gel, a whole frame; may be repeated."),
+    ] = None,
+    grid: Annotated[
+        str | None, typer.Option(metavar="CxR", help="Its inner corners, such as 9x6; or its dots.")
+    ] = None,
+    pitch_mm: Annotated[
+        float | None, typer.Option(metavar="F", parser=positive, help="Its pitch, mm.")
+    ] = None,
+    dots: Annotated[bool, typer.Option("--dots", help="It is a grid of dots, not a checkerboard.")] = False,
+    led_frames: Annotated[
+        tuple[Path, Path, Path] | None,
+        typer.Option(
+            metavar="R G B", help="Untouched gel with the red, green, blue LEDs alone: crosstalk is undone."
+        ),
+    ] = None,
+    shown: Shown,
+) -> None:
+    """Measure the lens (distortion, perspective, scale) and the crosstalk of the colours, for `calibrate` to undo.
+
+    The first image shows a printed grid that lies on the gel; further ones, tilted or moved, help with the
+    distortion alone. All are written into sensor.toml, beside what is there.
+
+    \b
+    Examples:
+      gelform lens presses/ --image grid.png --grid 9x6 --pitch-mm 1
+      gelform lens presses/sensor.toml --image flat.png --image tilted.png --grid 12x9 --pitch-mm 0.8 --dots
+      gelform lens presses/ --led-frames red.png green.png blue.png
+    """
+    asked = [images, grid, pitch_mm]
+    if any(asked) and not all(asked):
+        raise typer.BadParameter("expected all three or none.", param_hint="--image, --grid, --pitch-mm")
+    if not images and led_frames is None:
+        raise typer.BadParameter("expected --image or --led-frames.", param_hint="lens")
+    said: dict[str, Any] = {}
+    if images and grid is not None and pitch_mm is not None:
+        said |= _write_grid(place, images, _columns_rows(grid), pitch_mm, "dots" if dots else "checkerboard")
+    if led_frames is not None:
+        said |= _write_crosstalk(place, led_frames)
+    for measured in ("lens", "crosstalk"):
+        if measured in said:
+            shown.say(f"{said[measured]}.")
+    shown.say(f"Wrote {said['file']}.")
+    shown.json(said)
+
+
+def _columns_rows(text: str) -> tuple[int, int]:
+    try:
+        columns, rows = (int(count) for count in text.split("x"))
+    except ValueError:
+        raise typer.BadParameter(f"expected COLUMNSxROWS, got {text!r}.", param_hint="--grid") from None
+    return columns, rows
+
+
+def _write_grid(
+    place: Path, images: list[Path], pattern: tuple[int, int], pitch_mm: float, kind: Any
+) -> dict[str, Any]:
+    from gelform.calibration.geometry.files import save_grid_view
+    from gelform.calibration.geometry.lens import view_from_grid
+    from gelform.sensors.files import read_image
+
+    frames = [read_image(path) for path in images]
+    with mistakes_in("--image, --grid"):
+        found = view_from_grid(frames, pattern=pattern, pitch_mm=pitch_mm, kind=kind)
+    file = save_grid_view(found, place)
+    scale = {"mm_per_px": found.scale.mm_per_px, "mm_per_px_sigma": found.scale.sigma}
+    return {"file": file, "lens": found.describe(), **scale, "residual_px": found.residual_px}
+
+
+def _write_crosstalk(place: Path, led_frames: tuple[Path, Path, Path]) -> dict[str, Any]:
+    from gelform.calibration.geometry.crosstalk import crosstalk_from_frames
+    from gelform.calibration.geometry.files import save_crosstalk
+    from gelform.sensors.files import read_image, read_sensor_toml
+
+    settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)
+    with mistakes_in("--led-frames"):
+        found = crosstalk_from_frames([read_image(path) for path in led_frames], response=settings.response)
+    return {"file": save_crosstalk(found, place), "crosstalk": found.describe(), "matrix": found.matrix}

@@ -1,0 +1,285 @@
+"""gelform evaluate, compare and explain: how good calibrations are, and why each pixel was trusted or not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.console import figure, say
+from gelform.cli.options import (
+    Background,
+    CalibrationFile,
+    Images,
+    Overwrite,
+    PictureFolder,
+    PressOptions,
+    Shown,
+)
+from gelform.cli.outputs import make_folder, picture_paths
+from gelform.cli.sensor_images import image_in, prepared, reconstruction_of
+from gelform.errors import CalibrationError, DataError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from gelform.calibration.presses.press_set import Presses
+    from gelform.calibration_file import Calibration
+    from gelform.reconstruct import Reconstructor
+
+COLUMNS = {  # of the table, which fits 80 columns
+    "normal_free_deg": "normal °",
+    "cap_free_um": "cap um",
+    "radius_percent": "radius %",
+    "off_contact_um": "off um",
+}
+SEEN = (
+    "Their errors say little of new ones; they may even be larger than those that `calibrate` reports of held-out "
+    "presses, since it fits all circles together and here each is found in its own image."
+)
+COMPARED = {  # {u}: the unit of depth
+    "peak_a": "peak A ({u})",
+    "peak_b": "peak B ({u})",
+    "difference_rms": "B - A rms ({u})",
+    "angle_deg": "angle (deg)",
+    "curl_rms_a": "curl A",
+    "curl_rms_b": "curl B",
+}
+
+
+def evaluate(
+    *,
+    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Folder of ball presses.")],
+    calibration: CalibrationFile,
+    given: PressOptions,
+    shown: Shown,
+) -> None:
+    """Measure a calibration on presses of a ball: angles in degrees, depth in um, radius in percent.
+
+    Says which presses the calibration was made from: their errors say little.
+
+    \b
+    Examples:
+      gelform evaluate new_presses/ -c cal.npz
+      gelform evaluate new_presses/ -c cal.npz --json > errors.json
+      gelform evaluate frames/ -c cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
+    """
+    from gelform.calibration.evaluate import evaluate as evaluate_presses
+    from gelform.calibration.presses.folder import read_presses
+    from gelform.calibration_file import load_calibration
+
+    loaded = load_calibration(calibration)
+    with shown.progress() as progress:
+        found = read_presses(presses, **vars(given), progress=progress)
+        _check_size(found, loaded)
+        evaluation = evaluate_presses(loaded, found, progress=progress)
+    if evaluation.seen:
+        say(f"warning: the calibration was made from {evaluation.seen} of these presses. {SEEN}")
+    whose = "the calibration's own" if evaluation.own_background else "another than the calibration's"
+    shown.say(f"Background: {whose}.")
+    for message in evaluation.findings:
+        say(f"warning: {message}")
+    shown.json(evaluation.to_dict())
+    rows = [
+        (
+            f"{row['name']}{' (seen)' if row['seen'] else ''}",
+            f"{row['ball_diameter_mm']:g}",
+            *(figure(row["errors"][name]) if row["reason"] is None else "-" for name in COLUMNS),
+        )
+        for row in evaluation.rows
+    ]
+    shown.table("Presses", ("press", "ball mm", *COLUMNS.values()), rows)
+    left_out = [(row["name"], row["reason"]) for row in evaluation.rows if row["reason"] is not None]
+    if left_out:
+        shown.table("Presses left out", ("press", "why"), left_out)
+    summary = [(name, figure(value)) for name, value in evaluation.summary.items()]
+    shown.table("Over all presses", ("figure", "value"), summary)
+    _show_where(evaluation.where, shown)
+    if evaluation.flats:
+        heights = [_height_row(**flat) for flat in evaluation.flats]
+        shown.table("Flat punches", ("press", "height mm", "read mm", "%"), heights)
+
+
+def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str, str, str, str]:
+    if read_mm is None:
+        return name, f"{height_mm:g}", "-", "-"
+    return name, f"{height_mm:g}", f"{read_mm:.3f}", figure(100 * read_mm / height_mm)
+
+
+def _show_where(where: dict[str, Any], shown: Shown) -> None:
+    """Normal errors by the ball's slope, and by place: inside the contact's edge and up to the visible rim."""
+    to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
+    title = f"Normal error, degrees, by the ball's slope (edge at {where['contact_radius_ratio']:.2f} of the visible radius)"
+    rows = [
+        (
+            f"{b['slope_from']:g}-{b['slope_to']:g}",
+            figure(b["normal_deg"]),
+            figure(b["gain"]),
+            figure(to_rim[b["slope_from"]]["normal_deg"]) if b["slope_from"] in to_rim else "-",
+            str(b["pixels"]),
+        )
+        for b in where["contact"]["by_slope"]
+    ]
+    shown.table(title, ("slope", "contact", "gain", "up to the rim", "pixels"), rows)
+    places = where["contact"]["by_place"]
+    cells = [
+        f"{figure(whole)} / {figure(part)}"
+        for whole, part in zip(places["normal_deg"], where["rim"]["by_place"]["normal_deg"])
+    ]
+    columns = places["columns"]
+    grid = [tuple(cells[k : k + columns]) for k in range(0, len(cells), columns)]
+    title = "Normal error, degrees, by place in the image: contact / up to the rim"
+    shown.table(title, tuple(f"column {k + 1}" for k in range(columns)), grid)
+
+
+def _check_size(presses: Presses, calibration: Calibration) -> None:
+    """Images of the calibration's size, or frames of its view."""
+    frame, sizes = calibration.view.frame_shape, [calibration.image_shape]
+    if frame is not None and frame not in sizes:
+        sizes.append(frame)
+    if presses.image_shape not in sizes:
+        named = " or ".join(f"{height}x{width}" for height, width in sizes)
+        got = f"{presses.image_shape[0]}x{presses.image_shape[1]}"
+        raise DataError(f"{presses.folder}: Expected images of {named} px (height x width), got {got}.")
+
+
+def compare(
+    *,
+    images: Images,
+    calibrations: Annotated[
+        list[Path], typer.Option("--calibration", "-c", metavar="CAL.npz", help="Give it twice: A and B.")
+    ],
+    output: PictureFolder = None,
+    background: Background = None,
+    overwrite: Overwrite = False,
+    shown: Shown,
+) -> None:
+    """Compare two calibrations on the same images: depth, normals and curl, with a picture of both.
+
+    Depths are compared in mm, or in pixels where one calibration has no scale. The angle is the mean between
+    the normals where either sees contact. With -o, DIR/<image>.png shows both depths on one scale, their
+    difference, and the profile through the deepest point.
+
+    \b
+    Examples:
+      gelform compare frame.png -c mine.npz -c imported.npz -o side-by-side
+      gelform compare session/*.png -c before.npz -c after.npz --json
+    """
+    if len(calibrations) != 2:
+        raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
+    pictures = _pictures(images, output, [*calibrations, background], overwrite)
+    with shown.progress() as progress:
+        progress(0, len(images), "starting")
+        pair = [prepared(path, background) for path in calibrations]
+        names = (calibrations[0].stem, calibrations[1].stem)
+        rows = []
+        for done, (image, picture) in enumerate(zip(images, pictures)):
+            rows.append(_compare_one(pair, image, picture, names))
+            progress(done + 1, len(images), "comparing")
+    table = [(row["image"], *(figure(row[key]) for key in COMPARED)) for row in rows]
+    columns = [column.format(u=rows[0]["unit"]) for column in COMPARED.values()]
+    shown.table("Comparison", ("image", *columns), table)
+    _say_pictures(rows, output, shown)
+    shown.json({"a": str(calibrations[0]), "b": str(calibrations[1]), "images": rows})
+
+
+def _compare_one(
+    pair: Sequence[Reconstructor], path: Path, picture: NewPicture | None, names: tuple[str, str]
+) -> dict[str, Any]:
+    from gelform.plots.comparison import compare_results, comparison_picture
+
+    images = [image_in(path, run.calibration) for run in pair]
+    a, b = (reconstruction_of(run, image, path) for run, image in zip(pair, images))
+    compared = compare_results(a, b)
+    if picture is not None:
+        picture.save(comparison_picture(a, b, images[0], names=names))
+    return {"image": str(path), "picture": picture and str(picture.path), **compared.figures()}
+
+
+def explain(
+    *,
+    images: Images,
+    calibration: CalibrationFile,
+    output: PictureFolder = None,
+    background: Background = None,
+    overwrite: Overwrite = False,
+    shown: Shown,
+) -> None:
+    """Explain why each pixel of an image was trusted or not.
+
+    Lists how much of the slopes' variance is due to the law of slope and place, and to each named cause: saturated,
+    dark, shadow, specular, wall, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png draws
+    the confidence, and what each cause adds, pixel by pixel.
+
+    \b
+    Examples:
+      gelform explain frame.png -c cal.npz -o why
+      gelform explain session/*.png -c cal.npz --json
+      gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
+    """
+    pictures = _pictures(images, output, [calibration, background], overwrite)
+    run = prepared(calibration, background, depth_sigma=False)
+    rows = [_explain_one(run, path, picture) for path, picture in zip(images, pictures)]
+    for row in rows:
+        for finding in row["findings"]:
+            if not shown.silent:
+                say(f"{row['image']}: {finding['message']}")
+    names = [name for name in rows[0]["variance_shares"] if any(row["variance_shares"][name] for row in rows)]
+    table = [
+        (
+            row["image"],
+            figure(100 * row["trusted_share"]),
+            figure(row["median_sigma"]),
+            *(figure(100 * row["variance_shares"][name]) for name in names),
+        )
+        for row in rows
+    ]
+    columns = ("trusted (% of px)", "sigma (median)", *(f"{name} (%)" for name in names))
+    shown.table("Share of the slopes' variance", ("image", *columns), table)
+    _say_pictures(rows, output, shown)
+    shown.json({"calibration": str(calibration), "images": rows})
+
+
+def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None) -> dict[str, Any]:
+    image = image_in(path, run.calibration)
+    try:
+        found = run.explain(image)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{path}: {problem}") from problem
+    if picture is not None:
+        from gelform.plots.explanation import explanation_picture
+
+        picture.save(explanation_picture(found, image))
+    return {"image": str(path), "picture": picture and str(picture.path), **found.to_dict()}
+
+
+@dataclass(frozen=True)
+class NewPicture:
+    """A picture that is to be written."""
+
+    path: Path
+    overwrite: bool
+
+    def save(self, pixels: NDArray[np.uint8]) -> None:
+        from gelform.plots.canvas import save_picture
+
+        make_folder(self.path.parent)
+        save_picture(self.path, pixels, overwrite=self.overwrite)
+
+
+def _pictures(
+    images: Sequence[Path], folder: Path | None, read: Sequence[Path | None], overwrite: bool
+) -> list[NewPicture | None]:
+    """The picture of each image; None for each where no folder is given. Checked before any work."""
+    protected = [path for path in read if path is not None]
+    paths = picture_paths(images, folder, overwrite=overwrite, protected=protected)
+    return [None if path is None else NewPicture(path, overwrite) for path in paths]
+
+
+def _say_pictures(rows: Sequence[Any], output: Path | None, shown: Shown) -> None:
+    if output is not None and not shown.silent:
+        say(f"Wrote {len(rows)} {'picture' if len(rows) == 1 else 'pictures'} to {output}.")

@@ -1,0 +1,129 @@
+"""gelform bag and gelform ros: a source through a calibration into a bag of ROS 2, or live over zenoh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, positive
+from gelform.cli.process import mistakes_in
+from gelform.cli.sensor_images import background_in
+from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
+
+if TYPE_CHECKING:
+    from gelform.calibration_file import Calibration
+
+
+@dataclass(frozen=True)
+class Sent:
+    """What is made of a source: its topics, the name they begin with, how long, against which untouched image."""
+
+    topics: Annotated[str, typer.Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")] = ALL_TOPICS
+    name: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."
+        ),
+    ] = None
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="F", parser=positive, help="How long; else to the end or Ctrl-C."),
+    ] = None
+    background: Background = None
+
+    def wanted(self) -> tuple[str, ...]:
+        """The topics by name; usage errors of a topic or a name."""
+        try:
+            wanted = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
+        except ValueError as problem:
+            raise typer.BadParameter(str(problem), param_hint="--topics") from problem
+        try:
+            if self.name is not None:
+                check_sensor_name(self.name)
+        except ValueError as problem:
+            raise typer.BadParameter(str(problem), param_hint="--name") from problem
+        return wanted
+
+    def settings(self, calibration: Calibration) -> dict[str, Any]:
+        """Keywords of `save_bag` and `publish`."""
+        background = background_in(self.background, calibration)
+        named = {"topics": self.wanted(), "sensor": self.name, "seconds": self.seconds}
+        return {**named, "background": background}
+
+
+def bag(
+    *,
+    source: Annotated[
+        str,
+        typer.Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated."),
+    ],
+    calibration: CalibrationFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")
+    ],
+    sent: Sent,
+    shown: Shown,
+) -> None:
+    """Write images, indentation, points and findings as a bag of ROS 2 (rosbag2, MCAP); needs no ROS.
+
+    Every frame of a recording, the newest ones of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation (32FC1,
+    metres, positive where pressed), /NAME/points (metres, in NAME_gel_optical_frame), /diagnostics. Extra `ros`.
+
+    \b
+    Examples:
+      gelform bag session.mcap -c cal.npz -o press_bag
+      gelform bag simulated -c cal.npz -o press_bag --seconds 5 --name left_finger
+      gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
+    """
+    from gelform.calibration_file import load_calibration
+    from gelform.robots.bag import save_bag
+
+    wanted = sent.wanted()
+    loaded = load_calibration(calibration)
+    with shown.progress() as progress:
+        stats = save_bag(source, loaded, output, **sent.settings(loaded), progress=progress)
+    shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
+    if not stats.stamped:
+        shown.say("The frames do not say when they were taken: their stamps begin now.")
+    shown.json({"bag": output, **vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
+
+
+def ros(
+    *,
+    calibration: CalibrationFile,
+    source: Annotated[
+        str,
+        typer.Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated."),
+    ] = "simulated",
+    sent: Sent,
+    router: Annotated[str, typer.Option(metavar="ADDRESS", help="Of the zenoh router.")] = ROUTER,
+    domain: Annotated[
+        int,
+        typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="That of those who listen."),
+    ] = 0,
+    shown: Shown,
+) -> None:
+    """Publish images, indentation, points and findings to ROS 2 over zenoh, without ROS here. Experimental.
+
+    For nodes whose middleware is rmw_zenoh, Jazzy and later; topics and messages are those of gelform bag. A zenoh
+    router has to run, as rmw_zenoh wants: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Extra `zenoh`.
+
+    \b
+    Examples:
+      gelform ros -c cal.npz
+      gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
+      gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
+    """
+    from gelform.calibration_file import load_calibration
+    from gelform.robots.publish import publish
+
+    wanted = sent.wanted()
+    loaded = load_calibration(calibration)
+    with mistakes_in("ros"), shown.progress() as progress:
+        settings = {**sent.settings(loaded), "router": router, "domain": domain}
+        stats = publish(source, loaded, **settings, progress=progress)
+    shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
+    shown.json({**vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})

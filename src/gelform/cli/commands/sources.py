@@ -1,0 +1,387 @@
+"""gelform cameras: what is plugged in; gelform record: frames into a file, background and presses for a calibration."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gelform.cli.console import figure, print_json, say
+from gelform.cli.options import MmPerPx, Sensor, Shown, positive
+from gelform.errors import DataError
+
+if TYPE_CHECKING:
+    from gelform.sensors.cameras.survey import Survey
+    from gelform.sensors.grabber import Grabber
+    from gelform.sensors.recordings.record import RecordStats
+
+
+POLL_S = 0.05
+
+
+@contextmanager
+def single_keys(purpose: str) -> Iterator[Callable[[float], str | None]]:
+    """Gives a function that waits for a key, at most so many seconds; None where none was pressed, "" at the end.
+
+    The terminal's own settings come back with the end of the block.
+
+    Parameters
+    ----------
+    purpose : of the keys, for the message
+
+    Raises
+    ------
+    DataError
+        Standard input is no terminal.
+    """
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise DataError(
+            f"{purpose} takes keys from a terminal, and standard input is none. Run it in a terminal."
+        )
+    with _of_windows() if sys.platform == "win32" else _of_terminal() as read:
+        yield read
+
+
+@contextmanager
+def _of_terminal() -> Iterator[Callable[[float], str | None]]:
+    import select
+    import termios
+    import tty
+
+    handle = sys.stdin.fileno()
+    before = termios.tcgetattr(handle)
+
+    def read(timeout_s: float) -> str | None:
+        ready = select.select([handle], [], [], timeout_s)[0]
+        return os.read(handle, 1).decode("latin-1") if ready else None
+
+    try:
+        tty.setcbreak(handle)  # Ctrl-C still interrupts
+        yield read
+    finally:
+        termios.tcsetattr(handle, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def _of_windows() -> Iterator[Callable[[float], str | None]]:
+    import msvcrt
+
+    def read(timeout_s: float) -> str | None:
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            if msvcrt.kbhit():  # type: ignore[attr-defined]
+                return str(msvcrt.getwch())  # type: ignore[attr-defined]
+            time.sleep(POLL_S)
+        return None
+
+    yield read
+
+
+SHOWN_MODES = 4
+
+
+def cameras(
+    *,
+    measure: Annotated[
+        bool,
+        typer.Option("--measure/--no-measure", help="Open each camera for a second and count its frames."),
+    ] = True,
+    shown: Shown,
+) -> None:
+    """List the cameras that are plugged in: serial, name, path, modes and measured rate.
+
+    \b
+    Examples:
+      gelform cameras
+      gelform cameras --no-measure
+      gelform cameras --json
+    """
+    from gelform.sensors.cameras.camera import NOTHING_THERE, cameras_there
+    from gelform.sensors.cameras.survey import survey_of
+
+    found = [survey_of(camera, measure=measure) for camera in cameras_there()]
+    if shown.as_json:
+        print_json({"cameras": [_facts(one) for one in found]})
+        return
+    if not found:
+        shown.say(NOTHING_THERE)
+        return
+    rows = [
+        (
+            one.camera.name,
+            one.camera.serial or "-",
+            one.camera.path,
+            one.camera.kind or "-",
+            _modes(one),
+            figure(one.rate_hz),
+        )
+        for one in found
+    ]
+    shown.table("Cameras", ("name", "serial", "path", "sensor", "modes", "measured Hz"), rows)
+    for one in found:
+        if one.problem:
+            shown.say(f"{one.camera.path}: {one.problem}")
+
+
+def _modes(one: Survey) -> str:
+    shown = ", ".join(map(str, one.modes[:SHOWN_MODES]))
+    more = len(one.modes) - SHOWN_MODES
+    return (shown or "-") + (f" and {more} more (--json)" if more > 0 else "")
+
+
+def _facts(one: Survey) -> dict[str, Any]:
+    modes = [{"fourcc": mode.fourcc, "size_px": mode.shape, "rate_hz": mode.rate_hz} for mode in one.modes]
+    camera = one.camera
+    return {
+        "name": camera.name,
+        "serial": camera.serial,
+        "path": camera.path,
+        "by_path": camera.by_path,
+        "usb_id": camera.usb_id,
+        "sensor": camera.kind,
+        "modes": modes,
+        "rate_hz": one.rate_hz,
+        "settings": one.settings,
+        "problem": one.problem or None,
+    }
+
+
+BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # s, within which a frame has to come
+
+
+@dataclass(frozen=True)
+class PressesTaken:
+    """Presses that are taken with the space bar, instead of a recording."""
+
+    presses: Annotated[
+        bool,
+        typer.Option("--presses", help="Take a background and presses with the space bar, for calibrate."),
+    ] = False
+    ball_diameter_mm: Annotated[
+        float | None, typer.Option(metavar="F", parser=positive, help="Of the ball that presses, mm.")
+    ] = None
+    sensor: Sensor = None
+    mm_per_px: MmPerPx = None
+
+
+def record(
+    *,
+    source: Annotated[
+        str,
+        typer.Argument(metavar="[SOURCE]", help="Serial, name, path, URL, simulated; else the only camera."),
+    ] = "",
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE.mcap|DIR", help="A new file, or a new folder of images."
+        ),
+    ],
+    seconds: Annotated[
+        float | None, typer.Option(metavar="F", parser=positive, help="How long; else until Ctrl-C.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="How many frames.")] = None,
+    taken: PressesTaken,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration", "-c", metavar="CAL.npz", help="The calibration in use: its digest is kept."
+        ),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Of the camera: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
+        ),
+    ] = None,
+    shown: Shown,
+) -> None:
+    """Record a camera's frames as they come, with their times and the camera's settings.
+
+    An MCAP file (extra `mcap`) holds ROS 2 messages, a folder PNG or JPEG files and frames.csv; both play again with
+    every command that takes a SOURCE. With --presses, a folder that `gelform calibrate` reads.
+
+    \b
+    Examples:
+      gelform record -o session.mcap
+      gelform record simulated -o session --seconds 10
+      gelform record D20123 -o session.mcap --set exposure=50 --set led_level=15 -c cal.npz
+      gelform record http://192.168.0.7:8080/stream -o session.mcap
+      gelform record D20123 --presses -o presses --ball-diameter-mm 6.35 --sensor digit
+    """
+    from gelform.sensors.source import open_source
+
+    opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None)
+    if taken.presses:
+        _presses(opened, output, taken, shown)
+        return
+    for given, option in (
+        (taken.ball_diameter_mm, "--ball-diameter-mm"),
+        (taken.sensor, "--sensor"),
+        (taken.mm_per_px, "--mm-per-px"),
+    ):
+        if given is not None:
+            raise typer.BadParameter("is for --presses only.", param_hint=option)
+    wanted = {"seconds": seconds, "frames": frames}
+    stats, reopened = _recorded(opened, output, wanted, _digest(calibration), shown)
+    if stats.frames == 0:
+        raise DataError(f"No frame came: {output} holds none. Look at the camera: gelform cameras.")
+    missing = f", {stats.missing} missing" if stats.missing else ""
+    again = f", the source was lost and back {reopened} times" if reopened else ""
+    shown.say(
+        f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s{missing}{again}, "
+        f"{stats.written_bytes / 1e6:.1f} MB."
+    )
+    shown.json({"recording": output, **vars(stats), "reopened": reopened})
+
+
+def _recorded(
+    opened: Any, output: Path, wanted: dict[str, Any], digest: str, shown: Shown
+) -> tuple[RecordStats, int]:
+    """Figures of a recording to its end or to Ctrl-C, and how often the source came back."""
+    from gelform.sensors.grabber import Grabber
+    from gelform.sensors.recordings.record import KEPT_FRAMES, RecordStats, new_recording, record_frames
+
+    stats = RecordStats(0, 0, 0, 0.0)
+    with Grabber(opened, keep=KEPT_FRAMES) as grabber, shown.progress() as progress:
+        recording = new_recording(output, grabber, calibration_digest=digest)
+        end = "" if any(wanted.values()) else ", until Ctrl-C"
+        shown.say(f"Recording {grabber.name} into {output}{end}.")
+
+        def going_on(now: RecordStats) -> bool:
+            nonlocal stats
+            stats = now
+            done, total = round(now.duration_s), round(wanted["seconds"] or 0)
+            if wanted["frames"]:
+                done, total = now.frames, wanted["frames"]
+            running = grabber.state == "running"
+            progress(done, total, f"recording, {now.frames} frames" if running else grabber.state)
+            return True
+
+        try:
+            stats = record_frames(grabber, recording, **wanted, going_on=going_on)
+        except KeyboardInterrupt:  # the usual end of a recording
+            pass
+        finally:
+            recording.close()
+        return stats, grabber.stats.reopened
+
+
+def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> None:
+    """Background and presses, a key each."""
+    if wanted.ball_diameter_mm is None:
+        raise typer.BadParameter(
+            "needed with --presses: which ball presses?", param_hint="--ball-diameter-mm"
+        )
+    from gelform.calibration.presses.taken import TakenPresses
+    from gelform.sensors.grabber import Grabber
+
+    with single_keys("record --presses") as key, Grabber(opened) as grabber:
+        taken = TakenPresses(output, _sensor_settings(grabber, wanted), wanted.ball_diameter_mm)
+        shown.say("Leave the gel untouched and press the space bar: the background. q ends.")
+        while (pressed := key(0.2)) not in (" ", "q", ""):
+            pass
+        if pressed == " ":
+            taken.take_background(_fresh(grabber, BACKGROUND_FRAMES))
+            say(
+                "Press the ball, hold it still, press the space bar; again elsewhere. u takes the last one out, q ends."
+            )
+            _take(taken, grabber, key, shown)
+    if taken.count == 0:
+        raise DataError(
+            f"No press was taken: {output} is no set of presses. Start again with another folder."
+        )
+    shown.say(f"Wrote {output}: {taken.count} presses. Next: gelform calibrate {output} -o cal.npz")
+    shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
+
+
+def _take(taken: Any, grabber: Grabber, key: Any, shown: Shown) -> None:
+    """A press per space bar, until q or the end of the input."""
+    while (pressed := key(0.2)) not in ("q", ""):
+        if pressed == " ":
+            try:
+                name = taken.take_press(_fresh(grabber, 1)[0])
+                shown.say(f"{taken.count}: {name}")
+            except DataError as problem:
+                shown.say(f"Not taken. {problem}")
+        elif pressed == "u":
+            name = taken.drop_last()
+            shown.say(f"Took out {name}." if name else "There is none to take out.")
+
+
+def _fresh(grabber: Grabber, count: int) -> list[Any]:
+    """Images of frames that come from now on."""
+    images: list[Any] = []
+    held = grabber.newest(-1, 0)
+    after = held.index if held is not None else -1
+    while len(images) < count:
+        frame = grabber.newest(after, FRESH_S)
+        if frame is None:
+            raise DataError(f"No new frame within {FRESH_S:g} s: {grabber.reason or grabber.state}.")
+        images.append(frame.image)
+        after = frame.index
+    return images
+
+
+def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
+    """What sensor.toml says: the known sensor's scale and view, the unit's serial, the camera's settings."""
+    from gelform.sensors.files import SensorSettings
+    from gelform.sensors.profiles import profile_named
+    from gelform.view import View
+
+    sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
+    if sensor is None and mm_per_px is None:
+        raise typer.BadParameter(
+            "expected a known sensor or the width of a pixel: presses of a ball alone do not tell the scale.",
+            param_hint="--sensor, --mm-per-px",
+        )
+    frame = _fresh(grabber, 1)[0]
+    profile = profile_named(sensor) if sensor is not None else None
+    view = View() if profile is None else profile.view((frame.shape[0], frame.shape[1]))
+    sigma = profile.mm_per_px_sigma if profile is not None and mm_per_px is None else None
+    return SensorSettings(
+        profile.name if profile is not None else grabber.name,
+        mm_per_px if mm_per_px is not None else profile.mm_per_px,  # type: ignore[union-attr]
+        sigma,
+        serial=grabber.serial or "",
+        view=view,
+        camera=grabber.settings,
+    )
+
+
+def _settings(pairs: list[str]) -> dict[str, float | str]:
+    """exposure=50 ... as a table."""
+    settings: dict[str, float | str] = {}
+    for pair in pairs:
+        name, separator, text = pair.partition("=")
+        if not separator:
+            raise typer.BadParameter(f"expected NAME=VALUE, got {pair!r}.", param_hint="--set")
+        try:
+            settings[name] = text if name == "fourcc" else float(text)
+        except ValueError:
+            raise typer.BadParameter(f"expected a number in {pair!r}.", param_hint="--set") from None
+    if settings:
+        from gelform.sensors.cameras.settings import check_settings
+
+        try:
+            return check_settings(settings)
+        except ValueError as problem:
+            raise typer.BadParameter(str(problem), param_hint="--set") from problem
+    return settings
+
+
+def _digest(calibration: Path | None) -> str:
+    if calibration is None:
+        return ""
+    from gelform.calibration_file import load_calibration
+
+    return load_calibration(calibration).digest

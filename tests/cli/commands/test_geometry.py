@@ -1,0 +1,153 @@
+"""gelform scale and gelform lens: what they write, and what they refuse."""
+
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelform.calibration_file import load_calibration
+from gelform.plots.canvas import save_picture
+from gelform.sensors.files import read_sensor_toml
+from gelform.simulate import Punch, Screw, simulate_background, simulate_press
+
+
+@pytest.fixture(scope="module")
+def images(small, tmp_path_factory):
+    """A punch and a thread, pressed into the sensor behind the press folder."""
+    folder = tmp_path_factory.mktemp("measured")
+    rng = np.random.default_rng(4)
+    for name, thing in (("punch", Punch(7.0)), ("thread", Screw(8, 1.25, 30))):
+        press = simulate_press(small, thing, depth_mm=0.4, rng=rng, oversample=1)
+        save_picture(folder / f"{name}.png", press.image)
+    return folder
+
+
+@pytest.fixture
+def folder(press_folder, tmp_path):
+    """The press folder with a scale that is wrong by half."""
+    copy = tmp_path / "presses"
+    shutil.copytree(press_folder, copy, ignore=shutil.ignore_patterns("truth"))
+    text = (copy / "sensor.toml").read_text().replace("mm_per_px = 0.1268", "mm_per_px = 0.19  # a guess")
+    assert "a guess" in text
+    (copy / "sensor.toml").write_text(text)
+    return copy
+
+
+@pytest.mark.slow
+def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
+    given = ("--punch", f"{images / 'punch.png'},7", "--thread", f"{images / 'thread.png'},1.25")
+    said = run_json("scale", folder, *given)
+    assert said["file"] == str(folder / "sensor.toml")
+    assert said["mm_per_px"] == pytest.approx(small.mm_per_px, rel=0.015)
+    assert abs(said["mm_per_px"] - small.mm_per_px) < 3 * said["mm_per_px_sigma"]
+    settings = read_sensor_toml(folder / "sensor.toml")
+    assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert settings.mm_per_px_sigma == pytest.approx(said["mm_per_px_sigma"])
+    assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")[0] == 0
+    calibration = load_calibration(tmp_path / "cal.npz")
+    assert calibration.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert "a punch of 7 mm" in calibration.settings["scale_source"]
+    assert "a thread of pitch 1.25 mm" in calibration.settings["scale_source"]
+
+
+def test_marked_points(run, folder):
+    code, _, err = run("scale", folder, "--points", "20,10,100,70,12")
+    assert code == 0
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.12)
+    assert "0.12 +- " in err
+
+
+def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images):
+    before = (folder / "sensor.toml").read_bytes()
+    for arguments, text, status in (
+        ((), "--points, --punch, --thread, --stage", 2),
+        (("--points", "1,2,3"), "X1,Y1,X2,Y2,MM", 2),
+        (("--punch", "punch.png"), "IMG,MM", 2),
+        (("--stage", "punch.png,2"), "A,B,MM", 2),
+        (("--points", "1,1,2,2,5"), "--points: Expected two points at least", 1),
+        (("--points", "20,10,100,70,-12"), "--points: Expected distance_mm > 0", 1),
+        (("--thread", "nothing.png,1"), "No file", 1),
+        (("--points", "20,10,100,70,12", "--punch", f"{images / 'punch.png'},14"), "agree", 1),
+    ):
+        assert text in fails("scale", folder, *arguments, status=status)
+    assert (folder / "sensor.toml").read_bytes() == before
+
+
+def test_a_calibration_of_presses_keeps_its_scale(fails, calibration_file):
+    before = calibration_file.read_bytes()
+    said = fails("scale", calibration_file, "--points", "20,10,100,70,12")
+    assert "sensor.toml" in said
+    assert calibration_file.read_bytes() == before
+
+
+@pytest.fixture
+def presses(press_folder, tmp_path):
+    copy = tmp_path / "presses"
+    shutil.copytree(press_folder, copy, ignore=shutil.ignore_patterns("truth"))
+    return copy
+
+
+@pytest.fixture
+def leds(small, tmp_path):
+    """Frames of the red, green and blue LEDs alone."""
+    rng, paths = np.random.default_rng(4), []
+    for k, name in enumerate(("red", "green", "blue")):
+        lit = tuple(led for led in small.leds if int(np.argmax(led.color)) == k)
+        paths.append(tmp_path / f"{name}.png")
+        save_picture(paths[-1], simulate_background(replace(small, leds=lit, ambient=(0, 0, 0)), rng))
+    return paths
+
+
+def checkerboard(path, shape, square_px):
+    """A checkerboard of 8x6 inner corners in the middle of a frame, white around it."""
+    fine = 8
+    board = np.kron(np.indices((7, 9)).sum(axis=0) % 2, np.ones((square_px * fine,) * 2))
+    whole = np.ones((shape[0] * fine, shape[1] * fine))
+    top, left = ((whole.shape[k] - board.shape[k]) // 2 for k in (0, 1))
+    whole[top : top + board.shape[0], left : left + board.shape[1]] = board
+    grey = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
+    save_picture(path, np.repeat((40 + 180 * grey).astype(np.uint8)[..., None], 3, axis=2))
+
+
+def test_a_grid_tells_lens_and_scale(run_json, presses, tmp_path):
+    checkerboard(tmp_path / "grid.png", (120, 160), 12)
+    said = run_json("lens", presses, "--image", tmp_path / "grid.png", "--grid", "8x6", "--pitch-mm", "1.2")
+    assert said["mm_per_px"] == pytest.approx(0.1, rel=0.005)
+    settings = read_sensor_toml(presses / "sensor.toml")
+    assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert settings.view.lens is not None
+    assert settings.view.frame_shape == (120, 160)
+
+
+@pytest.mark.slow
+def test_crosstalk_reaches_the_calibration(run, run_json, presses, leds, tmp_path):
+    said = run_json("lens", presses, "--led-frames", *leds)
+    assert said["matrix"][1][0] > 0.05
+    made = run_json("calibrate", presses, "-o", tmp_path / "cal.npz", "--model", "polynomial")
+    calibration = load_calibration(tmp_path / "cal.npz")
+    np.testing.assert_allclose(calibration.change.crosstalk, said["matrix"], atol=1e-6)
+    assert any("Crosstalk is undone" in note for note in made["notes"])
+
+
+def test_wrong_options_are_usage(fails, presses, leds):
+    for arguments, text in (
+        ((), "--image or --led-frames"),
+        (("--image", leds[0]), "all three or none"),
+        (("--grid", "9x6"), "all three or none"),
+        (("--image", leds[0], "--grid", "nine", "--pitch-mm", "1"), "COLUMNSxROWS"),
+        (("--image", leds[0], "--grid", "9x6", "--pitch-mm", "0"), "expected a number > 0"),
+    ):
+        assert text in fails("lens", presses, *arguments, status=2)
+
+
+def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, presses, leds, calibration_file):
+    before = (presses / "sensor.toml").read_bytes()
+    grid = ("--grid", "9x6", "--pitch-mm", "1")
+    assert "found none" in fails("lens", presses, "--image", leds[0], *grid)
+    assert "--grid: Expected kind" in fails(
+        "lens", presses, "--image", leds[0], "--grid", "1x6", "--pitch-mm", "1"
+    )
+    assert "brightest in red" in fails("lens", presses, "--led-frames", leds[1], leds[0], leds[2])
+    assert (presses / "sensor.toml").read_bytes() == before

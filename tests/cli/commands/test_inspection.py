@@ -1,0 +1,152 @@
+"""gelform evaluate, compare and explain."""
+
+import json
+import shutil
+
+import cv2
+import pytest
+
+import gelform
+from gelform.calibration.evaluate import evaluate
+from gelform.calibration.presses.folder import read_presses
+from gelform.calibration_file import load_calibration
+
+
+def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file):
+    said = run_json("evaluate", press_folder, "-c", calibration_file)
+    expected = evaluate(load_calibration(calibration_file), read_presses(press_folder))
+    assert said["summary"] == expected.summary
+    assert said["seen"] == expected.seen > 0
+    assert said["where"] == expected.where
+    code, out, err = run("evaluate", press_folder, "-c", calibration_file)
+    assert code == 0
+    assert f"made from {expected.seen} of these presses" in err
+    assert out.count("(seen)") == expected.seen
+    assert "may even be larger" in err
+    assert "by the ball's slope" in out
+    assert f"{expected.where['contact']['by_slope'][0]['normal_deg']:.3g}" in out
+    assert f"{expected.where['rim']['by_slope'][0]['normal_deg']:.3g}" in out
+    assert f"edge at {expected.where['contact_radius_ratio']:.2f} of the visible radius" in " ".join(
+        out.split()
+    )
+    assert "up to the rim" in " ".join(out.split())
+    assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
+
+
+def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path):
+    import numpy as np
+
+    from gelform.plots.canvas import save_picture
+
+    grey = np.full((60, 80, 3), 90, dtype=np.uint8)
+    save_picture(tmp_path / "background.png", grey)
+    save_picture(tmp_path / "a.png", grey)
+    arguments = (
+        "evaluate",
+        tmp_path,
+        "-c",
+        calibration_file,
+        "--ball-diameter-mm",
+        "6",
+        "--mm-per-px",
+        "0.1",
+    )
+    said = fails(*arguments)
+    assert "Expected images of 120x160 px (height x width), got 60x80" in said
+
+
+def test_a_wrong_calibration(fails, press_folder, tmp_path):
+    assert "No file" in fails("evaluate", press_folder, "-c", tmp_path / "missing.npz")
+
+
+def test_heights_of_flat_punches_are_shown(run, press_folder, calibration_file, tmp_path):
+    """The table, not the heights: the press that is listed as that of a punch is one of a ball."""
+    copy = shutil.copytree(press_folder, tmp_path / "copy")
+    header, first, *others = (copy / "presses.csv").read_text().splitlines()
+    columns, cells = header.split(","), first.split(",")
+    row = {"image": cells[columns.index("image")], "indenter": "flat", "height_mm": "0.5"}
+    names = [*columns, "indenter", "height_mm"]
+    lines = [
+        ",".join(names),
+        ",".join(row.get(name, "") for name in names),
+        *(line + ",," for line in others),
+    ]
+    (copy / "presses.csv").write_text("\n".join(lines) + "\n")
+    code, out, _ = run("evaluate", copy, "-c", calibration_file)
+    assert code == 0
+    shown = next(line for line in out.split("Flat punches")[1].splitlines() if row["image"] in line)
+    assert " 0.5 " in shown
+    assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
+
+
+def images_of(press_folder):
+    return [press_folder / "images" / f"000{k}.png" for k in (1, 4)]
+
+
+@pytest.mark.slow
+def test_compare_writes_a_picture_for_each_image(
+    run, run_json, imported, calibration_file, press_folder, tmp_path
+):
+    pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
+    images, folder = images_of(press_folder), tmp_path / "side"
+    said = run_json("compare", *images, "-c", calibration_file, "-c", imported, "-o", folder)
+    assert [row["image"] for row in said["images"]] == [str(image) for image in images]
+    for image, row in zip(images, said["images"]):
+        assert gelform.read_image(folder / f"{image.stem}.png").shape[2] == 3
+        assert row["unit"] == "px"
+        assert row["peak_a"] > 0
+    code, out, _ = run("compare", images[0], "-c", calibration_file, "-c", calibration_file)
+    assert code == 0
+    assert "peak A (mm)" in out
+
+
+def test_a_calibration_agrees_with_itself(run_json, calibration_file, press_folder):
+    row = run_json("compare", images_of(press_folder)[0], "-c", calibration_file, "-c", calibration_file)[
+        "images"
+    ][0]
+    assert (row["unit"], row["difference_rms"], row["angle_deg"]) == ("mm", 0, 0)
+    assert row["peak_a"] == row["peak_b"] > 0
+    json.dumps(row)
+
+
+def test_compare_wants_two(fails, calibration_file, press_folder, tmp_path):
+    image = images_of(press_folder)[0]
+    assert "expected two, got 1" in fails("compare", image, "-c", calibration_file, status=2)
+    assert "No file" in fails("compare", image, "-c", calibration_file, "-c", tmp_path / "none.npz")
+
+
+@pytest.fixture
+def spotted(press_folder, tmp_path):
+    """A press with a burnt-out spot."""
+    image = cv2.imread(str(press_folder / "images" / "0001.png"))
+    image[20:40, 30:55] = 255
+    path = tmp_path / "spotted.png"
+    cv2.imwrite(str(path), image)
+    return path
+
+
+@pytest.mark.slow
+def test_explain_names_causes_and_draws_them(
+    run, run_json, calibration_file, press_folder, spotted, tmp_path
+):
+    pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
+    clean = press_folder / "images" / "0001.png"
+    rows = run_json("explain", clean, spotted, "-c", calibration_file, "-o", tmp_path / "why")["images"]
+    assert [row["image"] for row in rows] == [str(clean), str(spotted)]
+    for row in rows:
+        assert sum(row["variance_shares"].values()) == pytest.approx(1)
+        assert gelform.read_image(row["picture"]).shape[2] == 3
+    found = [{finding["name"]: finding["figure"] for finding in row["findings"]} for row in rows]
+    assert "saturated" not in found[0]
+    assert found[1]["saturated"] == pytest.approx(20 * 25 / (120 * 160), rel=0.6)
+    code, out, said = run("explain", spotted, "-c", calibration_file)
+    assert code == 0
+    assert "saturated (%)" in out
+    assert "of the frame is at the camera's upper end. Lower exposure" in said
+
+
+def test_an_image_of_another_sensor_is_refused(fails, calibration_file, tmp_path):
+    import numpy as np
+
+    cv2.imwrite(str(tmp_path / "other.png"), np.full((30, 40, 3), 90, np.uint8))
+    assert "other.png" in fails("explain", tmp_path / "other.png", "-c", calibration_file)
