@@ -13,7 +13,7 @@ TESTS = Path(__file__).parent
 ARCHITECTURE = TESTS.parent / "ARCHITECTURE.md"
 LEVELS = [
     {"errors", "findings", "checks", "_native", "progress", "pool", "resample"},
-    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files", "filters"},
+    {"gradients", "ball", "metrics", "view", "lens", "frames", "npz_files", "processes", "filters"},
     {"color_models", "solvers", "markers", "background", "zero"},
     {
         "normals",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gelform.checks import check_positive
 from gelform.exporters.folders import write_csv, write_png, write_sensor_toml, written_whole
 from gelform.exporters.simulated_press import write_truth
-from gelform.exporters.worker_processes import interrupt_held, worker_processes
+from gelform.processes import interrupt_held, worker_processes
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPress, SimulatedSensor, simulate_background
 from gelform.simulate.sensor.sensor import settings_from_sensor

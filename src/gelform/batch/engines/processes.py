@@ -13,7 +13,7 @@ from typing import Any
 from gelform.batch.inputs.plan import Part
 from gelform.batch.records import PartRecord
 from gelform.batch.work import Job, Stopped, Worker
-from gelform.exporters.worker_processes import interrupt_held, worker_processes
+from gelform.processes import interrupt_held, worker_processes
 
 KEPT = "What is done is kept, and not done again."
 

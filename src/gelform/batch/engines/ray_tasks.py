@@ -12,7 +12,7 @@ from gelform.batch.extras import needed
 from gelform.batch.inputs.plan import Part
 from gelform.batch.work import Job, Worker
 from gelform.errors import GelformError
-from gelform.exporters.worker_processes import WorkerLostError
+from gelform.processes import WorkerLostError
 
 TRIES_AGAIN = 5  # of a part whose worker or machine is lost; it writes the same bytes each time
 WAITING_PER_CPU = 2  # so that a worker never waits for the driver, and no million tasks wait in memory
