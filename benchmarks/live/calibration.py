@@ -14,8 +14,9 @@ import numpy as np
 
 from gelform.background.average import noise_from_image
 from gelform.calibration.fit import calibrate
+from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration_file import load_calibration
-from gelform.live.simulated.ready import SHIPPED, presses_of, simulated_presses
+from gelform.live.simulated.ready import SHIPPED, simulated_presses
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import simulate_background
@@ -26,7 +27,7 @@ PRESSES = 24
 def make_calibration() -> None:
     """Calibrate, save, pack."""
     sensor = simulated_sensor_named(DEFAULT_SENSOR)
-    presses = presses_of(simulated_presses(sensor, PRESSES))
+    presses = presses_from_simulated(simulated_presses(sensor, PRESSES))
     presses = replace(
         presses,
         background_noise=noise_from_image(presses.background),

@@ -10,7 +10,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.evaluate import evaluate
-from gelform.live.simulated.ready import presses_of
+from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import simulate_ball_presses
@@ -61,7 +61,7 @@ def _errors(calibration: gelform.Calibration, count: int) -> dict[str, float]:
 
     def presses(number: int, seed: int) -> Any:
         rng = np.random.default_rng(seed)
-        return presses_of(
+        return presses_from_simulated(
             simulate_ball_presses(sensor, ball_diameters_mm=[BALL_MM], count=number, rng=rng, oversample=1)
         )
 

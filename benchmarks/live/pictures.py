@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 
 import gelform
+from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.frames import Frame
-from gelform.live.simulated.ready import presses_of
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
@@ -100,7 +100,7 @@ def of_a_recording(folder: Path) -> None:
                 rng=np.random.default_rng(presses),
                 oversample=1,
             )
-            gelform.calibrate(presses_of(made)).save(path)
+            gelform.calibrate(presses_from_simulated(made)).save(path)
         recording = FolderRecording(work / "screw", RecordingFacts(sensor.name, None, {}, IMAGE_RATE_HZ))
         rng = np.random.default_rng(0)
         for k, touch in enumerate(dict.fromkeys(touches)):

@@ -20,8 +20,7 @@ from gelform.calibration.inputs import (
     light_turn,
     repeated_images,
 )
-from gelform.calibration.presses.press_set import FlatPress
-from gelform.design.study import _as_read
+from gelform.calibration.presses.press_set import FlatPress, presses_from_simulated
 from gelform.simulate import Led, exposed, simulate_ball_presses
 
 
@@ -122,7 +121,7 @@ def test_lights_that_come_round_clockwise(sensor):
     made = simulate_ball_presses(
         round_, ball_diameters_mm=[6.0], count=6, rng=np.random.default_rng(0), oversample=1
     )
-    presses = _as_read(made.presses, made.background, round_)
+    presses = presses_from_simulated(replace(made, sensor=round_))
     assert turn_of(presses)[2] > 1
     assert turn_of(reversed_channels(presses, range(6), background=True))[2] < -1
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.fit import calibrate
-from gelform.calibration.presses.folder import Press, Presses
+from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.checks import check_positive
-from gelform.frames import pixels_digest
+from gelform.metrics import angle_deg
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import (
@@ -27,11 +27,8 @@ from gelform.simulate import (
 from gelform.simulate.gel.gel import Surface
 from gelform.simulate.light import irradiance_from_surface, spread_in_gel
 from gelform.simulate.sensor.camera import levels_from_irradiance
-from gelform.simulate.sensor.sensor import Triple
-from gelform.view import View
 
-SLOPE_STEP = 1e-3
-CELLS = (6, 8)  # of the map of depth errors
+CELLS = (6, 8)  # rows and columns of the map of depth errors: a cell holds some presses
 
 
 @dataclass(frozen=True)
@@ -61,12 +58,13 @@ class Variation:
         """The sensor so changed, exposed to the same mean levels."""
         crosstalk = np.asarray(sensor.crosstalk, dtype=np.float64)
         mixed = crosstalk * np.where(np.eye(3) > 0, 1, self.crosstalk)
+        rows: Any = tuple((float(a), float(b), float(c)) for a, b, c in mixed)
         changed = replace(
             sensor,
             leds=tuple(self._moved(led) for led in sensor.leds),
             noise_sd=sensor.noise_sd * self.noise,
             noise_gain=sensor.noise_gain * self.noise**2,
-            crosstalk=_rows(mixed),
+            crosstalk=rows,
             relaxation_mm=sensor.relaxation_mm * self.relaxation,
         )
         means = simulate_background(sensor, None, quantise=False).mean(axis=(0, 1))
@@ -148,20 +146,12 @@ def compare_designs(
         balls = list(ball_diameters_mm)
         training = simulate_ball_presses(design, ball_diameters_mm=balls, count=presses, rng=train_rng)
         held_out = simulate_ball_presses(design, ball_diameters_mm=balls, count=tests, rng=test_rng)
-        calibration = calibrate(
-            _as_read(training.presses, training.background, design), color_model=color_model
-        )
-        reconstruct = Reconstructor(calibration)
+        reconstruct = Reconstructor(calibrate(presses_from_simulated(training), color_model=color_model))
         errors = [_errors(press, reconstruct.from_image(press.image)) for press in held_out.presses]
         condition, sigma = light_quality(design)
         results.append(DesignResult(variation.name, design, condition, sigma, *_summed(errors, design.shape)))
     progress(len(variations), len(variations), "done")
     return tuple(results)
-
-
-def _rows(matrix: NDArray[np.float64]) -> tuple[Triple, Triple, Triple]:
-    first, second, third = ((float(a), float(b), float(c)) for a, b, c in matrix)
-    return first, second, third
 
 
 def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -173,9 +163,10 @@ def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray
     """
     plain = replace(sensor, optics=Optics())
     rest = _levels_of_slope(plain, 0.0, 0.0)
+    step = 1e-3  # of a slope
     columns = [
-        (_levels_of_slope(plain, px, py) - _levels_of_slope(plain, -px, -py)) / (2 * SLOPE_STEP)
-        for px, py in ((SLOPE_STEP, 0.0), (0.0, SLOPE_STEP))
+        (_levels_of_slope(plain, px, py) - _levels_of_slope(plain, -px, -py)) / (2 * step)
+        for px, py in ((step, 0.0), (0.0, step))
     ]
     variance = sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12  # the last: rounding to grey levels
     matrix = np.stack(columns, axis=-1) / np.sqrt(variance)[..., None]
@@ -205,42 +196,12 @@ def _halved(sensor: SimulatedSensor) -> SimulatedSensor:
     )
 
 
-def _as_read(
-    presses: Sequence[SimulatedPress], background: NDArray[np.uint8], sensor: SimulatedSensor
-) -> Presses:
-    """Simulated presses as `read_presses` gives real ones, without labels: nothing to peek at."""
-    read = tuple(
-        Press(
-            f"{k:04d}",
-            press.image,
-            press.ball_diameter_mm,
-            None,
-            pixels_digest(press.image),
-        )
-        for k, press in enumerate(presses)
-    )
-    pitch = float(sensor.mm_per_px)
-    return Presses(
-        folder="simulated",
-        presses=read,
-        background=background.astype(np.float32),
-        mm_per_px=pitch,
-        mm_per_px_sigma=None,
-        sensor_name=sensor.name,
-        serial=None,
-        gel_id=None,
-        view=View(),
-    )
-
-
 def _errors(press: SimulatedPress, result: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Where (N, 2), depth errors in mm and angles in degrees of the contact's pixels."""
     inside = press.contact
-    found = np.concatenate([-result.gradients[inside], np.ones((int(inside.sum()), 1))], axis=-1)
-    found /= np.linalg.norm(found, axis=-1, keepdims=True)
-    cosine = np.clip(np.sum(found * press.normals[inside], axis=-1), -1, 1)
+    angles = angle_deg(result.gradients[inside], press.gradients[inside])
     depth = result.depth_mm[inside] - press.depth_mm[inside]
-    return np.argwhere(inside), depth, np.rad2deg(np.arccos(cosine))
+    return np.argwhere(inside), depth, angles
 
 
 def _summed(

@@ -20,7 +20,7 @@ from gelform.simulate.gel.gel import (
 )
 from gelform.simulate.indenters.faces import Ball, Indenter
 from gelform.simulate.indenters.pose import Pose, Posed
-from gelform.simulate.render import Rendered, render
+from gelform.simulate.render import render
 from gelform.simulate.sensor.camera import px_seen
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
@@ -169,7 +169,19 @@ def simulate_pose(
         markers_mm=rest + shift,
         time_s=time_s,
     )
-    return _press(sensor, indenter, pose, rendered, shift, time_s)
+    radius_mm, rim_mm = _rim(sensor, indenter, pose.depth_mm)
+    center = px_seen(sensor, np.array([pose.center_mm]), rim_mm)[0]
+    return SimulatedPress(
+        **vars(rendered),
+        indenter=indenter,
+        center_mm=pose.center_mm,
+        center_px=(float(center[0]), float(center[1])),
+        press_depth_mm=pose.depth_mm,
+        contact_radius_px=None if radius_mm is None else radius_mm / sensor.mm_per_px,
+        markers_shift_mm=shift,
+        pose=pose,
+        time_s=time_s,
+    )
 
 
 def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample: int) -> Surface:
@@ -190,29 +202,6 @@ def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample
     posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
     wide = surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how)
     return wide.sampled(slice(margin, -margin or None))
-
-
-def _press(
-    sensor: SimulatedSensor,
-    indenter: Indenter,
-    pose: Pose,
-    rendered: Rendered,
-    shift: NDArray[np.float64],
-    time_s: float,
-) -> SimulatedPress:
-    radius_mm, rim_mm = _rim(sensor, indenter, pose.depth_mm)
-    center = px_seen(sensor, np.array([pose.center_mm]), rim_mm)[0]
-    return SimulatedPress(
-        **vars(rendered),
-        indenter=indenter,
-        center_mm=pose.center_mm,
-        center_px=(float(center[0]), float(center[1])),
-        press_depth_mm=pose.depth_mm,
-        contact_radius_px=None if radius_mm is None else radius_mm / sensor.mm_per_px,
-        markers_shift_mm=shift,
-        pose=pose,
-        time_s=time_s,
-    )
 
 
 def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[float | None, float]:

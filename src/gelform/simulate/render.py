@@ -77,8 +77,9 @@ def render(
     )
     markers = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px) if markers_mm is None else markers_mm
     albedo = _albedo(sensor, markers)
-    light = _dimmed(light, albedo, sensor.timing.light_at(time_s, sensor.shape[0]).astype(dtype))
-    light = spread_in_gel(light, sensor.coating, sensor.mm_per_px)
+    lamps: NDArray[Any] = sensor.timing.light_at(time_s, sensor.shape[0]).astype(dtype)
+    light = cv2.multiply(light, cv2.merge([albedo * lamps[..., channel] for channel in range(3)]))
+    light = spread_in_gel(np.asarray(light), sensor.coating, sensor.mm_per_px)
     maps = maps_from_depth(sensor, coarse.depth_mm)
     levels = levels_from_irradiance(sensor, light, maps=maps)
     shadowed = shadowed_from_surface(coarse, sensor.leds, visible)
@@ -118,11 +119,6 @@ def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray
     places = markers_mm / sensor.mm_per_px + (np.array(sensor.shape[::-1]) - 1) / 2
     bites = sensor.coating.marker_bites(len(places)) if sensor.coating.marker_broken else None
     return with_markers(albedo, places, sensor.coating.marker_radius_mm / sensor.mm_per_px, bites)
-
-
-def _dimmed(light: NDArray[Any], albedo: NDArray[np.float32], lamps: NDArray[Any]) -> NDArray[Any]:
-    """Light (H, W, 3) times the reflectance (H, W) and the LEDs' light (H, 1, 3)."""
-    return np.asarray(cv2.multiply(light, cv2.merge([albedo * lamps[..., channel] for channel in range(3)])))
 
 
 def simulate_background(

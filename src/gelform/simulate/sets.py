@@ -17,8 +17,6 @@ from gelform.simulate.press import SimulatedPress, simulate_pose, simulate_press
 from gelform.simulate.render import simulate_background
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
-RIM_SLOPES = (0.5, 0.95)
-
 
 @dataclass(frozen=True)
 class SimulatedPresses:
@@ -74,16 +72,11 @@ def _ball_press(
     oversample: int,
 ) -> SimulatedPress:
     ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
-    depth = _depth_of(sensor, ball, rng.uniform(*RIM_SLOPES))
+    rim_slope = rng.uniform(0.5, 0.95)
+    gel = {"thickness_mm": sensor.gel.thickness_mm, "bulge": sensor.gel.bulge}
+    depth = depth_of_ball(ball.radius_mm, rim_slope, sensor.relaxation_mm, **gel)
     return simulate_press(
         sensor, ball, depth_mm=depth, center_mm=_place(sensor, k, shift), rng=rng, oversample=oversample
-    )
-
-
-def _depth_of(sensor: SimulatedSensor, ball: Ball, rim_slope: float) -> float:
-    gel = sensor.gel
-    return depth_of_ball(
-        ball.radius_mm, rim_slope, sensor.relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
     )
 
 

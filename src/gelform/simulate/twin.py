@@ -28,27 +28,24 @@ RELAXATION_MM = 0.5  # of that gel, from the same presses
 
 
 class Look(Protocol):
-    """How one sensor answers to a surface: what a twin shows."""
+    """How one sensor answers to a surface: what a twin shows.
+
+    Attributes
+    ----------
+    name : whose look it is
+    background : (H, W, 3), the untouched image
+    mm_per_px : pixel pitch, mm
+    noise : (3,), standard deviation of an image's pixel, grey levels
+    """
 
     @property
-    def name(self) -> str:
-        """Whose look it is."""
-        ...
-
+    def name(self) -> str: ...
     @property
-    def background(self) -> NDArray[np.float32]:
-        """The untouched image (H, W, 3)."""
-        ...
-
+    def background(self) -> NDArray[np.float32]: ...
     @property
-    def mm_per_px(self) -> float:
-        """Pixel pitch, mm."""
-        ...
-
+    def mm_per_px(self) -> float: ...
     @property
-    def noise(self) -> NDArray[np.float64]:
-        """Standard deviation (3,) of an image's pixel, grey levels."""
-        ...
+    def noise(self) -> NDArray[np.float64]: ...
 
     def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
         """Grey levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""

@@ -17,7 +17,7 @@ from gelform.calibration.circles.prepare import (
     prepare,
     prepared_by_offset,
 )
-from gelform.design.study import _as_read
+from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.markers import MarkerFinder
 from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence
 from made.dots import grid, image_of_dots
@@ -115,7 +115,7 @@ def presses_of(sensor, pitch_mm):
         rng=np.random.default_rng(3),
         oversample=1,
     )
-    return made, _as_read(made.presses, made.background, made.sensor)
+    return made, presses_from_simulated(made)
 
 
 @pytest.fixture(scope="module")

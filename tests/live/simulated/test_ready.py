@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.live.simulated import ready
-from gelform.live.simulated.ready import kept_path, presses_of, ready_calibration
+from gelform.live.simulated.ready import kept_path, ready_calibration
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.simulate import Ball, simulate_press
@@ -47,6 +48,6 @@ def test_a_cache_that_cannot_be_written_does_no_harm(monkeypatch, tmp_path, sens
 
 
 def test_presses_are_what_a_folder_would_give(simulated, presses):
-    made = presses_of(simulated)
+    made = presses_from_simulated(simulated)
     assert [one.digest for one in made.presses] == [one.digest for one in presses.presses]
     assert made.mm_per_px == presses.mm_per_px

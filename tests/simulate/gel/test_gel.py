@@ -19,7 +19,7 @@ from gelform.simulate import (
     twist_poses,
 )
 from gelform.simulate.gel.gel import displacement_at, surface_from_ball, surface_from_indenter
-from gelform.simulate.gel.membrane import bulging_membrane_over
+from gelform.simulate.gel.membrane import membrane_over
 from made.sensors import DRAGGED, LENGTH, grid
 
 
@@ -54,7 +54,7 @@ def test_the_volume_that_is_left_is_what_the_model_promises(bulge):
     gel = Gel(thickness_mm=1.5, bulge=bulge)
     by_formula = surface_from_ball(Ball(2), x, y, gel=gel, **settings)
     by_grid = surface_from_indenter(Ball(2), x, y, gel=gel, **settings)
-    membrane, risen = bulging_membrane_over(
+    membrane, risen = membrane_over(
         0.5 + np.sqrt(np.maximum(4 - x**2 - y**2, 0)) - 2,
         relaxation_px=LENGTH / 0.1,
         bulge=bulge,

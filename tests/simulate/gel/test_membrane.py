@@ -5,14 +5,14 @@ import pytest
 
 from gelform.simulate import LAYOUTS, Coin, simulate_press
 from gelform.simulate.gel import membrane
-from gelform.simulate.gel.membrane import bulging_membrane_over, carried_along, membrane_over, spread
+from gelform.simulate.gel.membrane import carried_along, membrane_over, spread
 from kernel_agreement import usable_isas
 
 
 def test_the_membrane_never_enters_the_obstacle_and_is_level_free_beside_it():
     rng = np.random.default_rng(3)
     obstacle = np.maximum(rng.normal(size=(40, 50)) - 1, 0)
-    u = membrane_over(obstacle, relaxation_px=4.0)
+    u = membrane_over(obstacle, relaxation_px=4.0)[0]
     padded = np.pad(u, 1, mode="edge")
     force = 4 * u - padded[:-2, 1:-1] - padded[2:, 1:-1] - padded[1:-1, :-2] - padded[1:-1, 2:] + u / 16
     assert np.all(u >= obstacle)
@@ -25,8 +25,8 @@ def test_the_membrane_never_enters_the_obstacle_and_is_level_free_beside_it():
 def test_turning_the_obstacle_turns_the_membrane():
     obstacle = np.zeros((30, 41))
     obstacle[5:12, 20:33] = 0.4
-    u = membrane_over(obstacle, relaxation_px=3.0)
-    np.testing.assert_allclose(membrane_over(obstacle[::-1].T, relaxation_px=3.0), u[::-1].T, atol=2e-5)
+    u = membrane_over(obstacle, relaxation_px=3.0)[0]
+    np.testing.assert_allclose(membrane_over(obstacle[::-1].T, relaxation_px=3.0)[0], u[::-1].T, atol=2e-5)
 
 
 def test_spreading_keeps_the_sum_and_obeys_its_equation():
@@ -73,7 +73,7 @@ def dense_membrane(obstacle, relaxation_px):
 @pytest.mark.parametrize("shape", [(37, 50), (8, 9), (40, 3)])
 def test_the_cycles_end_where_relaxation_on_one_grid_does(shape):
     obstacle = np.maximum(np.random.default_rng(4).normal(size=shape) - 0.8, 0)
-    found = membrane_over(obstacle, relaxation_px=5.0)
+    found = membrane_over(obstacle, relaxation_px=5.0)[0]
     np.testing.assert_allclose(found, dense_membrane(obstacle, 5.0), atol=1e-4 * obstacle.max())
 
 
@@ -83,6 +83,6 @@ def test_all_instruction_sets_give_the_same_bits(monkeypatch):
     found = []
     for isa in usable_isas():
         monkeypatch.setattr(membrane, "_membrane_cycles", membrane._membrane_cycles.on(isa))
-        found.append(bulging_membrane_over(obstacle, relaxation_px=6.0, bulge=0.5, bulge_px=20.0))
+        found.append(membrane_over(obstacle, relaxation_px=6.0, bulge=0.5, bulge_px=20.0))
     for other in found[1:]:
         np.testing.assert_array_equal(other, found[0])

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from gelform.frames import pixels_digest
 from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import profile_named
 from gelform.view import View, image_from_frame
+
+if TYPE_CHECKING:
+    from gelform.simulate import SimulatedPresses
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,24 @@ class Presses:
     def subset(self, indices: Sequence[int]) -> Presses:
         """The same sensor with some of the presses of a ball, and all flat ones."""
         return replace(self, presses=tuple(self.presses[i] for i in indices))
+
+
+def presses_from_simulated(made: SimulatedPresses) -> Presses:
+    """Simulated presses as `read_presses` gives those of a folder without labels."""
+    return Presses(
+        folder="simulated presses",
+        presses=tuple(
+            Press(f"press {k}", press.image, press.ball_diameter_mm, None, pixels_digest(press.image))
+            for k, press in enumerate(made.presses)
+        ),
+        background=made.background.astype(np.float32),
+        mm_per_px=made.sensor.mm_per_px,
+        mm_per_px_sigma=None,
+        sensor_name=made.sensor.name,
+        serial=None,
+        gel_id=None,
+        view=View(),
+    )
 
 
 @dataclass(frozen=True)

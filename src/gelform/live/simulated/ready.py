@@ -9,22 +9,16 @@ import os
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelform import __version__
 from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
 from gelform.errors import CalibrationError
-from gelform.frames import pixels_digest
 from gelform.progress import Progress, no_progress
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
-from gelform.view import View
-
-if TYPE_CHECKING:
-    from gelform.calibration.presses.press_set import Presses
 
 BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11
 SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by `benchmarks/live.py --calibration`
@@ -49,9 +43,10 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
         except CalibrationError:
             kept.unlink(missing_ok=True)  # damaged: it is ours, and made again
     from gelform.calibration.fit import calibrate
+    from gelform.calibration.presses.press_set import presses_from_simulated
 
     made = simulated_presses(sensor, COUNT, progress=progress)
-    calibration = calibrate(presses_of(made), color_model=COLOR_MODEL, progress=progress)
+    calibration = calibrate(presses_from_simulated(made), color_model=COLOR_MODEL, progress=progress)
     if kept is not None:
         calibration.save(kept, overwrite=True)
     return calibration
@@ -89,24 +84,4 @@ def simulated_presses(
     rng = np.random.default_rng(SEED)
     return simulate_ball_presses(
         sensor, ball_diameters_mm=BALLS_MM, count=count, rng=rng, oversample=1, progress=progress
-    )
-
-
-def presses_of(made: SimulatedPresses) -> Presses:
-    """Simulated presses as calibration takes them, without the detour over files."""
-    from gelform.calibration.presses.press_set import Press, Presses
-
-    return Presses(
-        folder="simulated presses",
-        presses=tuple(
-            Press(f"press {k}", press.image, press.ball_diameter_mm, None, pixels_digest(press.image))
-            for k, press in enumerate(made.presses)
-        ),
-        background=made.background.astype(np.float32),
-        mm_per_px=made.sensor.mm_per_px,
-        mm_per_px_sigma=None,
-        sensor_name=made.sensor.name,
-        serial=None,
-        gel_id=None,
-        view=View(),
     )

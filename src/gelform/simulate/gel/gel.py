@@ -31,13 +31,7 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_positive
 from gelform.simulate.gel.ball_press import ball_on_grid, ball_press
-from gelform.simulate.gel.membrane import (
-    TOLERANCE,
-    bulging_membrane_over,
-    carried_along,
-    membrane_over,
-    spread,
-)
+from gelform.simulate.gel.membrane import TOLERANCE, carried_along, membrane_over, spread
 from gelform.simulate.indenters.faces import Ball, Indenter
 from gelform.simulate.indenters.pose import Pose
 
@@ -152,17 +146,13 @@ def surface_from_indenter(
     gel = gel or Gel()
     face = depth_mm + indenter.face_mm(x_mm - center_mm[0], y_mm - center_mm[1])
     pitch = float(x_mm[0, 1] - x_mm[0, 0])
-    if gel.bulge == 0:
-        obstacle = np.maximum(face, 0)
-        depth = membrane_over(obstacle, relaxation_px=relaxation_mm / pitch)
-        touching = (obstacle > 0) & (depth <= obstacle)
-    else:
-        obstacle = np.maximum(face, -depth_mm)  # the gel never rises that far
-        membrane, bulge = bulging_membrane_over(
-            obstacle, relaxation_px=relaxation_mm / pitch, bulge=gel.bulge, bulge_px=gel.thickness_mm / pitch
-        )
-        touching = (membrane > 0) & (membrane <= obstacle + bulge + TOLERANCE * depth_mm)
-        depth = np.where(touching, obstacle, membrane - bulge)
+    obstacle = np.maximum(face, -depth_mm if gel.bulge else 0)  # the gel never rises that far
+    membrane, bulge = membrane_over(
+        obstacle, relaxation_px=relaxation_mm / pitch, bulge=gel.bulge, bulge_px=gel.thickness_mm / pitch
+    )
+    tolerance = TOLERANCE * depth_mm if gel.bulge else 0
+    touching = (membrane > 0) & (membrane <= obstacle + bulge + tolerance)
+    depth = np.where(touching, obstacle, membrane - bulge)
     slope_y, slope_x = np.gradient(depth, pitch, edge_order=2)
     return Surface(x_mm, y_mm, depth, np.stack([slope_x, slope_y], axis=-1), touching)
 

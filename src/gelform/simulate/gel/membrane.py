@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from gelform._native import Handle, Kernel
 from gelform.errors import ConvergenceError
 
-TOLERANCE = 1e-5  # of the deepest point
-DRAG_TOLERANCE = 1e-3
-MAX_CYCLES = 100
-GUESS_CYCLES = 25
-BULGE_SAMPLES = 12  # samples per length on the grid on which the smooth bulge is computed
+TOLERANCE = 1e-5  # largest change by a cycle, of the deepest point: below a nanometre
+MAX_CYCLES = 100  # V-cycles; ten to thirty are usual
 Map = NDArray[np.float64]
 
 _membrane_cycles = Kernel(
@@ -26,20 +23,25 @@ _membrane_cycles = Kernel(
 )
 
 
-def membrane_over(obstacle: NDArray[Any], *, relaxation_px: float) -> NDArray[np.float64]:
-    """The surface of least energy over an obstacle; no force across the border.
+def membrane_over(
+    obstacle: NDArray[Any], *, relaxation_px: float, bulge: float = 0.0, bulge_px: float = 1.0
+) -> tuple[Map, Map]:
+    """The membrane w of least energy over an obstacle and the bulge b of its gel; no force across the border.
 
-    Solves `u >= g`, `4 u - sum of neighbours + u/L^2 >= 0`, one of the two an equality at every sample.
+    Solves `w >= g + b`, `4 w - sum of neighbours + w/L^2 >= 0`, one of the two an equality at every sample. b is
+    `bulge` times w spread over the length `bulge_px` by the kernel K0(r/h)/(2 pi h^2), whose integral is 1:
+    `b - h^2 laplace(b) = bulge w`. The surface is w - b: the obstacle where they touch, and its volume over the
+    whole grid is (1 - bulge) times that of w.
 
     Parameters
     ----------
-    obstacle : (H, W), >= 0
-    relaxation_px : float
-        The length L in samples.
+    obstacle : (H, W), g; below 0 where the gel would be touched only if it rises
+    relaxation_px, bulge_px : the lengths L and h in samples
+    bulge : 0 (compressible) to 1 (incompressible), 1 excluded
 
     Returns
     -------
-    surface : (H, W) float64, the obstacle itself bit for bit where they touch
+    membrane, bulge : (H, W) float64 each; without a bulge the obstacle itself bit for bit where they touch
 
     Raises
     ------
@@ -51,29 +53,6 @@ def membrane_over(obstacle: NDArray[Any], *, relaxation_px: float) -> NDArray[np
     R. Kornhuber, Monotone multigrid methods for elliptic variational inequalities I, Numer. Math. 69, 1994,
     truncated: coarse grids correct only what does not touch. The smoother is C. W. Cryer's projected
     relaxation (SIAM J. Control 9(3), 1971), red-black.
-    """
-    g = np.ascontiguousarray(obstacle, dtype=np.float64)
-    return _solved(g, relaxation_px, bulge=0.0, bulge_px=1.0)[0]
-
-
-def bulging_membrane_over(
-    obstacle: NDArray[Any], *, relaxation_px: float, bulge: float, bulge_px: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The membrane w and the bulge b of a gel that gives back the part `bulge` of what it is displaced by.
-
-    w is the membrane over `obstacle + b`, and b is `bulge` times w spread over the length `bulge_px` by the
-    kernel K0(r/h)/(2 pi h^2), whose integral is 1: `b - h^2 laplace(b) = bulge w`. The surface is w - b: the
-    obstacle where they touch, and its volume over the whole grid is (1 - bulge) times that of w.
-
-    Parameters
-    ----------
-    obstacle : (H, W); below 0 where the gel would be touched only if it rises
-    relaxation_px, bulge_px : lengths in samples
-    bulge : 0 (compressible) to 1 (incompressible), 1 excluded
-
-    Returns
-    -------
-    membrane, bulge : (H, W) float64 each
     """
     g = np.ascontiguousarray(obstacle, dtype=np.float64)
     return _solved(g, relaxation_px, bulge=bulge, bulge_px=bulge_px)
@@ -114,7 +93,7 @@ def _solved(
     np.maximum(g + b, 0, out=grids.lowest)
     grids.u[:] = np.maximum(u, grids.lowest)
     target = TOLERANCE * max(float(g.max()), 1e-12)
-    most = GUESS_CYCLES if guess else MAX_CYCLES
+    most = MAX_CYCLES // 4 if guess else MAX_CYCLES
     if bulge == 0:
         change = grids.cycle(target, most)
     for _ in range(most if bulge > 0 else 0):
@@ -138,7 +117,7 @@ def spread(values: Map, length_px: float) -> Map:
 
     By cosine transform on a coarser grid: the result is smooth over the length.
     """
-    factor = max(1, int(length_px / BULGE_SAMPLES))
+    factor = max(1, int(length_px / 12))  # twelve samples per length: what is smooth over it needs no more
     height, width = values.shape
     small = cv2.resize(
         values, (max(2, width // factor), max(2, height // factor)), interpolation=cv2.INTER_AREA
@@ -163,7 +142,7 @@ def carried_along(values: Map, fixed: NDArray[np.bool_], length_px: float) -> Ma
     grids = _Grids(values.shape, length_px)
     grids.u[:] = values
     np.logical_not(fixed, out=grids.free)
-    target = DRAG_TOLERANCE * max(float(np.abs(values).max()), 1e-9)
+    target = 1e-3 * max(float(np.abs(values).max()), 1e-9)
     if grids.cycle(target, MAX_CYCLES) > target:
         raise ConvergenceError(f"The gel's drag did not settle in {MAX_CYCLES} cycles.")
     return grids.u.copy()

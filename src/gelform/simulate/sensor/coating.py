@@ -10,9 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_map
+from gelform.checks import check_map, check_positive
 
 Grid = tuple[int, int]
+
+
+def check_not_negative(settings: Any, *names: str) -> None:
+    """Refuse settings of these names that are below 0 or not finite."""
+    for name in names:
+        if not 0 <= getattr(settings, name) < np.inf:
+            raise ValueError(f"Expected {name} >= 0, got {getattr(settings, name)}.")
 
 
 @dataclass(frozen=True)
@@ -63,21 +70,18 @@ class Coating:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("specular", "roughness", "marker_pitch_mm", "scratches", "dust", "seed"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
+        check_not_negative(self, "specular", "roughness", "marker_pitch_mm", "scratches", "dust", "seed")
         for name in ("scattering", "interreflection", "marker_missing", "marker_broken", "marker_jitter"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"Expected {name} in 0-1 (1 excluded), got {getattr(self, name)}.")
         for name in ("scattering_mm", "interreflection_mm", "grain_mm", "marker_radius_mm"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"Expected {name} > 0, got {getattr(self, name)}.")
+            check_positive(getattr(self, name), name)
         if self.shininess not in [2**k for k in range(11)]:
             raise ValueError(f"Expected shininess as a power of two in 1-1024, got {self.shininess}.")
         if 0 < self.marker_pitch_mm <= 2 * self.marker_radius_mm:
             raise ValueError(f"Expected marker_pitch_mm over twice the radius, got {self.marker_pitch_mm}.")
-        if self.albedo is not None:
-            object.__setattr__(self, "albedo", _Albedo.checked(self.albedo))
+        if self.albedo is not None and not isinstance(self.albedo, _Albedo):
+            object.__setattr__(self, "albedo", _Albedo(self.albedo))
 
     def markers_mm(self, shape: Grid, mm_per_px: float) -> NDArray[np.float64]:
         """Places (N, 2) of the markers at rest: a grid about the centre, to half a pitch beyond the image."""
@@ -99,28 +103,16 @@ class Coating:
         bites = 0.85 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         return np.where(broken[:, None], bites, np.nan)
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether the surface is white and smooth all over."""
-        return self.albedo is None and self.dust == 0 and self.marker_pitch_mm == 0
-
 
 class _Albedo:
     """A reflectance map that compares by identity, so that a coating can be a key."""
 
-    def __init__(self, values: NDArray[np.float64]) -> None:
-        self.values = values
-
-    @classmethod
-    def checked(cls, values: ArrayLike | _Albedo) -> _Albedo:
-        if isinstance(values, _Albedo):
-            return values
-        albedo = check_map(values, "albedo", nonnegative=True, dtype=np.float64)
-        if albedo.ndim != 2 or albedo.max() > 1:
+    def __init__(self, values: ArrayLike) -> None:
+        self.values = check_map(values, "albedo", nonnegative=True, dtype=np.float64)
+        if self.values.ndim != 2 or self.values.max() > 1:
             raise ValueError(
-                f"Expected albedo of shape (h, w) in 0-1, got {albedo.shape}, up to {albedo.max():g}."
+                f"Expected albedo of shape (h, w) in 0-1, got {self.values.shape}, up to {self.values.max():g}."
             )
-        return cls(albedo)
 
 
 @lru_cache(maxsize=8)
@@ -135,7 +127,9 @@ def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> NDArray[np.fl
     for _ in range(coating.dust):
         at, size = rng.uniform(0, 1, 2) * shape[::-1], rng.uniform(0.04, 0.12) / mm_per_px
         level = rng.choice([rng.uniform(0.3, 0.8), rng.uniform(1.2, 1.8)])
-        albedo = _blend(albedo, _disc(shape, at, size), level)
+        y, x = np.ogrid[: shape[0], : shape[1]]
+        cover = np.clip(size + 0.5 - np.hypot(x - at[0], y - at[1]), 0, 1).astype(np.float32)
+        albedo = np.asarray(albedo * (1 + cover * np.float32(level - 1)), dtype=np.float32)
     return albedo
 
 
@@ -197,12 +191,3 @@ def _scratch(shape: Grid, mm_per_px: float, rng: np.random.Generator) -> NDArray
     cv2.line(drawing, points[0], points[1], 1.0, 1, cv2.LINE_8)
     depth_mm = np.float32(rng.uniform(0.002, 0.008))
     return np.asarray(cv2.GaussianBlur(drawing, (0, 0), 0.8) * depth_mm, dtype=np.float32)
-
-
-def _disc(shape: Grid, at: NDArray[np.float64], radius_px: float) -> NDArray[np.float32]:
-    y, x = np.ogrid[: shape[0], : shape[1]]
-    return np.clip(radius_px + 0.5 - np.hypot(x - at[0], y - at[1]), 0, 1).astype(np.float32)
-
-
-def _blend(albedo: NDArray[np.float32], cover: NDArray[np.float32], level: float) -> NDArray[np.float32]:
-    return np.asarray(albedo * (1 + cover * np.float32(level - 1)), dtype=np.float32)

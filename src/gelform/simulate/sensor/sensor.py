@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.checks import check_mm_per_px, check_positive
 from gelform.simulate.gel.gel import Gel
-from gelform.simulate.sensor.coating import Coating
+from gelform.simulate.sensor.coating import Coating, check_not_negative
 
 Triple = tuple[float, float, float]
 RED: Triple = (1, 0, 0)
@@ -60,8 +60,7 @@ class Led:
             raise ValueError(f"Expected aim_mm away from the LED itself, got {self.aim_mm}.")
         if int(self.beam_power) != self.beam_power or not 0 <= self.beam_power <= 64:
             raise ValueError(f"Expected beam_power as a whole number in 0-64, got {self.beam_power}.")
-        if not 0 <= self.size_mm < np.inf:
-            raise ValueError(f"Expected size_mm >= 0, got {self.size_mm}.")
+        check_not_negative(self, "size_mm")
 
 
 def led_row(start_mm: Triple, end_mm: Triple, color: Triple, count: int) -> tuple[Led, ...]:
@@ -271,7 +270,8 @@ class SimulatedSensor:
     cast_shadows: bool = False
 
     def __post_init__(self) -> None:
-        _check_shape(self.shape)
+        if len(self.shape) != 2 or any(int(n) != n or n < 2 for n in self.shape):
+            raise ValueError(f"Expected shape as (H, W), at least 2x2, got {self.shape}.")
         check_mm_per_px(self.mm_per_px)
         check_positive(self.relaxation_mm, "relaxation_mm")
         if len(self.leds) == 0:
@@ -281,9 +281,7 @@ class SimulatedSensor:
                 raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
         if np.shape(self.crosstalk) != (3, 3):
             raise ValueError(f"Expected crosstalk of shape (3, 3), got {np.shape(self.crosstalk)}.")
-        for name in ("blur_px", "noise_sd", "noise_gain"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"Expected {name} >= 0, got {getattr(self, name)}.")
+        check_not_negative(self, "blur_px", "noise_sd", "noise_gain")
         for led in self.leds:
             _check_outside_gel(led, self)
         if self.shading is not None and np.shape(self.shading) not in [(3, n) for n in SHADING_DEGREES]:
@@ -309,12 +307,6 @@ class SimulatedSensor:
         y = (np.arange(height) - (height - 1) / 2) * pitch
         return np.asarray(x[None, :], dtype=np.float64), np.asarray(y[:, None], dtype=np.float64)
 
-    def px_from_mm(self, center_mm: tuple[float, float]) -> tuple[float, float]:
-        """Pixel coordinates (x, y) of a point given in mm from the gel's centre."""
-        height, width = self.shape
-        x, y = center_mm
-        return x / self.mm_per_px + (width - 1) / 2, y / self.mm_per_px + (height - 1) / 2
-
 
 def settings_from_sensor(sensor: SimulatedSensor) -> dict[str, Any]:
     """A sensor as lists, numbers and words that JSON can hold; an albedo map as its values.
@@ -333,11 +325,6 @@ def _check_outside_gel(led: Led, sensor: SimulatedSensor) -> None:
             f"Expected every LED outside the gel, got one at {led.position_mm} mm in a gel that is "
             f"{sensor.gel.thickness_mm:g} mm thick: raise it, or move it beside the image."
         )
-
-
-def _check_shape(shape: tuple[int, int]) -> None:
-    if len(shape) != 2 or any(int(n) != n or n < 2 for n in shape):
-        raise ValueError(f"Expected shape as (H, W), at least 2x2, got {shape}.")
 
 
 def _plain(value: Any) -> Any:
