@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +39,9 @@ def medians_where(
     return medians, _medians_where(values, chosen, step, work, medians)
 
 
+@lru_cache(maxsize=16)
 def blur_taps(blur_px: float) -> NDArray[np.float32]:
-    """Weights of a Gaussian blur from the middle on, as far as OpenCV takes them for floats: 4 standard deviations."""
+    """Weights of a Gaussian blur from the middle on, to 4 standard deviations as in OpenCV; nobody writes to them."""
     if blur_px == 0:
         return np.ones(1, dtype=np.float32)
     size = int(np.rint(8 * blur_px + 1)) | 1

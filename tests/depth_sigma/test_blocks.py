@@ -93,7 +93,7 @@ def test_the_variance_of_depths_is_averaged_inside_the_mask(hole):
     squares = np.where(mask, np.mean(depths.astype(float) ** 2, axis=-1), 0)
     smooth, inside = (gaussian_filter(v, 0.6, mode="mirror", radius=3) for v in (squares, mask.astype(float)))
     expected = np.where(inside > 1e-5, smooth / np.maximum(inside, 1e-6), 0)
-    arguments = depths, mask, blocks._taps(), np.empty(400, np.float32), np.empty((9, 12), np.float32)
+    arguments = depths, mask, blocks.blur_taps(0.6), np.empty(400, np.float32), np.empty((9, 12), np.float32)
     assert_kernel_agrees(blocks._variance_of_depths, lambda *_: expected, *arguments)
 
 

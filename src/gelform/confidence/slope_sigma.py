@@ -169,7 +169,7 @@ class SlopeSigma:
                 if np.count_nonzero(bins == b) >= MIN_IN_BIN
             ] or [(float(slopes.mean()), float(np.quantile(error, ONE_SIGMA)))]
             law = law_at(slopes, *np.array(knots).T)[:, None]
-            place = place_factors(held_out, lambda here, law=law: _size((error / law)[here]), PRIOR_PRESSES)
+            place = place_factors(held_out, error / law, _size, PRIOR_PRESSES)
         rest = knots[0][1] * float(np.median(stated))
         if held_out.rest.size:
             rest = float(np.quantile(np.abs(held_out.rest), ONE_SIGMA))
@@ -242,7 +242,8 @@ def factor_at(grid: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[n
 
 def place_factors(
     held_out: SlopeErrors | SolvedErrors,
-    size_of: Callable[[NDArray[np.bool_]], float],
+    ratio: NDArray[Any],
+    size_of: Callable[[NDArray[Any]], float],
     prior: float,
     among: NDArray[np.bool_] | bool = True,
     whole: float = 1.0,
@@ -252,7 +253,7 @@ def place_factors(
     Parameters
     ----------
     held_out : errors with their places and presses
-    size_of : factor of the errors where a mask (N,) is
+    ratio, size_of : (N, 2), errors over those predicted, and the factor that so many of them (M, 2) tell
     prior : presses that count for the whole frame
     among : (N,), errors that count
     whole : factor of the whole frame
@@ -266,7 +267,7 @@ def place_factors(
         if np.count_nonzero(here) >= MIN_IN_BIN:
             presses = len(np.unique(held_out.press[here]))
             trust = presses / (presses + prior)
-            factors[r, c] = whole ** (1 - trust) * size_of(here) ** trust
+            factors[r, c] = whole ** (1 - trust) * size_of(ratio[here]) ** trust
     return factors
 
 

@@ -125,12 +125,11 @@ def with_solved_factors(sigma: SlopeSigma, held_out: SolvedErrors) -> SlopeSigma
     squares = np.maximum(held_out.predicted**2 - held_out.extra**2, 1e-12)
     ratio = (held_out.errors**2 - held_out.extra[:, None] ** 2) / squares[:, None]
 
-    def size_of(here: NDArray[np.bool_]) -> float:
-        return float(np.sqrt(max(np.quantile(ratio[here], ONE_SIGMA), LEAST_SOLVED_FACTOR**2)))
-
-    grids = [
-        place_factors(held_out, size_of, PRIOR_SOLVED_PRESSES, part, size_of(part))
-        for part in (~steep, steep)
-    ]
+    parts = [(part, _root_size(ratio[part])) for part in (~steep, steep)]
+    grids = [place_factors(held_out, ratio, _root_size, PRIOR_SOLVED_PRESSES, *part) for part in parts]
     places = tuple(tuple(tuple(map(float, line)) for line in grid) for grid in grids)
     return replace(sigma, solved_slopes=(gentle_slope, steep_slope), solved_places=places)
+
+
+def _root_size(squares: NDArray[Any]) -> float:
+    return float(np.sqrt(max(np.quantile(squares, ONE_SIGMA), LEAST_SOLVED_FACTOR**2)))

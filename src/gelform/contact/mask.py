@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -183,7 +182,7 @@ def _bent(
     depth: NDArray[np.float32], pitch: tuple[float, float], smoothing: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """A depth (H, W) smoothed and minus its Laplacian, 1/mm; near the borders that of the next pixels inside."""
-    taps = _taps(smoothing)
+    taps = blur_taps(smoothing)
     margin = int(np.ceil(2 * smoothing))
     if min(depth.shape) <= 2 * margin:
         margin = 0
@@ -192,11 +191,6 @@ def _bent(
     work = np.empty((rows + 1) * width + rows, dtype=np.float32)
     _bent_surface(depth, taps, smooth, bent, work, 1 / pitch[0] ** 2, 1 / pitch[1] ** 2, margin)
     return smooth, bent
-
-
-@lru_cache(maxsize=len(SMOOTHINGS_PX))
-def _taps(smoothing: float) -> NDArray[np.float32]:
-    return blur_taps(smoothing)
 
 
 def _noise(values: NDArray[np.float32], by_place: NDArray[np.float32]) -> float:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,9 @@ from gelform._native import Kernel
 from gelform.depth_sigma.closed_form import white_as_blurred
 from gelform.filters import blur_taps
 from gelform.gradients import fill_unknown
-from gelform.solvers.system import FLOOR, problem_from_gradients
+from gelform.solvers.system import FLOOR, constant_map, problem_from_gradients
 
-LEAST = 1e-6
+LEAST_DEVIATION = 1e-6  # of the fractions within a block: none is 0, which the kernel divides by
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class ErrorParts:
         """(2,), in contact and at rest: share of the deviation that, if it is white, moves depth as far within a block."""
         within = white_as_blurred(self.aspect, self.block, self.rest_px)[1]
         contact, rest = np.sqrt(1 - self.share), np.sqrt((1 - self.rest_share) * within)
-        return np.maximum([contact, rest], LEAST, dtype=np.float32)
+        return np.maximum([contact, rest], LEAST_DEVIATION, dtype=np.float32)
 
 
 _sum_blocks = Kernel(
@@ -75,9 +74,10 @@ _sigma_of_pixels = Kernel(
     "f32[rows,columns] variance, f32[h,w,slopes] sigma, bool[h,w]? rest, f32[2] white, f32[2] within, f32[4] fading, "
     "f32[h,w] weights, f32 floor, f32[h,w]? anchor, i64 block, out f32[22,line] work, out f32[h,w] out",
 )
-# Variance of the probes is averaged over so many blocks (standard deviation).
-SMOOTHING_BLOCKS = 0.6
-LINES = 22  # scratch of `sigma_of_pixels`
+SMOOTHING_BLOCKS = (
+    0.6  # standard deviation of a Gaussian over which the probes' variance is averaged: 32 probes are few
+)
+LINES = 22  # rows of scratch memory of `sigma_of_pixels`
 
 # What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels, pixels at
 # rest; then for each slope weight x sigma and its square.
@@ -120,7 +120,7 @@ class Blocks:
         shape = block_rows_and_columns(pixels, block)
         sums = np.empty((FIRST + PER_SLOPE * sigma.shape[2], *shape), dtype=np.float32)
         work = np.empty((len(sums), pixels[1]), dtype=np.float32)
-        hold = zeros(pixels) if anchor is None else anchor
+        hold = constant_map(pixels, 0.0) if anchor is None else anchor
         _sum_blocks(sigma, weights, mask, hold, region, rest, floor, block, work, sums)
         weight = np.empty(shape, dtype=np.float32)
         self.white, self.common, self._usual = np.empty((3, *shape, 2), dtype=np.float32)
@@ -129,7 +129,7 @@ class Blocks:
         self.mask = sums[INSIDE] > 0
         self.anchored = anchor is not None
         self.problem = problem_from_gradients(
-            zeros((*shape, 2)), weight, self.mask, sums[HOLD] if self.anchored else None
+            constant_map((*shape, 2), 0.0), weight, self.mask, sums[HOLD] if self.anchored else None
         )
         self.region = sums[REGION]
         # Slopes of less weight than the floor are replaced by a fill from their neighbours: they bring no error.
@@ -158,16 +158,11 @@ def less_mean(depths: NDArray[np.float32], pixels: NDArray[np.bool_], block: int
 
 def variance_of_depths(depths: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Mean square (h, w) over the probes of depths (h, w, probes), averaged over neighbours inside the mask."""
-    taps = _taps()
+    taps = blur_taps(SMOOTHING_BLOCKS)
     work = np.empty(2 * (mask.size + mask.shape[1] + taps.size), dtype=np.float32)
     variance = np.empty(mask.shape, dtype=np.float32)
     _variance_of_depths(depths, mask, taps, work, variance)
     return variance
-
-
-@lru_cache(maxsize=1)
-def _taps() -> NDArray[np.float32]:
-    return blur_taps(SMOOTHING_BLOCKS)
 
 
 def sigma_of_pixels(
@@ -200,9 +195,3 @@ def sigma_of_pixels(
     work = np.empty((LINES, weights.shape[1] + 2), dtype=np.float32)
     _sigma_of_pixels(variance, sigma, rest, white, within, fading, weights, floor, anchor, block, work, out)
     return out
-
-
-@lru_cache(maxsize=16)
-def zeros(shape: tuple[int, int]) -> NDArray[Any]:
-    """A map of zeros, shared: nobody writes to it."""
-    return np.zeros(shape, dtype=np.float32)

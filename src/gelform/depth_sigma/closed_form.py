@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# The frame of so many blocks, square, in whose middle the uniform frame's errors are looked up.
-TRIAL = 32
+TRIAL_BLOCKS = 32  # across a square frame, in whose middle the errors of a uniform frame are looked up
 
 
 @lru_cache(maxsize=8)
@@ -66,7 +65,7 @@ def _variance_in_middle(aspect: float, block: int, length: float = 0.0) -> tuple
 
     The mean errors of whole blocks move it as far as those of as many pixels (`block` 1).
     """
-    size = TRIAL * block
+    size = TRIAL_BLOCKS * block
     middle = slice(3 * size // 8, 5 * size // 8)
     fine = variance_of_white((size, size), (np.sqrt(aspect), 1 / np.sqrt(aspect)), length)
     return float(fine[0][middle, middle].mean()), float(fine[1][middle, middle].mean())
@@ -99,7 +98,7 @@ def fading_within_blocks(aspect: float, block: int) -> tuple[float, float, float
 def _missed(aspect: float, block: int, anchors: NDArray[Any]) -> NDArray[Any]:
     """Mean variance of pixels minus that of blocks over a frame with each anchor, both slopes together."""
     missed = np.zeros(anchors.size)
-    for size, pixels, sign in ((TRIAL * block, 1, 1), (TRIAL, block, -1)):
+    for size, pixels, sign in ((TRIAL_BLOCKS * block, 1, 1), (TRIAL_BLOCKS, block, -1)):
         eigen, gain = zip(*(_eigenvalues(size, pixels * pitch) for pitch in (aspect**-0.5, aspect**0.5)))
         gains = gain[0][:, None] + gain[1]
         for i, anchor in enumerate(anchors):

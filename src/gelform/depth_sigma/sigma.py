@@ -40,10 +40,10 @@ from gelform.depth_sigma.closed_form import (
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.errors import ConvergenceError
 from gelform.solvers.inputs import check_anchor
-from gelform.solvers.system import FLOOR
+from gelform.solvers.system import FLOOR, constant_map
 from gelform.zero import Level, Zero, fitted_surface, zero_region
 
-MOST_PX, MOST_PROBES = 20_000, 10_000
+MOST_PX, MOST_PROBES = 20_000, 10_000  # beyond any camera and any memory: a typing error
 
 
 def checked_sigma(gradients_sigma: ArrayLike, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
@@ -92,9 +92,8 @@ def checked_rest(rest: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.b
     return np.ascontiguousarray(array)
 
 
-# Probes are solved on blocks (sigma is smooth): about so many of them, of so many pixels across.
-BLOCKS = 2300
-BLOCK_PX = 2, 6
+# Probes are solved on blocks, since sigma is smooth: about so many, of so many pixels across at least and at most.
+BLOCKS, BLOCK_PX = 2300, (2, 6)
 
 
 class DepthSigma:
@@ -191,18 +190,18 @@ class DepthSigma:
         """
         shape = self.shape
         sigma = checked_sigma(gradients_sigma, shape)
-        weight = _ones(shape) if weights is None else checked_weights(weights, shape)
+        weight = constant_map(shape, 1.0) if weights is None else checked_weights(weights, shape)
         inside = None if mask is None else check_mask(mask, shape=shape)
         hold = None if anchor is None else check_anchor(anchor, shape)
         region = zero_region(zero, shape)
-        still = checked_rest(rest, shape)
+        untouched = checked_rest(rest, shape)
         if inside is not None:
             weight = weight * inside
         pixels = None
         if against is not None:
             pixels = check_mask(against, shape=shape, name="against")
             pixels = pixels if inside is None else pixels & inside
-        return self._of_pixels(sigma, weight, inside, hold, region, still, level, pixels)
+        return self._of_pixels(sigma, weight, inside, hold, region, untouched, level, pixels)
 
     def unchecked(
         self,
@@ -221,7 +220,7 @@ class DepthSigma:
         weights, anchor, rest : (H, W), C order; without NaN
         zero : (H, W); needed without an anchor
         """
-        weight = _ones(self.shape) if weights is None else weights
+        weight = constant_map(self.shape, 1.0) if weights is None else weights
         return self._of_pixels(gradients_sigma, weight, None, anchor, zero, rest)
 
     def _of_pixels(
@@ -291,34 +290,19 @@ def depth_sigma_from_gradients_sigma(
     if uniform and constant and correlation_px == 0 and isinstance(zero, str) and zero == "mean":
         per_x, per_y = variance_of_white(shape, pitch)
         return np.sqrt(sigma[0, 0, 0] ** 2 * per_x + sigma[0, 0, -1] ** 2 * per_y).astype(np.float32)
-    settings = shape, pitch, float(correlation_px), float(correlated_share), checked_probes(probes)
-    prepared = _prepared(*settings) if rng is None else _prepared.__wrapped__(*settings, rng)
+    settings: dict[str, Any] = {
+        "mm_per_px": pitch,
+        "correlation_px": float(correlation_px),
+        "correlated_share": float(correlated_share),
+        "probes": checked_probes(probes),
+    }
+    prepared = _prepared(shape, **settings) if rng is None else DepthSigma(shape, **settings, rng=rng)
     return prepared(sigma, weights=weights, mask=mask, anchor=anchor, zero=zero, level=level)
 
 
 @lru_cache(maxsize=4)
-def _prepared(
-    shape: tuple[int, int],
-    pitch: tuple[float, float],
-    correlation_px: float,
-    correlated_share: float,
-    probes: int,
-    rng: np.random.Generator | None = None,
-) -> DepthSigma:
-    return DepthSigma(
-        shape,
-        mm_per_px=pitch,
-        correlation_px=correlation_px,
-        correlated_share=correlated_share,
-        probes=probes,
-        rng=rng,
-    )
-
-
-@lru_cache(maxsize=16)
-def _ones(shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
-    """A map of ones, shared: nobody writes to it."""
-    return np.ones(shape, dtype=dtype)
+def _prepared(shape: tuple[int, int], **settings: Any) -> DepthSigma:
+    return DepthSigma(shape, **settings)
 
 
 def _against_zero(
@@ -340,16 +324,16 @@ _add_in_proportion = Kernel("add_in_proportion", "out f32[...] sigma, f32[...] d
 
 
 def add_in_proportion(
-    sigma: NDArray[np.float32], depth: NDArray[np.float32], share: float, most: float
+    sigma: NDArray[np.float32], depth: NDArray[np.float32], fraction: float, most: float
 ) -> NDArray[np.float32]:
-    """A standard deviation of depth (H, W) with an error of a share of the depth beside it, within `most`; in place.
+    """Add an error of a fraction of the depth (H, W) to its standard deviation, in place; `most` is the limit.
 
     Raises
     ------
     ConvergenceError
         Beyond what float32 holds.
     """
-    if _add_in_proportion(sigma, depth, share, most):
+    if _add_in_proportion(sigma, depth, fraction, most):
         raise ConvergenceError(
             "Expected a finite standard deviation of depth, got infinity or NaN. Slopes, their deviation or "
             "mm_per_px differ by more than float32 holds: check the calibration's scales."
@@ -365,20 +349,20 @@ class DepthDifference:
     ----------
     prepared : DepthSigma
     gradients_sigma : (H, W, 2), of the slopes as they were read
-    how : weights and anchor, or zero, as the depth was solved with
+    solve_args : weights and anchor, or zero, as the depth was solved with
     depth_mm : (H, W)
     gain_sigma : relative standard deviation of all slopes together, which moves differences of depth in proportion
     """
 
     prepared: DepthSigma
     gradients_sigma: NDArray[np.float32]
-    how: dict[str, Any]
+    solve_args: dict[str, Any]
     depth_mm: NDArray[np.float32]
     gain_sigma: float
 
     def __call__(self, region: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
-        sigma = self.prepared(self.gradients_sigma, **self.how, against=region)
+        sigma = self.prepared(self.gradients_sigma, **self.solve_args, against=region)
         apart = self.depth_mm - np.float32(self.depth_mm[region].mean(dtype=np.float64))
         in_proportion = np.float32(self.gain_sigma) * apart
         return np.asarray(np.sqrt(np.square(sigma) + np.square(in_proportion)))

@@ -7,7 +7,7 @@ round; where they fall short it keeps it (an active set: J. Nocedal and S. Wrigh
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,27 +16,19 @@ from gelform.gradients import slopes_of_solution
 from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 
-REACH_PX, BEND = 2, 0.1  # slopes that differ by more from those so far away belong to a wall or its edge
-MET = 0.01  # times the weight of a reading that is exceeded
+REACH_PX, WALL_DIFFERENCE = (
+    2,
+    0.1,
+)  # px, mm/mm: slopes that differ by more from those so far away are a wall's or its edge's
+EXCEEDED_WEIGHT = 0.01  # times the weight of a reading that the depth's slope exceeds: next to none
 
 
-class AtLeastSolver:
-    """As `MultigridSolver`, and some rounds more where there are walls.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : (x, y), mm
-    rounds : int
-    """
-
-    takes_weights: ClassVar[bool] = True
+class AtLeastSolver(MultigridSolver):
+    """As `MultigridSolver`, and some rounds more where there are walls; `rounds` says how many at most."""
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float], *, rounds: int = 4) -> None:
-        self.shape = shape
-        self.mm_per_px = mm_per_px
+        super().__init__(shape, mm_per_px)
         self.rounds = rounds
-        self._solver = MultigridSolver(shape, mm_per_px)
 
     def __call__(
         self,
@@ -46,25 +38,25 @@ class AtLeastSolver:
         anchor: NDArray[Any] | None = None,
     ) -> Solution:
         """Depth of one frame; without walls that of `multigrid`."""
-        solution, walls = self._solver(gradients, weights, mask, anchor), _walls(gradients)
+        solution, walls = super().__call__(gradients, weights, mask, anchor), _walls(gradients)
         square = np.square(gradients).sum(axis=-1)
         for _ in range(self.rounds if walls.any() else 0):
             slopes = slopes_of_solution(solution.depth_mm, self.mm_per_px)
-            met = walls & ((slopes * gradients).sum(axis=-1) > square)
-            factors = np.where(met, np.float32(MET), np.float32(1))
-            solution = self._solver(gradients, _weighted(weights, factors), mask, anchor)
+            exceeded = walls & ((slopes * gradients).sum(axis=-1) > square)
+            factors = np.where(exceeded, np.float32(EXCEEDED_WEIGHT), np.float32(1))
+            solution = super().__call__(gradients, _weighted(weights, factors), mask, anchor)
         return solution
 
 
 def _walls(gradients: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where (H, W) slopes differ from those `REACH_PX` away by more than `BEND`, the root of half the sum of squares."""
+    """Where (H, W) slopes differ from those `REACH_PX` away by more, the root of half the sum of squares."""
     squares = np.zeros(gradients.shape[:2], dtype=np.float32)
     for axis in (0, 1):
         along, lines = np.moveaxis(gradients, axis, 0), np.moveaxis(squares, axis, 0)
         apart = np.square(along[REACH_PX:] - along[:-REACH_PX]).sum(axis=-1)
         lines[REACH_PX:] += apart
         lines[: len(apart)] += apart
-    return np.asarray(squares > 2 * BEND**2)
+    return np.asarray(squares > 2 * WALL_DIFFERENCE**2)
 
 
 def _weighted(weights: Weights, factors: NDArray[np.float32]) -> Weights:

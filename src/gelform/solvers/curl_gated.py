@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,24 +12,26 @@ from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import FLOOR, edges_from_gradients
 
-# A pixel is an outlier where the curl around it is more than so many times what is usual in the frame. 2 keeps
-# 99 % of pixels under Gaussian noise alone, which costs 2 % of accuracy.
+# Times the usual curl of the frame, from which a pixel is an outlier: 2 keeps 99 % of pixels under Gaussian noise, which
+# costs 2 % of accuracy.
 TIMES_USUAL = 2.0
-# Curl that slopes good to 0.01 have: less is never held against a pixel.
-LEAST_CURL = 0.014
-# The usual curl is the median over every seventh loop of a large frame: all of them would say the same, slower.
-EVERY = 7
+LEAST_CURL = 0.014  # slope per pixel, the curl of slopes good to 0.01: less is never held against a pixel
+EVERY_LOOP = (
+    7  # of how many loops of a large frame one counts for the usual curl: all would say the same, slower
+)
+# Slopes jump where neighbours differ by more than so many times the usual circulation (1 % of pairs do under
+# noise alone), and by more than surfaces without noise bend from pixel to pixel, mm/mm.
+JUMP, LEAST_JUMP = 3.0, 0.1
+ALONG_RIM = 0.1  # fraction of the jump's square along the rim, from which no surface has it
+# Fraction of a rim that has to say so for a region to be an outlier. Contacts reach 0 to 0.3, more where patches touch their
+# rim; outlier patches 0.3 to 0.7. A region under a fraction of the frame needs less: little is lost if it was right.
+RIM, SMALL_RIM, SMALL = 0.36, 0.2, 0.005
+# Loops that a contact's rim has at least, and the fraction of the jump's square that it shows at single ones.
+CONTACT_LOOPS, KINK = 12, 0.2
 
 
-class CurlGatedSolver:
+class CurlGatedSolver(MultigridSolver):
     """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, solves by `multigrid`."""
-
-    takes_weights: ClassVar[bool] = True
-
-    def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
-        self.shape = shape
-        self.mm_per_px = mm_per_px
-        self._multigrid = MultigridSolver(shape, mm_per_px)
 
     def __call__(
         self,
@@ -48,7 +50,7 @@ class CurlGatedSolver:
         confidence = confidence_from_curl(gradients, self.mm_per_px, trusted) * given
         if not np.any(confidence if mask is None else confidence[mask]):
             confidence = given  # a few pixels, all of them outliers: the curl cannot tell them apart
-        return self._multigrid(gradients, confidence, mask, anchor)
+        return super().__call__(gradients, confidence, mask, anchor)
 
 
 def _trusted(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
@@ -117,7 +119,7 @@ def _usual(circulation: NDArray[np.float32], trusted: NDArray[np.bool_] | None) 
         sample = circulation.ravel()
     else:
         sample = circulation[trusted[1:, 1:] & trusted[1:, :-1] & trusted[:-1, 1:] & trusted[:-1, :-1]]
-    sample = sample[:: EVERY if sample.size > 10_000 else 1]
+    sample = sample[:: EVERY_LOOP if sample.size > 10_000 else 1]
     return max(1.4826 * float(np.median(np.abs(sample))), LEAST_CURL) if sample.size else LEAST_CURL
 
 
@@ -129,22 +131,6 @@ def _around(loops: NDArray[np.float32]) -> NDArray[np.float32]:
     total[1:, :-1] += loops
     total[1:, 1:] += loops
     return total
-
-
-# Slopes jump where neighbours differ by more than so many times the usual circulation (1 % of pairs do under
-# noise alone), and by more than surfaces without noise bend from pixel to pixel.
-JUMP = 3.0
-LEAST_JUMP = 0.1
-# Where more of the jump than this is along the rim (in squares), no surface has it.
-SHARE = 0.1
-# A region is an outlier if so much of its rim says so. Contacts reach 0 to 0.3, more where patches touch their
-# rim; outlier patches 0.3 to 0.7. A small region needs less: little is lost if it was right.
-RIM = 0.36
-SMALL_RIM = 0.2
-SMALL = 0.005
-# What a contact's rim, of so many loops at least, shows at single ones: so much of the jump's square.
-CONTACT = 12
-KINK = 0.2
 
 
 class Patches(NamedTuple):
@@ -189,12 +175,12 @@ def patches_from_jumps(
     rim = np.flatnonzero(jumping & (far < near))
     square = 0.5 * (across[1:] + across[:-1] + down[:, 1:] + down[:, :-1])
     along, whole = _sum_around(circulation), _sum_around(np.sqrt(square) * jumping)
-    along_rim = along.ravel()[rim] ** 2 > SHARE * whole.ravel()[rim] ** 2
+    along_rim = along.ravel()[rim] ** 2 > ALONG_RIM * whole.ravel()[rim] ** 2
     owner = near.ravel()[rim]
     count = np.bincount(owner, minlength=areas.size)
     needed = np.where(areas < SMALL * regions.size, SMALL_RIM, RIM)
     outlier = np.bincount(owner, along_rim, minlength=areas.size) > needed * count
-    contact = rim[count[owner] >= CONTACT]
+    contact = rim[count[owner] >= CONTACT_LOOPS]
     explained = np.zeros(circulation.shape, dtype=np.float32)
     explained.ravel()[contact] = KINK * square.ravel()[contact]
     grown = cv2.dilate(outlier[regions].astype(np.uint8), np.ones((3, 3), np.uint8))

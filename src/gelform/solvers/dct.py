@@ -21,14 +21,11 @@ from gelform.pool import Pool
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import divergence, edges_from_gradients
 
-# A row stride of a large power of two maps a whole column onto a few cache lines.
-ALIASING_BYTES = 1024
-STRIDE_PAD = 16
-# Rows of an even width whose half has no larger prime are transformed by a kernel of our own, in half the time of scipy's.
-MOST_PRIME = 7  # of native/solvers/cosine.c
-ROWS = 16  # that it works on side by side, at most
-# Others by a matrix product up to this width: scipy.fft takes 0.3 s to import.
-PRODUCT_WIDTH = 128
+# A row stride of a large power of two maps a whole column onto a few cache lines: such rows get so many floats more.
+ALIASING_BYTES, STRIDE_PAD = 1024, 16
+# Rows of an even width whose half has no larger prime are transformed by the kernel of native/solvers/cosine.c, in half the
+# time of scipy's, so many side by side at most; others by a matrix product up to a width: scipy.fft takes 0.3 s to import.
+MOST_PRIME, ROWS, PRODUCT_WIDTH = 7, 16, 128
 
 _right_side = Kernel(
     "dct_right_side", "f32[h,w,2] gradients, out f32[h,stride] right, f32 scale_x, f32 scale_y"

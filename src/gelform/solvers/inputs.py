@@ -11,8 +11,7 @@ from gelform.checks import as_array, check_map, value_range
 from gelform.solvers import SOLVERS
 from gelform.solvers.seam import Weights
 
-# So that no sum of their squares over a frame overflows in float32.
-HIGHEST_SLOPE = 1e15
+HIGHEST_SLOPE = 1e15  # mm/mm: no sum of such squares over a frame overflows in float32
 
 
 def checked_solver(solver: str) -> str:

@@ -34,11 +34,9 @@ LOSSES: dict[str, Loss] = {
     "cauchy": lambda r: 1 / (1 + (r / 2.385) ** 2),
     "l1": lambda r: 0.1 / np.maximum(np.abs(r), 0.1),
 }
-# The usual residual is the median over every seventh edge: enough of them, and a median is slow.
-EVERY = 7
-# The weights move more from round to round than these leave open.
-TOLERANCE = 3e-3
-LAST_TOLERANCE = 1e-3
+EVERY_EDGE = 7  # of how many edges one counts for the usual residual: enough of them, and a median is slow
+# Of the range of depth, in each round and in the last: the weights move more from round to round.
+TOLERANCE, LAST_TOLERANCE = 3e-3, 1e-3
 
 
 class RobustSolver:
@@ -134,6 +132,6 @@ def _per_edge(problem: Problem) -> Problem:
 
 def _usual(residual: Pair, weights: Pair) -> np.float32:
     """Median size of the residuals that count, as a standard deviation; tiny where all are 0."""
-    sample = [(r.ravel()[::EVERY], w.ravel()[::EVERY]) for r, w in zip(residual, weights)]
+    sample = [(r.ravel()[::EVERY_EDGE], w.ravel()[::EVERY_EDGE]) for r, w in zip(residual, weights)]
     sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
     return np.float32(max(1.4826 * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))

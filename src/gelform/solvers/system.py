@@ -85,11 +85,10 @@ def _four_pixels(p: NDArray[Any]) -> NDArray[Any]:
     return edge / p.dtype.type(24)
 
 
-# Below this share of the largest weight a slope is replaced by a fill from its neighbours, and the weight
-# raised to it: smaller ones would isolate regions beyond what float32 resolves.
+# Fraction of the largest weight under which a slope is replaced by a fill from its neighbours, and the weight raised to it:
+# smaller ones would isolate regions beyond what float32 resolves.
 FLOOR = 1e-3
-# What float32 holds beside weights of 1, with room for sums.
-_HIGHEST_ANCHOR = 1e30
+_HIGHEST_ANCHOR = 1e30  # over the largest weight: what float32 holds beside weights of 1, with room for sums
 
 
 class Problem(NamedTuple):
@@ -124,9 +123,9 @@ def problem_from_gradients(
     shape = gradients.shape[:2]
     gradients = np.ascontiguousarray(gradients, dtype=np.float32)
     whole = mask is None
-    mask = _constant(shape, True) if mask is None else mask
+    mask = constant_map(shape, True) if mask is None else mask
     if anchor is None:
-        anchor = _constant(shape, 0.0)
+        anchor = constant_map(shape, 0.0)
     else:
         anchor = np.ascontiguousarray(anchor if whole else anchor * mask, dtype=np.float32)
     if isinstance(weights, tuple):
@@ -136,7 +135,7 @@ def problem_from_gradients(
     confidence, found = np.empty(shape, np.float32), np.empty(2)
     trusted, known = np.empty(shape, bool), np.empty(shape, bool)
     pixels = np.ascontiguousarray(weights, dtype=np.float32)
-    held = None if anchor is _constant(shape, 0.0) else anchor
+    held = None if anchor is constant_map(shape, 0.0) else anchor
     _scale_weights(pixels, None if whole else mask, held, FLOOR, confidence, trusted, known, found)
     largest, untrusted = _checked_largest(float(found[0])), int(found[1])
     if untrusted:
@@ -146,7 +145,7 @@ def problem_from_gradients(
 
 def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32]:
     """The anchor in units of the largest weight."""
-    if largest == 1 or anchor is _constant(anchor.shape, 0.0):
+    if largest == 1 or anchor is constant_map(anchor.shape, 0.0):
         return anchor
     highest = float(anchor.max()) / largest
     if highest > _HIGHEST_ANCHOR:
@@ -158,7 +157,7 @@ def _relative(anchor: NDArray[np.float32], largest: float) -> NDArray[np.float32
 
 
 @lru_cache(maxsize=16, typed=True)
-def _constant(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
+def constant_map(shape: tuple[int, int], value: float | bool) -> NDArray[Any]:
     """A map of one value, shared: nobody writes to it. Zeros that nobody writes take no memory."""
     dtype = bool if isinstance(value, bool) else np.float32
     return np.full(shape, value, dtype=dtype) if value else np.zeros(shape, dtype=dtype)
