@@ -28,7 +28,7 @@ from typing import Any
 from websockets.sync.client import connect
 
 from gelform.live.web.app import page_files
-from gelform.live.wire import read_message
+from gelform.live.web.wire import read_message
 from live.calibration import make_calibration
 from live.guided import WANTED, guided
 from live.pictures import take_pictures

@@ -1,11 +1,19 @@
-"""What the buttons do, on a running simulated sensor."""
+"""What the buttons do, on a running simulated sensor, on a recording, and in a guided calibration."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
+import gelform
 from gelform.errors import GelformError
+from gelform.frames import Frame
 from gelform.live import actions
-from gelform.simulate import simulate_background
+from gelform.live.indexed import indexed
+from gelform.live.start import Options, start
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until
 
 
@@ -78,3 +86,190 @@ def test_a_snapshot_has_a_number_and_files(hub):
     answer = actions.snapshot(hub, 0)
     assert answer["files"] == ["result.npz", "frame.png", "depth.png", "points.ply"]
     assert hub.snapshots.file(answer["number"], "frame.png")[0].endswith("frame.png")
+
+
+@pytest.fixture
+def replayed(hub, forms, tmp_path):
+    """The hub's station on the recorded folder, held at frame 2."""
+    hub.folder = tmp_path
+    actions.open_recording(hub, 0, hub.recordings.add(forms["recorded"]))
+    station = hub.stations[0]
+    until(lambda: station.facts()["replay"])
+    actions.play(hub, 0, False)
+    actions.seek(hub, 0, 2)
+    until(lambda: number_shown(station) == 2)
+    return hub
+
+
+def number_shown(station):
+    return getattr(station.newest.frame, "number", None)
+
+
+def test_the_result_is_that_of_the_frame_alone(replayed, forms, calibration):
+    """Whatever was shown before: forwards, backwards, twice."""
+    station = replayed.stations[0]
+    wanted = gelform.Reconstructor(calibration)(indexed(forms["recorded"]).frame(2)).depth_mm
+    np.testing.assert_array_equal(station.newest.result.depth_mm, wanted)
+    actions.step(replayed, 0, 1)
+    until(lambda: number_shown(station) == 3)
+    actions.step(replayed, 0, -1)
+    until(lambda: number_shown(station) == 2)
+    np.testing.assert_array_equal(station.newest.result.depth_mm, wanted)
+    assert station.facts()["state"] == "running"
+
+
+def test_two_calibrations_see_the_same_held_frame(replayed):
+    station = replayed.stations[0]
+    serial = station.newest.serial
+    actions.compare_with(replayed, 0, "mine")
+    until(lambda: station.newest.other is not None)
+    assert station.newest.serial > serial
+    assert number_shown(station) == 2
+    np.testing.assert_array_equal(station.newest.other.depth_mm, station.newest.result.depth_mm)
+    facts = station.newest.header()
+    assert facts["other"]["apart"] == 0
+    assert facts["replay"][0] == 2
+
+
+def test_zero_and_background_are_of_the_held_frame(replayed):
+    station = replayed.stations[0]
+    actions.set_zero(replayed, 0)
+    until(lambda: station.newest.zero_mm is not None)
+    assert np.abs(station.newest.result.depth_mm).max() < 1e-6
+    actions.take_background(replayed, 0)
+    np.testing.assert_array_equal(station.setup.background, station.newest.image)
+
+
+def test_play_speed_loop_and_back_to_the_sensor(replayed):
+    station = replayed.stations[0]
+    actions.speed(replayed, 0, 4)
+    actions.loop(replayed, 0, True)
+    actions.pause(replayed, 0, False)
+    facts = until(lambda: (f := station.facts()["replay"]) and f["playing"] and f)
+    assert (facts["speed"], facts["loop"], facts["count"]) == (4, True, 7)
+    actions.pause(replayed, 0, True)
+    assert not station.facts()["replay"]["playing"]
+    actions.open_recording(replayed, 0, "")
+    until(lambda: station.facts()["simulated"])
+    with pytest.raises(GelformError, match="Open a recording first"):
+        actions.step(replayed, 0, 1)
+
+
+def test_a_recording_is_not_recorded_again(replayed):
+    with pytest.raises(GelformError, match="recording already"):
+        actions.record(replayed, 0, True)
+
+
+def test_what_is_shared_plays_elsewhere_with_its_calibration(replayed, calibration):
+    actions.take_background(replayed, 0)
+    background = replayed.stations[0].setup.background
+    actions.share(replayed, 0)
+    name = until(
+        lambda: next((f["name"] for f in replayed.recordings.facts() if "shared" in f["name"]), None)
+    )
+    elsewhere = start(Options([str(replayed.recordings.path(name))]))
+    try:
+        station = elsewhere.stations[0]
+        until(lambda: station.newest and station.newest.result)
+        assert station.setup.calibration.digest == calibration.digest
+        np.testing.assert_array_equal(station.setup.background, background)
+    finally:
+        elsewhere.close()
+
+
+def test_what_the_page_recorded_is_on_the_list_and_carries_the_calibration(hub, tmp_path, calibration):
+    hub.folder = tmp_path
+    actions.record(hub, 0, True)
+    until(lambda: hub.recorders[0].stats.frames > 3)
+    actions.record(hub, 0, False)
+    name = hub.recordings.facts()[0]["name"]
+    assert (
+        gelform.sensors.recordings.attached_calibration(hub.recordings.path(name)).digest
+        == calibration.digest
+    )
+    actions.open_recording(hub, 0, name)
+    until(lambda: hub.stations[0].facts()["replay"])
+    assert hub.stations[0].setup.name == f"{name}: calibration"
+
+
+@pytest.mark.parametrize("name", ["../secret.mcap", "/etc/passwd", "nothing"])
+def test_names_that_are_not_on_the_list_are_refused(hub, name):
+    with pytest.raises(GelformError, match="no recording"):
+        actions.open_recording(hub, 0, name)
+    assert hub.stations[0].facts()["simulated"]
+
+
+@pytest.mark.parametrize("diameter", [0.0, -3.0, 1e4])
+def test_a_ball_of_no_size_is_refused(hub, diameter):
+    with pytest.raises(GelformError, match="ball"):
+        actions.guide_start(hub, 0, diameter, "", 0.0)
+    assert not hub.guides
+
+
+def test_without_a_guide_there_is_nothing_to_fit_or_use(hub):
+    for act in (actions.guide_fit, actions.guide_use):
+        with pytest.raises(GelformError, match="Start one"):
+            act(hub, 0)
+
+
+def test_the_simulated_sensor_knows_its_scale(hub, sensor):
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    assert hub.guides[0].guide.asked.mm_per_px == sensor.mm_per_px
+    actions.guide_start(hub, 0, 6.0, "", 0.0)
+    assert hub.guides[0].guide.asked.ball_diameter_mm == 6.0
+    assert len(hub.stations[0].taps) == 1
+
+
+PLACES_MM = [(-5.0, -3.0), (5.0, 3.0), (0.0, 0.0), (-5.0, 3.5), (5.0, -3.5), (0.0, 4.0)]
+HELD, LIFTED, UNTOUCHED = 14, 8, 40  # frames at 25 a second
+
+
+@pytest.fixture
+def filmed(sensor, tmp_path):
+    """A recording of six presses of a ball, each held for half a second, after the untouched gel."""
+    rng = np.random.default_rng(7)
+    rest = simulate_background(sensor, None).astype(np.float64)
+    folder = FolderRecording(tmp_path / "filmed", RecordingFacts("ring", None, {}, 25.0))
+    count = 0
+
+    def film(image, frames):
+        nonlocal count
+        for _ in range(frames):
+            noisy = np.clip(image + rng.normal(0, sensor.noise_sd, image.shape), 0, 255).astype(np.uint8)
+            folder.write(Frame(noisy, count / 25, 10**18 + count, count))
+            count += 1
+
+    film(rest, UNTOUCHED)
+    for place in PLACES_MM:
+        press = simulate_press(sensor, Ball(2.5), depth_mm=0.45, center_mm=place, rng=None, oversample=1)
+        film(press.image.astype(np.float64), HELD)
+        film(rest, LIFTED)
+    folder.close()
+    return tmp_path / "filmed"
+
+
+@pytest.mark.slow
+def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.live.guide.guide.LOOK_EVERY_S", 0.02)
+    hub.folder = tmp_path
+    station = hub.stations[0]
+    actions.open_recording(hub, 0, hub.recordings.add(filmed))
+    until(lambda: station.facts()["replay"])
+    actions.guide_start(hub, 0, 5.0, "", sensor.mm_per_px)
+    guide = hub.guides[0].guide
+    until(lambda: not station.source.playing and station.source.facts()["number"] > 60, 60)
+    assert guide.count >= 5, guide.facts()["rejected"]
+    mm = [
+        ((x - 87.5) * sensor.mm_per_px, (y - 65.5) * sensor.mm_per_px)
+        for x, y, _ in guide.facts()["accepted"]
+    ]
+    assert all(min(np.hypot(x - px, y - py) for px, py in PLACES_MM) < 0.4 for x, y in mm)
+    said = []
+    hub.guides[0].fit(lambda done, total, what: said.append(what))
+    assert guide.step == "report"
+    assert said
+    actions.guide_use(hub, 0)
+    assert station.setup.name.endswith("calibration.npz")
+    actions.seek(hub, 0, UNTOUCHED + HELD // 2)
+    deep = until(lambda: (s := station.newest) and s.measures and s.measures.peak > 0.3 and s.measures, 20)
+    assert deep.peak == pytest.approx(0.45, abs=0.12)

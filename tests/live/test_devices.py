@@ -9,7 +9,6 @@ from gelform.errors import GelformError, SensorError
 from gelform.live import actions
 from gelform.live.devices import Devices, camera_facts, set_camera
 from gelform.live.hub import Hub
-from gelform.live.replay import buttons
 from gelform.live.start import Options, start
 from gelform.live.station import Station
 from gelform.sensors.cameras.camera import Camera
@@ -114,7 +113,7 @@ def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choic
     assert station.facts()["opened"]
     assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
     assert hub.notices[-1][2].endswith("shows DIGIT now, with its calibration of D2.")
-    buttons.open_recording(hub, 0, "")
+    actions.open_recording(hub, 0, "")
     until(lambda: station.facts()["simulated"], 20)
     assert station.setup.name == "mine"
     assert set(numbers_of(hub)) == {"D1", "D2"}

@@ -33,7 +33,7 @@ def test_the_result_is_the_reconstructors_with_the_frames_times(frame, calibrati
 def test_a_zero_that_is_set_is_taken_off(frame, calibration, result):
     setup = Setup().with_calibration(calibration, "mine")
     zeroed = replace(setup, zero_mm=result.depth)
-    found = zeroed.result_of(frame, zeroed.image_of(frame))
+    found = zeroed.against_zero(zeroed.result_of(frame, zeroed.image_of(frame)))
     np.testing.assert_allclose(found.depth, 0, atol=1e-6)
     assert not found.contact.any()
     assert found.zero == "set"

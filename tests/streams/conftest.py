@@ -1,4 +1,4 @@
-"""Images for streams: a gel at rest and pressed, with noise of their own, simulated once."""
+"""Images for streams: a gel at rest and pressed, simulated once; gels with a texture of their own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 
 from gelform import Reconstructor
 from gelform.simulate import Ball, Pose, simulate_pose
+from stream.sensor_faults import Gel, found_in, frames_with
 
 
 @pytest.fixture(scope="session")
@@ -31,3 +32,16 @@ def pressed(sensor, made_once):
 
 def _image(sensor, depth_mm, rng):
     return simulate_pose(sensor, Ball(3.0), Pose(depth_mm), rng=rng).image
+
+
+@pytest.fixture(scope="session")
+def findings(sensor, calibration):
+    """The names found in 60 s of a gel with a fault, and when; both drawn from the seed."""
+
+    def found(fault, seed=0, seconds=50.0):
+        rng = np.random.default_rng([seed, 9])
+        gel = Gel.drawn(sensor, rng)
+        own = gel.calibration(calibration, rng)
+        return found_in(frames_with(fault, gel, seconds, rng), own)
+
+    return found

@@ -1,5 +1,8 @@
-"""The threads of a stream: what an error ends, how long a close takes, which result a reader gets."""
+"""The threads of a stream: what an error ends, how long a close takes, which result a reader gets; what is counted."""
 
+from __future__ import annotations
+
+import math
 import threading
 import time
 from threading import Event, Thread
@@ -10,8 +13,126 @@ import pytest
 from gelform.frames import Frame
 from gelform.streams.feed import feed_from_source
 from gelform.streams.memory import Memory
-from gelform.streams.pipeline import Pipeline
+from gelform.streams.pipeline import HandOver, Meter, Pipeline
+from gelform.streams.stream import Stream
 from made.sources import ImageSource
+
+
+def test_before_the_first_result():
+    stats = Meter().stats("starting", "")
+    assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
+    assert stats.age_s == math.inf
+    assert math.isnan(stats.latency_ms)
+
+
+def test_gaps_in_the_index_are_drops():
+    meter = Meter()
+    for index in (5, 6, 9, 10):  # what came before the first result is no drop of the stream's
+        meter.given(index, time.monotonic())
+    stats = meter.stats("running", "")
+    assert (stats.results, stats.drops) == (4, 2)
+    assert stats.rate_hz > 0
+
+
+def test_age_and_latency_are_counted_from_the_capture():
+    meter = Meter()
+    meter.given(0, time.monotonic() - 3)
+    stats = meter.stats("running", "")
+    assert 3 <= stats.age_s < 60
+    assert 3000 <= stats.latency_ms < 60_000
+
+
+def test_each_stage_has_its_median():
+    meter = Meter()
+    for seconds in (0.001, 0.002, 0.5):
+        meter.add("view", seconds)
+    with meter.timed("reconstruct"):
+        pass
+    stage_ms = meter.stats("running", "all is well").stage_ms
+    assert stage_ms["view"] == pytest.approx(2)
+    assert 0 <= stage_ms["reconstruct"] < 60_000
+
+
+def test_a_late_reader_gets_the_newest_alone():
+    values = HandOver()
+    for number, value in enumerate("abc"):
+        values.put(number, value)
+    assert values.newest() == values.newest(after=1) == "c"
+    assert values.newest(after=2, timeout_s=0.01) is None
+
+
+def test_readers_do_not_take_from_each_other():
+    values = HandOver()
+    values.put(7, "a")
+    assert values.newest() == values.newest(after=6) == "a"
+
+
+def test_where_every_value_counts_the_writer_waits():
+    values, written = HandOver(every=True), Event()
+
+    def write():
+        values.put(0, "a")
+        values.put(1, "b")
+        written.set()
+
+    Thread(target=write, daemon=True).start()
+    assert values.newest(timeout_s=5) == "a"
+    assert values.newest(after=0, timeout_s=5) == "b"
+    assert written.wait(5)
+
+
+def test_where_every_value_counts_an_unread_one_is_not_replaced():
+    values, second = HandOver(every=True), Event()
+    values.put(0, "a")
+    writer = Thread(target=lambda: (values.put(1, "b"), second.set()), daemon=True)
+    writer.start()
+    assert not second.wait(0.05)
+    values.end()  # frees a writer that nobody reads from any more
+    writer.join(5)
+    assert not writer.is_alive()
+
+
+def test_a_reader_that_waits_is_woken_by_the_end():
+    values, found = HandOver(), []
+    reader = Thread(target=lambda: found.append(values.newest()), daemon=True)
+    reader.start()
+    values.end()
+    reader.join(5)
+    assert found == [None]
+
+
+def test_the_error_comes_after_the_last_value():
+    values = HandOver()
+    values.put(0, "a")
+    values.end(ValueError("broken"))
+    values.end()
+    assert values.newest() == "a"
+    with pytest.raises(ValueError, match="broken"):
+        values.newest(after=0)
+    assert values.ended
+
+
+def test_a_value_that_is_being_made_is_waited_for():
+    """What lies here gets older while the new one is made: a reader gets the new one."""
+    values, found = HandOver(), []
+    values.put(0, "old")
+    values.expect(1)
+    reader = Thread(target=lambda: found.append(values.newest(timeout_s=5)), daemon=True)
+    reader.start()
+    reader.join(0.05)
+    assert found == []
+    values.put(1, "new")
+    reader.join(5)
+    assert found == ["new"]
+
+
+def test_of_a_value_that_does_not_come_the_older_one_is_given():
+    values = HandOver()
+    values.put(0, "old")
+    values.expect(1)
+    assert values.newest(timeout_s=0) == values.newest(timeout_s=0.02) == "old"
+    values.end()
+    assert values.newest() == "old"
 
 
 class Failing(Memory):
@@ -77,8 +198,8 @@ def test_a_slow_stage_does_not_hold_up_capture(reconstruct, at_rest):
     pipeline = Pipeline(feed_from_source(ImageSource(at_rest)), memory)
     pipeline.start()
     assert memory.entered.wait(60)
-    seen = pipeline.feed.next(-1).index
-    assert pipeline.feed.next(seen).index > seen
+    index = pipeline.feed.next(-1).index
+    assert pipeline.feed.next(index).index > index
     assert pipeline.stats().results == 0
     memory.let_go.set()
     pipeline.close()
@@ -134,7 +255,7 @@ def test_a_reader_gets_the_result_that_is_being_made(reconstruct, at_rest):
     feed, memory = Stepwise(), Hanging(reconstruct)
     memory.let_go.set()
     pipeline = Pipeline(feed, memory)
-    pipeline.start()
+    stream = Stream(pipeline, memory)  # starts it
     feed.frames.append(Frame(at_rest[0], time.monotonic(), 0, 0))
     assert pipeline.results.newest(timeout_s=60).index == 0
     memory.entered.clear()
@@ -145,7 +266,7 @@ def test_a_reader_gets_the_result_that_is_being_made(reconstruct, at_rest):
     found = []
     readers = [
         Thread(target=lambda ask=ask: found.append(ask().index))
-        for ask in (pipeline.results.newest, lambda: pipeline.younger_than(3600))
+        for ask in (pipeline.results.newest, lambda: stream.latest(3600))
     ]
     for reader in readers:
         reader.start()
@@ -162,13 +283,13 @@ def test_a_recording_teaches_the_same_each_time(reconstruct, at_rest):
 
     def last():
         source = ImageSource(fading, live=False, count=30, rate_hz=2.0)
-        pipeline = Pipeline(feed_from_source(source), Memory(reconstruct))
+        memory = Memory(reconstruct)
+        pipeline = Pipeline(feed_from_source(source), memory)
         pipeline.start()
-        index = -1
-        while (seen := pipeline.results.newest(index)) is not None:
-            index, result = seen.index, seen.result
+        for given in pipeline.results:
+            result = given.result
         pipeline.close()
-        return result.depth, pipeline.memory.reconstruct.background
+        return result.depth, memory.reconstruct.background
 
     (depth, background), (again, background_again) = last(), last()
     np.testing.assert_array_equal(depth, again)

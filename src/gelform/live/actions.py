@@ -1,25 +1,39 @@
-"""What the page's buttons do to a station."""
+"""What the page's buttons do to a station; calibration is imported when a guide starts, after the first picture."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gelform.background.average import background_from_frames
+from gelform.checks import check_sensor_pitch
 from gelform.errors import GelformError
 from gelform.live import devices
+from gelform.live.code import Situation, code_of
 from gelform.live.hub import Hub, wait_for_frames
-from gelform.live.replay.player import Player, ReplayedFrame
+from gelform.live.indexed import indexed
+from gelform.live.lists import Origin
+from gelform.live.player import Player, ReplayedFrame
+from gelform.live.recorder import Recorder, named_by_time
+from gelform.live.recorder import share as share_file
 from gelform.live.setup import Setup
-from gelform.live.station import Station
-from gelform.live.take.code import Situation, code_of
-from gelform.live.take.recorder import Recorder
+from gelform.live.shown import Shown
+from gelform.live.station import NEVER_S, Opening, Station
+from gelform.progress import Progress
+from gelform.sensors.profiles import profile_named
+from gelform.sensors.recordings.record import attached_background, attached_calibration
 from gelform.solvers import SOLVERS
+from gelform.view import View
 
-BACKGROUND_FRAMES, ZERO_FRAMES = 15, 8
+if TYPE_CHECKING:
+    from gelform.live.guide.guide import Asked
+    from gelform.live.guide.session import GuideSession
+
+BACKGROUND_FRAMES, ZERO_FRAMES = 15, 8  # that are averaged
 
 
 def take_background(hub: Hub, station: int) -> None:
@@ -62,9 +76,8 @@ def use_calibration(hub: Hub, station: int, name: str) -> None:
     setup = chosen.setup.with_calibration(calibration, name)
     newest = chosen.newest
     if newest is not None:
-        setup.result_of(
-            newest.frame, setup.image_of(newest.frame)
-        )  # one that does not fit is refused, not used
+        # One that does not fit is refused, not used.
+        setup.result_of(newest.frame, setup.image_of(newest.frame), alone=True)
     chosen.setup = setup
     hub.changed()
 
@@ -88,11 +101,7 @@ def use_solver(hub: Hub, station: int, name: str) -> None:
 
 def pause(hub: Hub, station: int, paused: bool) -> None:
     """Hold the picture, or let it go on."""
-    chosen = hub.station(station)
-    if isinstance(chosen.source, Player):
-        chosen.source.play(not paused)
-    else:
-        chosen.paused = paused
+    hub.station(station).pause(paused)
     hub.changed()
 
 
@@ -134,7 +143,7 @@ def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
 def record(hub: Hub, station: int, on: bool) -> None:
     """Begin to record the frames as the camera gives them, or finish."""
     chosen, running = hub.station(station), hub.recorders.get(station)
-    if on and isinstance(chosen.source, Player):
+    if on and chosen.player is not None:
         raise GelformError("This is a recording already. Share makes one file of it, with the calibration.")
     if on and running is None:
         hub.recorders[station] = Recorder(chosen.grabber, hub.folder, chosen.setup)
@@ -164,7 +173,7 @@ def code(hub: Hub, station: int, view: str, x_px: float, y_px: float) -> dict[st
         hub.calibrations.origin_of(name) if name else None for name in (setup.name, setup.other_name)
     )
     now = Situation(
-        str(chosen.source.recording.path) if isinstance(chosen.source, Player) else chosen.spec,
+        chosen.spec if chosen.player is None else str(chosen.player.recording.path),
         mine,
         other,
         setup.background is not None,
@@ -177,10 +186,9 @@ def code(hub: Hub, station: int, view: str, x_px: float, y_px: float) -> dict[st
     return {"kind": "code", "title": title, "parts": parts}
 
 
-def _frames(station: Station, count: int) -> Sequence[Any]:
+def _frames(station: Station, count: int) -> Sequence[Shown]:
     """The next frames; of a recording that is held the one that is shown."""
-    source = station.source
-    if isinstance(source, Player) and not source.playing:
+    if station.player is not None and not station.player.playing:
         if station.newest is None:
             raise GelformError("There is no picture yet. Wait for the first one.")
         return [station.newest]
@@ -190,3 +198,138 @@ def _frames(station: Station, count: int) -> Sequence[Any]:
 def _check_calibrated(calibration: Any) -> None:
     if calibration is None:
         raise GelformError("This sensor has no calibration yet. Choose one, or make one: Calibrate.")
+
+
+def open_recording(hub: Hub, station: int, name: str) -> None:
+    """Show a recording of the list in place of what a station shows; "" shows again what it was started with."""
+    chosen = hub.station(station)
+    hub.check_idle(station)
+    if name:
+        recording = indexed(hub.recordings.path(name))
+        setup = attached_setup(hub, chosen.setup, recording.path)
+        hub.end_guide(station)
+        chosen.show(Opening(lambda: Player(recording), NEVER_S), setup)
+    else:
+        hub.end_guide(station)
+        chosen.show_given()
+    hub.changed()
+
+
+def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
+    """A setup with the calibration, and the background, that a recording carries; the same where it carries none."""
+    calibration = attached_calibration(path)
+    if calibration is None:
+        return replace(setup, background=None, zero_mm=None)  # those were of the sensor
+    origin = Origin(
+        f"attached_calibration({str(path)!r})",
+        ("from gelform.sensors.recordings import attached_calibration",),
+    )
+    name = f"{path.resolve().name}: calibration"
+    name = hub.calibrations.add_once(name, calibration, origin)
+    setup = setup.with_calibration(calibration, name)
+    background = attached_background(path)
+    return setup if background is None else setup.with_background(background)
+
+
+def _player_action(tell: Callable[..., None]) -> Callable[..., None]:
+    def act(hub: Hub, station: int, *value: Any, **named: Any) -> None:
+        tell(player_of(hub.station(station)), *value, *named.values())
+        hub.changed()
+
+    return act
+
+
+play, seek = _player_action(Player.play), _player_action(Player.seek)
+step, loop = _player_action(Player.step), _player_action(Player.loop)
+speed = _player_action(Player.set_speed)
+
+
+def share(hub: Hub, station: int) -> None:
+    """Make one file of the recording and the calibration in use; it joins the list, from which it is fetched."""
+    chosen = hub.station(station)
+    recording, setup = player_of(chosen).recording, chosen.setup
+    path = hub.folder / f"{named_by_time('shared')}.mcap"
+
+    def work(progress: Progress) -> None:
+        share_file(
+            recording,
+            path,
+            calibration=setup.calibration,
+            background=setup.background,
+            progress=progress,
+        )
+        name = hub.recordings.add(path)
+        hub.notice(f"Ready to share: {name}, with the calibration in it. Download it below Recordings.")
+
+    hub.start(work, station, "one file to share")
+
+
+def player_of(station: Station) -> Player:
+    """The player of a station; GelformError where it shows a sensor."""
+    if station.player is None:
+        raise GelformError("This is a sensor, not a recording. Open a recording first.")
+    return station.player
+
+
+def guide_start(hub: Hub, station: int, ball_diameter_mm: float, profile: str, mm_per_px: float) -> None:
+    """Begin a guided calibration, or begin again; of a recording from its start.
+
+    The scale is the profile's, or the one given, or the simulated sensor's own.
+    """
+    from gelform.live.guide.session import GuideSession
+
+    chosen = hub.station(station)
+    if chosen.newest is None:
+        raise GelformError("There is no picture yet. Connect the sensor first.")
+    asked = _asked(chosen, ball_diameter_mm, profile, mm_per_px)
+    hub.end_guide(station)
+    hub.guides[station] = GuideSession(chosen, asked, hub.folder, hub.changed)
+    if chosen.player is not None:
+        chosen.player.loop(False)
+        chosen.player.seek(0)
+        chosen.player.play()
+    hub.changed()
+
+
+def guide_fit(hub: Hub, station: int) -> None:
+    """Calibrate on the presses that were accepted."""
+    session = _session(hub, station)
+    session.guide.presses()  # too few are said at once
+    hub.start(session.fit, station, "calibrating")
+
+
+def guide_use(hub: Hub, station: int) -> None:
+    """Reconstruct with the calibration that a guide made; the guide ends."""
+    session = _session(hub, station)
+    if session.calibration is None:
+        raise GelformError("There is nothing to use yet. Fit first.")
+    name = hub.calibrations.add_file(session.path)
+    use_calibration(hub, station, name)
+    hub.end_guide(station)
+    hub.notice(f"In use, and saved: {session.name}/calibration.npz")
+
+
+def _session(hub: Hub, station: int) -> GuideSession:
+    if station not in hub.guides:
+        raise GelformError("No calibration is under way. Start one.")
+    return hub.guides[station]
+
+
+def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: float) -> Asked:
+    from gelform.calibration.presses.press_set import check_ball_diameter
+    from gelform.live.guide.guide import Asked
+
+    assert station.newest is not None
+    shape = station.newest.frame.image.shape[:2]
+    source: Any = station.source
+    try:
+        diameter = check_ball_diameter(ball_diameter_mm)
+        if hasattr(source, "press_at"):
+            return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name)
+        if profile:
+            known = profile_named(profile)
+            view = known.view((shape[0], shape[1]))
+            return Asked(diameter, known.mm_per_px, known.mm_per_px_sigma, view, known.name, source.serial)
+        return Asked(diameter, check_sensor_pitch(mm_per_px), None, View(), source.name, source.serial)
+    except (ValueError, TypeError) as problem:
+        raise GelformError(str(problem)) from problem

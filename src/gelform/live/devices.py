@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 from gelform.errors import GelformError
-from gelform.live.replay.player import Player
 from gelform.live.setup import Setup
 from gelform.live.station import Opening, Station
 from gelform.sensors.cameras.camera import Camera, cameras_in_sysfs
@@ -18,7 +17,7 @@ from gelform.sensors.cameras.settings import CONTROLS, settings_mismatch
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.source import Source
 
-LOOK_EVERY_S = 0.5
+LOOK_EVERY_S = 0.5  # for the cameras that are plugged in
 SETTABLE = (*CONTROLS, "led_level")
 
 Opener = Callable[[Camera, Mapping[str, float | str]], Source]
@@ -51,7 +50,7 @@ class Devices:
         self._stations, self._cameras, self._open_camera = stations, cameras, open_camera
         self._lock, self._showing = threading.Lock(), threading.Lock()
         self._numbers: dict[str, int] = {}
-        self._looked_s, self._seen = float("-inf"), tuple[Camera, ...]()
+        self._looked_s, self._there = float("-inf"), tuple[Camera, ...]()
         self._before: dict[str, str] | None = None
         self._gone = ""
 
@@ -107,7 +106,7 @@ class Devices:
             }
 
     def _rows(self) -> list[dict[str, Any]]:
-        rows = [_row_of_station(one) for one in tuple(self._stations) if not isinstance(one.source, Player)]
+        rows = [_row_of_station(one) for one in tuple(self._stations) if one.player is None]
         shown = {_key(one.camera) for one in tuple(self._stations) if one.camera is not None}
         others = [camera for camera in self._plugged_in() if _key(camera) not in shown]
         return [*rows, *(_row_of_camera(camera, self._number(camera)) for camera in others)]
@@ -119,8 +118,8 @@ class Devices:
     def _plugged_in(self) -> tuple[Camera, ...]:
         with self._lock:
             if time.monotonic() - self._looked_s > LOOK_EVERY_S:
-                self._looked_s, self._seen = time.monotonic(), tuple(self._cameras())
-            return self._seen
+                self._looked_s, self._there = time.monotonic(), tuple(self._cameras())
+            return self._there
 
 
 def set_camera(station: Station, name: str, value: float) -> float:

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from gelform import __version__
 from gelform.errors import GelformError
-from gelform.live.calibrations import Calibrations
 from gelform.live.devices import Devices, camera_facts
-from gelform.live.replay.recordings import Recordings
+from gelform.live.lists import Calibrations, Recordings
+from gelform.live.recorder import Recorder
+from gelform.live.snapshots import Snapshots
 from gelform.live.station import Station
-from gelform.live.take.recorder import Recorder
-from gelform.live.take.snapshot import Snapshots
 from gelform.progress import Progress
 from gelform.sensors.profiles import PROFILES
 from gelform.solvers import SOLVERS
@@ -25,7 +24,7 @@ from gelform.solvers import SOLVERS
 if TYPE_CHECKING:
     from gelform.live.guide.session import GuideSession
 
-NOTICES = 20
+NOTICES = 20  # that are kept
 
 
 @dataclass

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from threading import Thread
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +12,9 @@ from gelform.checks import check_mm_per_px
 from gelform.contact import contact_from_depth
 from gelform.errors import GelformError
 from gelform.frames import Frame
-from gelform.live.replay.player import ReplayedFrame
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
-from gelform.streams.memory import Memory
-from gelform.streams.unusable import result_from_image
+from gelform.streams.memory import Memory, of_frame, result_from_image
 from gelform.view import View, image_from_frame
 
 
@@ -54,27 +50,26 @@ class Setup:
         """The calibration in use."""
         return None if self.reconstruct is None else self.reconstruct.calibration
 
-    @property
-    def view(self) -> View:
-        """How frames become images; identity without a calibration."""
-        return View() if self.reconstruct is None else self.reconstruct.calibration.view
-
     def image_of(self, frame: Frame) -> NDArray[np.uint8]:
-        """The frame through the view."""
-        image = image_from_frame(frame.image, self.view)
-        return np.ascontiguousarray(image, dtype=np.uint8)
+        """The frame through the view; as it is without a calibration."""
+        view = View() if self.calibration is None else self.calibration.view
+        return np.ascontiguousarray(image_from_frame(frame.image, view), dtype=np.uint8)
 
-    def result_of(self, frame: Frame, image: NDArray[np.uint8]) -> Reconstruction | None:
-        """What the calibration says of the image, against the zero that was set.
+    def result_of(
+        self, frame: Frame, image: NDArray[np.uint8], *, alone: bool = False
+    ) -> Reconstruction | None:
+        """What the calibration says of the image, against the untouched gel; None without a calibration.
 
-        A frame of a recording is reconstructed for itself: it may come again, and the next one may be an earlier one.
+        Parameters
+        ----------
+        alone : whether the frame is reconstructed for itself, as one of a recording: it may come again, and the next one
+            may be an earlier one
         """
         if self.memory is None:
             return None
-        if isinstance(frame, ReplayedFrame):
-            return self._against_zero(_stamped(result_from_image(self.memory.reconstruct, image), frame))
-        result = _stamped(self.memory.result_from_image(image), frame)
-        return self._against_zero(self.memory(image, result))
+        if alone:
+            return of_frame(result_from_image(self.memory.reconstruct, image), frame)
+        return self.memory.remembered(image, of_frame(self.memory.result_from_image(image), frame))
 
     def other_of(self, frame: Frame) -> Reconstruction | None:
         """What the other calibration says of the same frame; None where it cannot, or there is none."""
@@ -85,7 +80,8 @@ class Setup:
         except (GelformError, ValueError):
             return None
 
-    def _against_zero(self, result: Reconstruction) -> Reconstruction:
+    def against_zero(self, result: Reconstruction) -> Reconstruction:
+        """The result against the zero that was set."""
         if self.zero_mm is None or self.zero_mm.shape != result.depth.shape:
             return result
         depth = result.depth - self.zero_mm
@@ -98,7 +94,7 @@ class Setup:
 
     def with_calibration(self, calibration: Calibration, name: str) -> Setup:
         """The same with another calibration, its own background, nothing compared."""
-        return Setup(_memory(Reconstructor(calibration, solver=self.solver)), name, self.solver)
+        return Setup(Memory(Reconstructor(calibration, solver=self.solver)), name, self.solver)
 
     def with_background(self, background: NDArray[np.float32] | None) -> Setup:
         """The same with today's background; None: the calibration's own.
@@ -108,38 +104,20 @@ class Setup:
         CalibrationError
             It is not of the calibrated sensor.
         """
-        if self.calibration is None:
-            return replace(self, background=background)
-        run = Reconstructor(self.calibration, background=background, solver=self.solver)
-        return replace(self, memory=_memory(run), background=background, zero_mm=None)
+        return replace(self, background=background, zero_mm=None).anew()
 
     def with_solver(self, solver: str) -> Setup:
         """The same with another solver."""
-        if self.calibration is None:
-            return replace(self, solver=solver)
-        run = Reconstructor(self.calibration, background=self.background, solver=solver)
-        return replace(self, memory=_memory(run), solver=solver, zero_mm=None)
+        return replace(self, solver=solver, zero_mm=None).anew()
 
     def anew(self) -> Setup:
         """The same for another sequence of frames: what the last one has taught is forgotten."""
         if self.calibration is None:
             return self
         run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
-        return replace(self, memory=_memory(run))
+        return replace(self, memory=Memory(run))
 
     def with_other(self, calibration: Calibration | None, name: str) -> Setup:
         """The same, compared with another calibration, or with none."""
         run = None if calibration is None else Reconstructor(calibration, solver=self.solver)
         return replace(self, other=run, other_name=name if run else "")
-
-
-def _memory(reconstruct: Reconstructor) -> Memory:
-    """What a sequence has taught; what takes too long for a frame is examined in a thread of its own."""
-    memory = Memory(reconstruct)
-    memory.examine_by(lambda check: Thread(target=check, name="examine", daemon=True).start())
-    return memory
-
-
-def _stamped(result: Reconstruction, frame: Frame) -> Reconstruction:
-    times: dict[str, Any] = {"index": frame.index, "time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns}
-    return replace(result, **times)

@@ -1,4 +1,4 @@
-"""What a station shows of one frame, encoded once however many clients want it."""
+"""What a station shows of one frame, encoded once however many clients want it; and its numbers."""
 
 from __future__ import annotations
 
@@ -7,23 +7,71 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_mm_per_px
 from gelform.confidence.causes import CAUSES
 from gelform.confidence.explanation import Explanation
 from gelform.contact import Contact
 from gelform.frames import Frame
-from gelform.live.measures import Measures, measures_of, outlines_of
-from gelform.live.replay.player import ReplayedFrame
-from gelform.live.wire.planes import Plane, bits_plane, depth_plane, image_plane, level_plane
+from gelform.live.player import ReplayedFrame
+from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane
 from gelform.markers import MarkerFlow
 from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import MAP_PLANES
 
 PLANES = ("image", "flags", "causes", "other", *MAP_PLANES)
-CONTACT, KNOWN = 1, 2
-MOST_CONTACTS = 8
+CONTACT, KNOWN = 1, 2  # bits of the plane `flags`
+MOST_CONTACTS, MOST_OUTLINES = 8, 32  # of a frame that are sent
+OUTLINE_PX = 0.6  # how far an outline may be from the pixels' edge
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Numbers of one result.
+
+    Attributes
+    ----------
+    peak : the deepest point, mm (widths of a pixel without a scale)
+    x_px, y_px : where it is
+    area : of the contact, mm^2
+    volume : of gel displaced in the contact, mm^3
+    """
+
+    peak: float
+    x_px: int
+    y_px: int
+    area: float
+    volume: float
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Those that are shown against time."""
+        return {"peak": self.peak, "area": self.area, "volume": self.volume}
+
+
+def measures_of(result: Reconstruction) -> Measures:
+    """The numbers of a result; in pixels where it has no scale."""
+    row, column = np.unravel_index(int(result.depth.argmax()), result.depth.shape)
+    pitch_x, pitch_y = (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
+    pixel = pitch_x * pitch_y
+    return Measures(
+        float(result.depth[row, column]),
+        int(column),
+        int(row),
+        int(np.count_nonzero(result.contact)) * pixel,
+        float(result.depth[result.contact].sum(dtype=np.float64)) * pixel,
+    )
+
+
+def outlines_of(result: Reconstruction) -> list[list[int]]:
+    """Outlines of the contact, each as x, y, x, y ... in px of the image; the largest ones where there are many."""
+    found, _ = cv2.findContours(result.contact.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest = sorted(found, key=len, reverse=True)[:MOST_OUTLINES]
+    simple: list[Any] = [cv2.approxPolyDP(outline, OUTLINE_PX, True) for outline in largest]
+    return [outline.ravel().tolist() for outline in simple]
 
 
 @dataclass(eq=False)
@@ -42,6 +90,7 @@ class Shown:
     background : (H, W, 3) that was taken live, or None: the calibration's own
     problem : why there is no result, in words; "" where there is one
     zero_mm : (H, W) depth that was taken off, or None
+    learn : learns from the result for the frames to come; None where there is nothing to learn
     """
 
     serial: int
@@ -54,6 +103,7 @@ class Shown:
     background: NDArray[np.float32] | None = None
     problem: str = ""
     zero_mm: NDArray[np.float32] | None = None
+    learn: Callable[[], None] | None = None
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -113,10 +163,8 @@ class Shown:
         return facts | {
             "unit": "px" if pitch is None else "mm",
             "mm_per_px": None if pitch is None else [float(p) for p in np.broadcast_to(pitch, 2)],
-            "peak": self.measures.peak,
+            **self.measures.numbers,
             "peak_px": [self.measures.x_px, self.measures.y_px],
-            "area": self.measures.area,
-            "volume": self.measures.volume,
             "outlines": outlines_of(self.result),
             "contacts": [_contact_facts(contact) for contact in self.result.contacts[:MOST_CONTACTS]],
             "markers": _marker_rows(self.result.markers),
@@ -138,8 +186,7 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
 
 def _other_facts(result: Reconstruction, other: Reconstruction) -> dict[str, float]:
     """Numbers of the other calibration's result, and how far the two are apart (root mean square)."""
-    measures = measures_of(other)
-    facts = {"peak": measures.peak, "area": measures.area, "volume": measures.volume}
+    facts = measures_of(other).numbers
     if other.depth.shape == result.depth.shape:
         facts["apart"] = float(np.sqrt(np.mean((result.depth - other.depth) ** 2)))
     return facts
@@ -156,7 +203,7 @@ def _contact_facts(contact: Contact) -> dict[str, Any]:
 
 
 def _marker_rows(flow: MarkerFlow | None) -> list[list[float]]:
-    """x and y at rest, x and y now, of each dot that is seen, px."""
+    """x and y at rest, x and y now, of each visible dot, px."""
     if flow is None:
         return []
     rows = np.concatenate([flow.rest_px, flow.now_px], axis=1)[flow.seen]

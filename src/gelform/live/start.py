@@ -6,16 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
 from gelform.errors import DataError, SensorError
 from gelform.live import actions
-from gelform.live.calibrations import Calibrations, Origin
 from gelform.live.hub import Hub
-from gelform.live.replay.buttons import attached_setup
-from gelform.live.replay.indexed import Indexed, indexed, is_recording
-from gelform.live.replay.player import Player
-from gelform.live.replay.recordings import Recordings
+from gelform.live.indexed import Indexed, indexed, is_recording
+from gelform.live.lists import Calibrations, Origin, Recordings
+from gelform.live.player import Player
 from gelform.live.simulated.ready import ready_calibration
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.progress import Progress
@@ -64,9 +60,6 @@ def start(options: Options) -> Hub:
             f"got {len(options.calibrations)}."
         )
     _check_named_once(options.sources)
-    cv2.setNumThreads(
-        1
-    )  # there is one thread for each sensor: OpenCV's own would wait for those of the others
     given = [Path(spec) for spec in options.sources if is_recording(spec)]
     hub = Hub(
         calibrations=Calibrations(options.calibrations, options.folder),
@@ -87,7 +80,7 @@ def start(options: Options) -> Hub:
             name = names[number % len(names)]
             station.setup = station.setup.with_calibration(hub.calibrations[name], name)
         elif recording is not None:
-            station.setup = attached_setup(hub, station.setup, recording.path)
+            station.setup = actions.attached_setup(hub, station.setup, recording.path)
         station.start()
         if sensor is not None and not names:
             hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")

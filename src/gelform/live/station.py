@@ -1,4 +1,4 @@
-"""One sensor of the page: a thread that takes the newest frame, reconstructs it and shows it."""
+"""One sensor of the page: the pipeline of its frames, how they are reconstructed, and what is shown."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from gelform.errors import GelformError, SensorError
+from gelform.errors import GelformError
 from gelform.frames import Frame
-from gelform.live.measures import measures_of
-from gelform.live.replay.player import Player
+from gelform.live.player import Player
 from gelform.live.setup import Setup
-from gelform.live.shown import Shown
+from gelform.live.shown import Shown, measures_of
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
 from gelform.sensors.recordings.record import KEPT_FRAMES
 from gelform.sensors.source import Source
+from gelform.streams.feed import NewestFrames
+from gelform.streams.memory import Timed, Work
+from gelform.streams.pipeline import Pipeline
 
-KEPT = 600  # results whose numbers are kept for the curves: ten seconds at 60 a second
-RATE_OVER = 60
-RETRY_S = 1.0
-WAIT_S = 0.25
+KEPT_NUMBERS = 600  # results whose numbers are kept for the curves: ten seconds at 60 a second
+RETRY_S = 1.0  # between attempts to open a source that is not there
+WAIT_S = 0.25  # for a result, before it is looked whether to go on
+STALE_S = 1.0  # without a result: the rate is 0
 NEVER_S = float("inf")  # a recording that is held has not stalled
+STAGES = ("view", "reconstruct")  # whose times are told as that of the reconstruction
 
 Tap = Callable[[Frame, Shown], None]
 
@@ -62,7 +65,8 @@ class Station:
     ----------
     setup : Setup; assign another one to change it: a recording that is held is reconstructed anew
     newest : Shown or None
-    taps : called with every frame and what is shown of it: recorders, guides
+    taps : called with frames and what is shown of them: guides
+    paused : whether a sensor's picture is held
     """
 
     def __init__(
@@ -81,12 +85,13 @@ class Station:
         self._given_setup = self._setup
         self._on_shown = on_shown
         self._grabber: Grabber | None = None
+        self._pipeline: Pipeline[Shown] | None = None
+        self._run_by: tuple[Any, Any] | None = None
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial = 0
-        self._times: deque[float] = deque(maxlen=RATE_OVER)
-        self._numbers: deque[tuple[int, float, float, float, float]] = deque(maxlen=KEPT)
-        self._took_s = 0.0
+        self._shown_s = float("-inf")
+        self._numbers: deque[tuple[float, ...]] = deque(maxlen=KEPT_NUMBERS)
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
 
     def start(self) -> None:
@@ -107,9 +112,11 @@ class Station:
 
     @setup.setter
     def setup(self, setup: Setup) -> None:
+        if setup.memory is not None and self._run_by is not None and setup.memory is not self._setup.memory:
+            setup.memory.run_by(*self._run_by)
         self._setup = setup
-        if isinstance(self.source, Player):
-            self.source.again()
+        if self.player is not None:
+            self.player.again()
 
     def show(self, opening: Opening, setup: Setup) -> None:
         """Show another source in place of the one it was started with."""
@@ -145,19 +152,32 @@ class Station:
         return None if self._grabber is None else self._grabber.source
 
     @property
+    def player(self) -> Player | None:
+        """The source where it is a recording that can be told what to show; None for a sensor."""
+        return self.source if isinstance(self.source, Player) else None
+
+    @property
     def grabber(self) -> Grabber:
         """The running grabber; GelformError where there is no sensor."""
         if self._grabber is None:
             raise GelformError("The sensor is not there. Plug it in.")
         return self._grabber
 
-    def numbers_since(self, serial: int) -> list[tuple[int, float, float, float, float]]:
+    def pause(self, paused: bool) -> None:
+        """Hold the picture, or let it go on; a recording itself is held."""
+        if self.player is None:
+            self.paused = paused
+        else:
+            self.player.play(not paused)
+
+    def numbers_since(self, serial: int) -> list[tuple[float, ...]]:
         """(serial, time_s, peak, area, volume) of each result after the one of that serial; all that are kept."""
         return [row for row in tuple(self._numbers) if row[0] > serial]
 
     def facts(self) -> dict[str, Any]:
         """How the station is doing, as the page shows it."""
-        grabber, setup, calibration = self._grabber, self.setup, self.setup.calibration
+        grabber, setup, calibration, player = self._grabber, self.setup, self.setup.calibration, self.player
+        stage_ms = {} if self._pipeline is None else self._pipeline.stats().stage_ms
         facts: dict[str, Any] = {
             "number": self.number,
             "spec": self.spec,
@@ -167,7 +187,7 @@ class Station:
             "state": "missing" if grabber is None else grabber.state,
             "reason": self._missing if grabber is None else grabber.reason,
             "rate_hz": self.rate_hz,
-            "took_ms": 1e3 * self._took_s,
+            "took_ms": sum(stage_ms.get(name, 0.0) for name in STAGES),
             "simulated": hasattr(self.source, "press_at"),
             "calibration": setup.name,
             "image_shape": None if calibration is None else list(calibration.image_shape),
@@ -176,7 +196,7 @@ class Station:
             "solver": setup.solver,
             "other": setup.other_name,
             "paused": self.paused,
-            "replay": self.source.facts() if isinstance(self.source, Player) else None,
+            "replay": None if player is None else player.facts(),
             "opened": self.opened,
         }
         if grabber is not None:
@@ -186,13 +206,11 @@ class Station:
 
     @property
     def rate_hz(self) -> float:
-        """Results a second over the last 60; 0 where the last one is older than a second."""
-        times = tuple(self._times)
-        if len(times) < 2 or time.monotonic() - times[-1] > 1.0:
-            return 0.0
-        return (len(times) - 1) / max(times[-1] - times[0], 1e-9)
+        """Results a second over the last 120; 0 where the last one is older than a second."""
+        stale = self._pipeline is None or time.monotonic() - self._shown_s > STALE_S
+        return 0.0 if stale or self._pipeline is None else self._pipeline.stats().rate_hz
 
-    # -- the thread ---------------------------------------------------------------------------------------------------
+    # -- the thread, and what the pipeline's threads call -----------------------------------------------------------
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -201,7 +219,7 @@ class Station:
                 opening, self._setup = self._opening, self._setup.anew()
                 with Grabber(opening.open_it, stall_s=opening.stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
-            except (SensorError, GelformError, OSError) as problem:
+            except (GelformError, OSError) as problem:
                 self._missing, self._grabber = str(problem), None
                 self._on_shown()
                 self._switched.wait(RETRY_S)
@@ -211,52 +229,65 @@ class Station:
                 raise
 
     def _show_all(self, grabber: Grabber) -> None:
-        """Show frames until another source is wanted; when the source ends, its last frame stays."""
+        """Show results until another source is wanted; when the source ends, its last frame stays."""
+        feed = NewestFrames(grabber, owned=False, paused=lambda: self.paused)
+        pipeline = self._pipeline = Pipeline(feed, self)
+        pipeline.start()
         after = -1
-        while not self._stop.is_set() and not self._switched.is_set():
-            frame = None if self.paused else grabber.newest(after, timeout_s=WAIT_S)
-            if frame is not None:
-                after = frame.index
-                self._show(frame)
-            elif self.paused or grabber.state == "ended":
-                self._switched.wait(WAIT_S)
+        try:
+            while not self._switched.is_set():
+                shown = pipeline.results.newest(after, WAIT_S)
+                if shown is not None:
+                    after = shown.frame.index
+                    self._show(shown)
+                elif pipeline.results.ended:
+                    self._switched.wait(WAIT_S)
+        finally:
+            pipeline.close()
+            self._pipeline = self._run_by = None
 
-    def _show(self, frame: Frame) -> None:
-        started = time.monotonic()
-        self._serial += 1
-        shown = _shown(self._serial, frame, self.setup)
-        self._took_s = time.monotonic() - started
-        if shown.measures is not None:
-            m = shown.measures
-            self._numbers.append((shown.serial, frame.time_s, m.peak, m.area, m.volume))
-        self._times.append(time.monotonic())
-        self.newest = shown
+    def _show(self, shown: Shown) -> None:
+        self.newest, self._shown_s = shown, time.monotonic()
         for tap in tuple(self.taps):
-            tap(frame, shown)
+            tap(shown.frame, shown)
         self._on_shown()
 
+    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+        """Have slow work of this setup and those to come run elsewhere."""
+        self._run_by = helper, examine
+        if self._setup.memory is not None:
+            self._setup.memory.run_by(helper, examine)
 
-def _shown(serial: int, frame: Frame, setup: Setup) -> Shown:
-    """What a setup makes of a frame; where that cannot be reconstructed, the frame and the reason."""
-    try:
-        image = setup.image_of(frame)
-    except (GelformError, ValueError) as problem:
-        return Shown(serial, frame, frame.image, problem=str(problem))
-    try:
-        result = setup.result_of(frame, image)
-    except (GelformError, ValueError) as problem:
-        return Shown(serial, frame, image, problem=str(problem))
-    if result is None:
-        return Shown(serial, frame, image, problem="")
-    run = setup.reconstruct
-    return Shown(
-        serial,
-        frame,
-        image,
-        result,
-        setup.other_of(frame),
-        measures_of(result),
-        explain=None if run is None else partial(run.explain, image),
-        background=setup.background,
-        zero_mm=setup.zero_mm,
-    )
+    def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
+        """What the setup makes of a frame; where that cannot be reconstructed, the frame and the reason."""
+        setup, self._serial = self._setup, self._serial + 1
+        image = frame.image
+        try:
+            with timed("view"):
+                image = setup.image_of(frame)
+            with timed("reconstruct"):
+                found = setup.result_of(frame, image, alone=self.player is not None)
+        except (GelformError, ValueError) as problem:
+            return Shown(self._serial, frame, image, problem=str(problem))
+        if found is None or setup.memory is None:
+            return Shown(self._serial, frame, image)
+        result = setup.against_zero(found)
+        measures = measures_of(result)
+        self._numbers.append((self._serial, frame.time_s, *measures.numbers.values()))
+        return Shown(
+            self._serial,
+            frame,
+            image,
+            result,
+            setup.other_of(frame),
+            measures,
+            explain=partial(setup.memory.reconstruct.explain, image),
+            background=setup.background,
+            zero_mm=setup.zero_mm,
+            learn=None if self.player is not None else partial(setup.memory.learn, image, found),
+        )
+
+    def learn_from(self, shown: Shown) -> None:
+        """Learn from the result of a sensor; a recording's frames teach nothing."""
+        if shown.learn is not None:
+            shown.learn()

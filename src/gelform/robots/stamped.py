@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from gelform.errors import DataError
 from gelform.frames import Frame
-from gelform.streams.pipeline import StreamFrame
+from gelform.streams.memory import StreamFrame
 from gelform.streams.stream import Stream
 
 

@@ -5,9 +5,8 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "memory": ["Memory"],
-        "pipeline": ["Pipeline", "StreamFrame"],
-        "stats": ["StreamStats"],
+        "memory": ["Memory", "StreamFrame"],
+        "pipeline": ["Pipeline", "StreamStats"],
         "stream": ["Stream", "stream"],
     },
 )

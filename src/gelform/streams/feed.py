@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from os import PathLike
 from typing import Any, Protocol
@@ -10,7 +11,8 @@ from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source, open_source
 
-WAKE_S = 0.2  # how long a wait for a frame lasts at most before it is seen whether to stop
+WAKE_S = 0.2  # how long a wait for a frame lasts at most before it is looked whether to stop
+PAUSED_S = 0.05  # between looks whether it is still paused
 
 SourceLike = str | PathLike[str] | Source | Callable[[], Source] | Grabber
 
@@ -53,12 +55,13 @@ class NewestFrames:
     ----------
     grabber : running
     owned : whether the grabber is closed with the feed; one that was given goes on for its other consumers
+    paused : says whether to give no frame for now
     """
 
     every = False
 
-    def __init__(self, grabber: Grabber, *, owned: bool) -> None:
-        self._grabber, self._owned = grabber, owned
+    def __init__(self, grabber: Grabber, *, owned: bool, paused: Callable[[], bool] = lambda: False) -> None:
+        self._grabber, self._owned, self._paused = grabber, owned, paused
 
     @property
     def live(self) -> bool:
@@ -82,6 +85,9 @@ class NewestFrames:
         return dict(self._grabber.settings)
 
     def next(self, after_index: int) -> Frame | None:
+        if self._paused():
+            time.sleep(PAUSED_S)
+            return None
         return self._grabber.newest(after_index, WAKE_S)
 
     def close(self) -> None:

@@ -3,22 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gelform import view
+from gelform.errors import CalibrationError
 from gelform.findings import Finding
 from gelform.frames import Frame
-from gelform.markers import MarkerTracker
+from gelform.health import DepthLimit
+from gelform.markers import MarkerFlow, MarkerTracker
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
-from gelform.streams.evidence import Evidence
-from gelform.streams.health import FROZEN, Examination, Frozen, light_findings
-from gelform.streams.rest import BackgroundDrift
+from gelform.reconstruction.maps import BESIDE_DEPTH
+from gelform.streams.background_drift import BackgroundDrift, Evidence
+from gelform.streams.sensor_health import FROZEN, Examination, Frozen, light_findings
 from gelform.streams.smoothing import Smoothing
-from gelform.streams.unusable import result_from_image, unknown_by_now
+
+NOT_THIS_GEL = "not_this_gel"
+UNKNOWN_SLOPE = 1.0  # standard deviation of a slope of which nothing is known, mm/mm
+
+Work = Callable[[], Any]
+Timed = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass(frozen=True, eq=False)
+class StreamFrame:
+    """A result and the image that it is of.
+
+    Attributes
+    ----------
+    image : (H, W, 3), RGB, after the calibration's view
+    result : Reconstruction
+    index : int, of the frame; grows
+    time_s : float, when it was captured, on `time.monotonic()`'s clock
+    frame : Frame, as the source gave it, before the view
+    """
+
+    image: NDArray[Any]
+    result: Reconstruction
+    index: int
+    time_s: float
+    frame: Frame
 
 
 class Memory:
@@ -43,7 +72,7 @@ class Memory:
         standing: Callable[[], tuple[Finding, ...]] = tuple,
     ) -> None:
         self.reconstruct = reconstruct
-        self._examine: Callable[[Callable[[], None]], None] = lambda work: work()
+        self._examine: Callable[[Work], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: Evidence | None = None
         self._standing = standing
@@ -53,9 +82,10 @@ class Memory:
         self._drift = BackgroundDrift(reconstruct.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
 
-    def examine_by(self, examine: Callable[[Callable[[], None]], None]) -> None:
-        """Have what takes too long for a frame run elsewhere: `examine` is given it to call, ten seconds apart."""
-        self._examine = examine
+    def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:
+        """Have slow work run elsewhere: `helper` as in `Reconstructor.with_helper`; `examine` is given the rest, or None."""
+        self.reconstruct = self.reconstruct.with_helper(helper)
+        self._examine = examine or self._examine
 
     def take_background(self) -> None:
         """Nothing touches now: what the next second shows is the untouched gel. From any thread."""
@@ -64,11 +94,12 @@ class Memory:
     def image_from_frame(self, frame: Frame) -> NDArray[Any]:
         """The calibration's view of a frame; ValueError where it is of another size."""
         calibration = self.reconstruct.calibration
-        expected, came = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
-        if came != expected:
+        expected, given = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
+        if given != expected:
             raise ValueError(
                 f"Expected frames of {expected[0]}x{expected[1]} px (height x width) as at the calibration, got "
-                f"{came[0]}x{came[1]}. Set the camera's width and height as they were then, or calibrate with these frames."
+                f"{given[0]}x{given[1]}. "
+                "Set the camera's width and height as they were then, or calibrate with these frames."
             )
         return view.image_from_frame(frame.image, calibration.view)
 
@@ -82,12 +113,25 @@ class Memory:
         self.learn(image, result)
         return result
 
+    def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
+        """The remembered result of a frame."""
+        with timed("view"):
+            image = self.image_from_frame(frame)
+        with timed("reconstruct"):
+            result = of_frame(self.result_from_image(image), frame)
+        with timed("remember"):
+            return StreamFrame(image, self.remembered(image, result), frame.index, frame.time_s, frame)
+
+    def learn_from(self, given: StreamFrame) -> None:
+        """`learn` from what `reconstructed` gave."""
+        self.learn(given.image, given.result)
+
     def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
         """The result with what the sequence adds to it: findings, and smoothing."""
         frozen = self._frozen(image, result.time_s or 0.0)
         result = replace(result, health=(*result.health, *frozen, *self._findings))
         if frozen:
-            return unknown_by_now(self.reconstruct, result)
+            return _unknown_by_now(self.reconstruct, result)
         return result if self._smoothing is None else self._smoothing(result)
 
     def learn(self, image: NDArray[Any], result: Reconstruction) -> None:
@@ -112,3 +156,59 @@ class Memory:
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:
             self._examined_findings = self._examination(evidence)
+
+
+def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:
+    """The result with the number and the times of its frame."""
+    return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
+
+
+def result_from_image(
+    reconstruct: Reconstructor, image: NDArray[Any], markers: MarkerFlow | None = None
+) -> Reconstruction:
+    """The image's result; where the Reconstructor refuses the image, one that knows nothing.
+
+    In a sequence a frame that is clearly not of the calibrated gel (the gel was taken off, a light went out) is no
+    reason to stop: the finding `not_this_gel` has the words of the refusal.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Reconstructor.from_image`: the source gives no images of the calibrated size.
+    """
+    try:
+        return reconstruct.from_image(image, markers=markers)
+    except CalibrationError as refusal:
+        return _unusable(reconstruct, Finding(NOT_THIS_GEL, str(refusal), 1.0))
+
+
+def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
+    """A result of depth 0, known nowhere: its deviation is that of a depth of which only the limits are known."""
+    calibration = reconstruct.calibration
+    shape, pitch = calibration.image_shape, calibration.mm_per_px
+    nothing: dict[str, Any] = {
+        one.name: np.zeros((*shape, *one.axes), one.dtype) for one in BESIDE_DEPTH if not one.optional
+    }
+    sigma = None if pitch is None else np.full(shape, DepthLimit.of(shape, pitch).ignorance_mm, np.float32)
+    return Reconstruction(
+        depth=np.zeros(shape, np.float32),
+        depth_sigma_mm=sigma,
+        gradients_sigma=np.full((*shape, 2), UNKNOWN_SLOPE, np.float32),
+        **nothing,
+        mm_per_px=pitch,
+        mm_per_px_sigma=calibration.mm_per_px_sigma,
+        health=(*reconstruct.findings, finding),
+        calibration_digest=calibration.digest,
+    )
+
+
+def _unknown_by_now(reconstruct: Reconstructor, result: Reconstruction) -> Reconstruction:
+    """The result of an image that a hanging camera repeats: as before, but not known."""
+    nothing = _unusable(reconstruct, result.health[-1])
+    return replace(
+        result,
+        depth_sigma_mm=nothing.depth_sigma_mm if result.depth_sigma_mm is not None else None,
+        gradients_sigma=nothing.gradients_sigma,
+        confidence=nothing.confidence,
+        known=nothing.known,
+    )

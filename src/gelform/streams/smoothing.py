@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from gelform.checks import check_within
 from gelform.gradients import slopes_of_solution
 from gelform.reconstruction import Reconstruction
+from gelform.streams.smooth_light import robust_sigma
 
-LONGEST_S = 60.0
+LONGEST_S = 60.0  # time constant that is accepted
 STILL, MOVING = 2.0, 4.0  # deviations of noise between which a change goes from averaged to followed
 NEARBY_PX = 5  # a change is looked for in squares of this width: noise is alike over some pixels
-NOISE_SHARE = 0.1  # of each frame in the noise's running mean
-NOISE_SAMPLE_PX = 4
+NOISE_FRACTION = 0.1  # of each frame in the noise's running mean
+NOISE_SAMPLE_PX = 4  # every fourth row and column tells the noise
 
 
 class Smoothing:
@@ -34,7 +35,7 @@ class Smoothing:
     def __init__(self, time_s: float) -> None:
         self.time_s = check_within(time_s, "smoothing", 0, LONGEST_S)
         self._mean: NDArray[np.float32] | None = None
-        self._share: NDArray[np.float32] | None = None  # of a frame's variance that is left in the mean
+        self._left: NDArray[np.float32] | None = None  # of a frame's variance that is left in the mean
         self._last: NDArray[np.float32] | None = None
         self._last_s = -math.inf
         self._noise = 0.0
@@ -54,11 +55,11 @@ class Smoothing:
         return self._smoothed(result)
 
     def _restart(self, depth: NDArray[np.float32]) -> None:
-        self._mean, self._share = depth.copy(), np.ones_like(depth)
+        self._mean, self._left = depth.copy(), np.ones_like(depth)
 
     def _update(self, depth: NDArray[np.float32], step_s: float) -> None:
         assert self._mean is not None
-        assert self._share is not None
+        assert self._left is not None
         assert self._last is not None
         self._measure_noise(depth - self._last)
         change = depth - self._mean
@@ -68,26 +69,26 @@ class Smoothing:
         moves -= np.float32(STILL)
         moves *= np.float32(1 / (MOVING - STILL))
         # Of a mean of n frames the next one is the part 1/(n + 1): the mean of a pixel that came to rest grows.
-        share = self._share / (1 + self._share)
-        weight = np.clip(np.maximum(moves, share), -math.expm1(-step_s / max(self.time_s, 1e-9)), 1)
+        least = self._left / (1 + self._left)
+        weight = np.clip(np.maximum(moves, least), -math.expm1(-step_s / max(self.time_s, 1e-9)), 1)
         self._mean += weight * change
-        self._share = np.square(1 - weight) * self._share + np.square(weight)
+        self._left = np.square(1 - weight) * self._left + np.square(weight)
 
     def _measure_noise(self, difference: NDArray[np.float32]) -> None:
-        sample = np.abs(difference[::NOISE_SAMPLE_PX, ::NOISE_SAMPLE_PX])
-        noise = 1.4826 * float(np.median(sample)) / math.sqrt(2)
-        self._noise = noise if self._noise == 0 else self._noise + NOISE_SHARE * (noise - self._noise)
+        sample = difference[::NOISE_SAMPLE_PX, ::NOISE_SAMPLE_PX]
+        noise = float(robust_sigma(sample)) / math.sqrt(2)
+        self._noise = noise if self._noise == 0 else self._noise + NOISE_FRACTION * (noise - self._noise)
 
     def _smoothed(self, result: Reconstruction) -> Reconstruction:
         assert self._mean is not None
-        assert self._share is not None
+        assert self._left is not None
         depth = self._mean.copy()
         pitch = result.mm_per_px or 1.0
         pitches = (pitch, pitch) if isinstance(pitch, float) else pitch
         sigma = result.depth_sigma_mm
         if sigma is not None:
-            averaged_away = np.float32(self._noise**2) * (1 - self._share)
-            least = self._share * np.square(sigma)  # were all of it noise that changes from frame to frame
+            averaged_away = np.float32(self._noise**2) * (1 - self._left)
+            least = self._left * np.square(sigma)  # were all of it noise that changes from frame to frame
             sigma = np.sqrt(np.maximum(np.square(sigma) - averaged_away, least))
         slopes = slopes_of_solution(depth, pitches)
         return replace(result, depth=depth, depth_sigma_mm=sigma, gradients=slopes)

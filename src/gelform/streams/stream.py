@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import weakref
 from collections.abc import Iterator
 from os import PathLike
@@ -14,11 +15,12 @@ from gelform.errors import StaleError
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 from gelform.streams.feed import SourceLike, feed_from_source
-from gelform.streams.health.settings import CameraCheck
-from gelform.streams.memory import Memory
-from gelform.streams.pipeline import Pipeline, StreamFrame
+from gelform.streams.memory import Memory, StreamFrame
+from gelform.streams.pipeline import Pipeline, StreamStats
+from gelform.streams.sensor_health import CameraCheck
 from gelform.streams.smoothing import Smoothing
-from gelform.streams.stats import StreamStats
+
+KEPT = 8  # results whose images are held for `image_of`
 
 
 def stream(
@@ -63,7 +65,7 @@ def stream(
     feed = feed_from_source(source)
     check = CameraCheck(reconstruct.calibration)
     memory = Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.serial, feed.settings))
-    return Stream(Pipeline(feed, memory))
+    return Stream(Pipeline(feed, memory, keep=KEPT), memory)
 
 
 class Stream:
@@ -75,10 +77,11 @@ class Stream:
     Parameters
     ----------
     pipeline : not yet started
+    memory : of its sequence
     """
 
-    def __init__(self, pipeline: Pipeline) -> None:
-        self._pipeline = pipeline
+    def __init__(self, pipeline: Pipeline[StreamFrame], memory: Memory) -> None:
+        self._pipeline, self._memory = pipeline, memory
         self._entered = False
         self._finalizer = weakref.finalize(self, pipeline.close)
         pipeline.start()
@@ -99,16 +102,13 @@ class Stream:
 
         Outside a `with` block the stream is closed with the loop.
         """
-        for seen in self.pairs():
-            yield seen.result
+        for given in self.pairs():
+            yield given.result
 
     def pairs(self) -> Iterator[StreamFrame]:
         """As the loop over the stream, with the image of each result."""
-        index = -1
         try:
-            while (seen := self._pipeline.results.newest(index)) is not None:
-                index = seen.index
-                yield seen
+            yield from self._pipeline.results
         finally:
             if not self._entered:
                 self.close()
@@ -143,15 +143,28 @@ class Stream:
         Exception
             What made a stage of the stream fail.
         """
-        seen = self._pipeline.younger_than(max_age_s)
-        if seen is None:
-            stats = self.stats
-            why = f": {stats.reason}" if stats.reason else "."
-            raise StaleError(
-                f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
-                f"The stream is {stats.state}{why}"
-            )
-        return seen.result
+        deadline, newest = time.monotonic() + max_age_s, self._pipeline.results.newest
+        given = newest(-1, 0)
+        if given is not None and (left_s := self._left_s(given, max_age_s)) >= 0:
+            # The one that is being made, or this one while it is young.
+            return (newest(-1, left_s / 2) or given).result
+        while given is None or self._left_s(given, max_age_s) < 0:
+            given = newest(-1 if given is None else given.index, max(0.0, deadline - time.monotonic()))
+            if given is None:
+                raise self._stale(max_age_s)
+        return given.result
+
+    def _left_s(self, given: StreamFrame, max_age_s: float) -> float:
+        """For how long a result stays young enough, negative where it is not; those of a recording have no age."""
+        return 0.0 if self._pipeline.feed.every else max_age_s - (time.monotonic() - given.time_s)
+
+    def _stale(self, max_age_s: float) -> StaleError:
+        stats = self.stats
+        why = f": {stats.reason}" if stats.reason else "."
+        return StaleError(
+            f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
+            f"The stream is {stats.state}{why}"
+        )
 
     def image_of(self, result: Reconstruction) -> NDArray[Any]:
         """The image (H, W, 3), RGB, after the view, that one of the last results is of.
@@ -161,16 +174,16 @@ class Stream:
         LookupError
             It is not among the last 8: take image and result together, by `newest` or `pairs`.
         """
-        for seen in tuple(self._pipeline.recent):
-            if seen.index == result.index:
-                return seen.image
+        for given in tuple(self._pipeline.recent):
+            if given.index == result.index:
+                return given.image
         raise LookupError(
             f"The image of frame {result.index} is not held any more: take both by newest() or pairs()."
         )
 
     def take_background(self) -> None:
         """Say that nothing touches the gel: the mean of the next second becomes the untouched image."""
-        self._pipeline.memory.take_background()
+        self._memory.take_background()
 
     @property
     def stats(self) -> StreamStats:

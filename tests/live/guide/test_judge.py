@@ -1,8 +1,11 @@
-"""What an image of a guided calibration shows: held against simulated presses whose circle is known."""
+"""What an image of a guided calibration shows, against simulated presses; what presses so far promise."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from gelform.live.guide.judge import LEAST_TO_FORECAST, forecast_of
 from gelform.simulate import simulate_background
 
 
@@ -43,3 +46,17 @@ def test_reasons_say_what_to_do(judge, press):
 
 def test_an_image_of_another_sensor_is_refused_with_the_reason(judge, untouched):
     assert "BGR" in looked(judge, untouched[..., ::-1].copy()).reason
+
+
+def test_it_is_near_what_the_calibration_reaches(presses, calibration):
+    found = forecast_of(presses)
+    reached = calibration.held_out["normal_free_deg"]
+    assert found.presses == len(presses.presses)
+    assert (
+        0.4 * reached < found.now_deg < 5 * reached
+    )  # recorded: 4.6, a polynomial without a step beside one with it
+    assert found.more_deg <= found.now_deg
+
+
+def test_few_presses_say_nothing(presses):
+    assert forecast_of(presses.subset(range(LEAST_TO_FORECAST - 1))) is None

@@ -5,29 +5,29 @@ import pytest
 
 import gelform
 from gelform.errors import GelformError
-from gelform.live import guiding
+from gelform.live import actions
 from live_waiting import until
 
 
 def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
     hub.folder = tmp_path
-    guiding.start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
     guide = hub.guides[0].guide
     until(lambda: guide.target, 30)
     x, y = guide.target.x_px, guide.target.y_px
     until(lambda: guide.count >= 1, 30)
     assert guide.facts()["accepted"][0][:2] == pytest.approx((x, y), abs=4)
-    guiding.stop(hub, 0)
+    hub.end_guide(0)
     assert not hub.guides
     assert not hub.stations[0].taps
 
 
 def test_it_fits_writes_reports_and_is_used(hub, tmp_path, presses, calibration, monkeypatch):
     hub.folder = tmp_path
-    guiding.start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
     session = hub.guides[0]
     with pytest.raises(GelformError, match="nothing to use"):
-        guiding.use(hub, 0)
+        actions.guide_use(hub, 0)
     monkeypatch.setattr(session.guide, "presses", lambda: presses)
     monkeypatch.setattr(
         "gelform.live.guide.session.calibrate", lambda *_, **__: calibration
@@ -40,7 +40,7 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, presses, calibration,
     folder = tmp_path / session.name
     assert "<html" in (folder / "report.html").read_text(encoding="utf-8")
     assert len(gelform.read_presses(folder).presses) == len(presses.presses)
-    guiding.use(hub, 0)
+    actions.guide_use(hub, 0)
     used = hub.stations[0].setup.calibration
     assert used.digest == gelform.load_calibration(folder / "calibration.npz").digest
     assert np.isfinite(used.held_out["normal_free_deg"])
@@ -48,7 +48,7 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, presses, calibration,
 
 def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
     hub.folder = tmp_path
-    guiding.start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
     session = hub.guides[0]
     with pytest.raises(GelformError):
         session.fit(lambda *_: None)

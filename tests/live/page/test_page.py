@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.live.replay.indexed import indexed
-from gelform.live.replay.player import Player
+from gelform.live.indexed import indexed
+from gelform.live.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.plots.canvas import save_picture
 from live_waiting import until

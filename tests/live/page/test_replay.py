@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.live.replay.indexed import indexed
+from gelform.live.indexed import indexed
 from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording

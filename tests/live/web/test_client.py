@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
 
 from gelform.live.web.app import MAX_CLIENTS
-from gelform.live.wire import read_message
+from gelform.live.web.wire import read_message
 from live_waiting import until
 
 FIELDS = st.sampled_from(["do", "station", "planes"])

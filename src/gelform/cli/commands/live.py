@@ -59,7 +59,7 @@ def live(
       gelform live session.mp4 -c mini.npz
       gelform live --sink rerun
     """
-    from gelform.live.sinks.chosen import feed
+    from gelform.live.sinks import feed
     from gelform.live.start import Options, start
     from gelform.live.web.server import listen
 

@@ -16,8 +16,7 @@ from gelform.calibration.coverage import Place, coverage_from_circles, press_nex
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.errors import GelformError
 from gelform.frames import Frame, pixels_digest
-from gelform.live.guide.forecast import Forecast
-from gelform.live.guide.judge import Circle, Judge, Look
+from gelform.live.guide.judge import Circle, Forecast, Judge, Look
 from gelform.view import View, image_from_frame
 
 WANTED = 12

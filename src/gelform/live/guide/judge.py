@@ -1,4 +1,4 @@
-"""What one image of a guided calibration shows: nothing, a ball that still moves, a press that counts or why not."""
+"""What an image of a guided calibration shows: nothing, a moving ball, a press; and what presses so far promise."""
 
 from __future__ import annotations
 
@@ -11,20 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.change import ChangeSettings
+from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, find_contact, scale_of, why_no_contact
-from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges
+from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges, find_contacts, prepare
+from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.report.learning import floor_and_slope
 from gelform.errors import CalibrationError
+from gelform.metrics import score_slopes
 
-LEAST_RADIUS_PX = 9.0  # at 240 rows
+LEAST_RADIUS_PX = 9.0  # of a contact, at 240 rows
 DEEPEST = 0.87  # contact radius over ball radius: half the radius deep
 APART = 0.4  # of the contact radius: nearer to an earlier press is the same place
+OUTSIDE = 0.2  # of the contact radius: its middle may be so far beyond the border
 TOUCHED, NOISE_FACTOR = 0.05, 1.6  # the color change of a touch; times what noise alone makes
 TOUCHED_PART = 500  # a touch covers a five-hundredth of the image
-STILL_LEVELS, STILL_NOISE = (
-    1.0,
-    0.9,
-)  # largest change of a block between looks: grey levels, shares of the noise
-SMALL = 8
+STILL_LEVELS, STILL_NOISE = 1.0, 0.9  # change of a block between looks: grey levels, and times the noise
+SMALL = 8  # width of such a block, px
+LEAST_TO_FORECAST, MORE = 6, 5  # presses; and by how many it looks ahead
+HELD_OUT_EVERY = 4  # every fourth press judges the others
+SAMPLES = 400  # pixels of a held-out press
 
 Circle = tuple[float, float, float]
 
@@ -86,7 +92,7 @@ class Judge:
         contact = find_contact(change)
         if why_no_contact(contact) is not None:
             return Look(
-                None, True, moving, "No ball is seen clearly. Press it a little harder, straight down."
+                None, True, moving, "No ball is clearly visible. Press it a little harder, straight down."
             )
         return Look(contact.circle_px, True, moving, self._reason(contact, accepted))
 
@@ -99,8 +105,8 @@ class Judge:
 
     def _reason(self, contact: ContactCircle, accepted: Sequence[Circle]) -> str:
         x, y, radius = contact.circle_px
-        height, width = self._shape
-        if not (-0.2 * radius < x < width + 0.2 * radius and -0.2 * radius < y < height + 0.2 * radius):
+        (height, width), by = self._shape, OUTSIDE * radius
+        if not (-by < x < width + by and -by < y < height + by):
             return "Too far outside. Press where the circle is."
         if radius < LEAST_RADIUS_PX * self._scale:
             return "Too light. Press a little harder."
@@ -116,3 +122,68 @@ def _largest(change: NDArray[np.float32]) -> float:
     size = np.abs(change).max(axis=-1)
     rank = size.size - size.size // TOUCHED_PART - 1
     return float(np.partition(size, rank, axis=None)[rank])
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Mean angle between normals of presses that are held out.
+
+    Attributes
+    ----------
+    presses : so many were there
+    now_deg : expected of a calibration on them
+    more_deg : expected with five more
+    """
+
+    presses: int
+    now_deg: float
+    more_deg: float
+
+
+def forecast_of(presses: Presses) -> Forecast | None:
+    """Fit the simplest color model on a half and on three quarters of the presses, and extrapolate.
+
+    The law is error^2 = a + b / n, as in the report's learning curve; the final fit tries more models and refines
+    the circles, so it is rather better than this.
+
+    Parameters
+    ----------
+    presses : those accepted so far
+
+    Returns
+    -------
+    Forecast or None
+        None with fewer than six presses.
+    """
+    count = len(presses.presses)
+    if count < LEAST_TO_FORECAST:
+        return None
+    prepared = prepare(presses)
+    found = find_contacts(prepared)
+    candidate = candidates_for("polynomial", count)[0]
+    held_out = range(0, count, HELD_OUT_EVERY)
+    rest = [k for k in range(count) if k not in held_out]
+    sizes = [max(2, len(rest) // 2), len(rest)]
+    errors = [_error_deg(candidate, rest[:size], held_out, prepared, found) for size in sizes]
+    floor, slope = floor_and_slope(sizes, errors)
+    return Forecast(
+        count, float(np.sqrt(floor + slope / count)), float(np.sqrt(floor + slope / (count + MORE)))
+    )
+
+
+def _error_deg(
+    candidate: Candidate,
+    training: Sequence[int],
+    tested: Sequence[int],
+    prepared: Sequence[PreparedPress],
+    found: Sequence[ContactCircle],
+) -> float:
+    model = candidate.fit(training_samples([prepared[k] for k in training], [found[k] for k in training]))
+    degrees = []
+    for k in tested:
+        press, circle = prepared[k], found[k]
+        rows, columns = press.pixels(circle, 1.0, SAMPLES)
+        slopes = press.gradients(model, rows, columns)
+        score = score_slopes(slopes, columns, rows, (circle.x_px, circle.y_px), press.ball_radius_px)
+        degrees.append(score.normal_deg)
+    return float(np.mean(degrees))

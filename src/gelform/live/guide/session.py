@@ -17,11 +17,11 @@ from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.exporters.press_folder import save_press_folder
 from gelform.frames import Frame
-from gelform.live.guide.forecast import forecast_of
 from gelform.live.guide.guide import Asked, Guide
+from gelform.live.guide.judge import LEAST_TO_FORECAST, forecast_of
+from gelform.live.recorder import named_by_time
 from gelform.live.shown import Shown
 from gelform.live.station import Station
-from gelform.live.take.recorder import named_by_time
 from gelform.npz_files import written_file
 from gelform.progress import Progress
 
@@ -112,7 +112,7 @@ class GuideSession:
         """Look ahead after each new press, in a thread of its own."""
         guide = self.guide
         known = 0 if guide.forecast is None else guide.forecast.presses
-        if self._forecasting or guide.count < 6 or guide.count == known:
+        if self._forecasting or guide.count < LEAST_TO_FORECAST or guide.count == known:
             return
         self._forecasting = True
 

@@ -20,7 +20,7 @@ from gelform.live.hub import Hub
 from gelform.live.shown import PLANES, Shown
 from gelform.live.station import Station
 from gelform.live.web.commands import MessageError, done, parsed, station
-from gelform.live.wire import ENCODINGS, message
+from gelform.live.web.wire import ENCODINGS, message
 
 MAX_CREDIT = 4  # for each station
 SURFACE = ("depth",)

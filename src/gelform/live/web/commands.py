@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from gelform.errors import GelformError
-from gelform.live import actions, guiding
+from gelform.live import actions
 from gelform.live.hub import Hub
-from gelform.live.replay import buttons as replay
 
 MAX_BYTES = 16 * 1024
 MAX_TEXT = 200
@@ -68,11 +67,12 @@ COMMANDS = {
     "compare": Command(actions.compare_with, {"station": station, "name": text}),
     "solver": Command(actions.use_solver, {"station": station, "name": text}),
     "guide_start": Command(
-        guiding.start, {"station": station, "ball_diameter_mm": number, "profile": text, "mm_per_px": number}
+        actions.guide_start,
+        {"station": station, "ball_diameter_mm": number, "profile": text, "mm_per_px": number},
     ),
-    "guide_fit": Command(guiding.fit, {"station": station}),
-    "guide_use": Command(guiding.use, {"station": station}),
-    "guide_stop": Command(guiding.stop, {"station": station}),
+    "guide_fit": Command(actions.guide_fit, {"station": station}),
+    "guide_use": Command(actions.guide_use, {"station": station}),
+    "guide_stop": Command(Hub.end_guide, {"station": station}),
     "record": Command(actions.record, {"station": station, "on": yes_no}),
     "snapshot": Command(actions.snapshot, {"station": station}),
     "code": Command(actions.code, {"station": station, "view": text, "x_px": number, "y_px": number}),
@@ -80,13 +80,13 @@ COMMANDS = {
     "camera": Command(actions.set_camera, {"station": station, "name": text, "value": number}),
     "show": Command(actions.show_camera, {"station": station, "camera": camera}),
     "identify": Command(actions.identify, {"on": yes_no}),
-    "open": Command(replay.open_recording, {"station": station, "name": text}),
-    "play": Command(replay.play, {"station": station, "playing": yes_no}),
-    "seek": Command(replay.seek, {"station": station, "frame": number}),
-    "step": Command(replay.step, {"station": station, "by": number}),
-    "speed": Command(replay.speed, {"station": station, "speed": number}),
-    "loop": Command(replay.loop, {"station": station, "loop": yes_no}),
-    "share": Command(replay.share, {"station": station}),
+    "open": Command(actions.open_recording, {"station": station, "name": text}),
+    "play": Command(actions.play, {"station": station, "playing": yes_no}),
+    "seek": Command(actions.seek, {"station": station, "frame": number}),
+    "step": Command(actions.step, {"station": station, "by": number}),
+    "speed": Command(actions.speed, {"station": station, "speed": number}),
+    "loop": Command(actions.loop, {"station": station, "loop": yes_no}),
+    "share": Command(actions.share, {"station": station}),
     "press": Command(actions.press, {"station": station, "x_px": number, "y_px": number}),
 }
 

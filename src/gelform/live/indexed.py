@@ -1,0 +1,275 @@
+"""A recording whose frames are at hand by their number, in any order: folders, videos, MCAP files."""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.playback import USUAL_RATE_HZ
+from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
+from gelform.sensors.recordings.image_folder import FACTS, frame_of_row, is_recorded_folder, rows_of
+from gelform.sensors.recordings.mcap_reader import (
+    MAX_RECORD_BYTES,
+    frame_from_message,
+    is_bag_folder,
+    mcap_file_in,
+    picture_topic_of,
+)
+from gelform.sensors.video_files import Video, is_video
+
+MAGIC_BYTES = 8  # at the start of an MCAP file
+KEPT_CHUNKS = 2  # those that were last looked at
+
+
+@dataclass(frozen=True)
+class Indexed:
+    """A recording.
+
+    Attributes
+    ----------
+    path : of the file or folder
+    name, serial, settings, rate_hz : as of a `Source`
+    times_s : of each frame, counted from the first, growing
+    frame : number from 0 -> Frame; DataError where it is damaged
+    """
+
+    path: Path
+    times_s: tuple[float, ...]
+    frame: Callable[[int], Frame]
+    name: str
+    rate_hz: float | None = None
+    serial: str | None = None
+    settings: Mapping[str, float | str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+
+def is_recording(spec: str) -> bool:
+    """Whether what was asked for is a file or a folder of frames; a device is none."""
+    path = Path(spec)
+    return path.exists() and not spec.startswith("/dev/")
+
+
+def indexed(path: Path) -> Indexed:
+    """Look through a recording once.
+
+    Raises
+    ------
+    DataError
+        It is missing, damaged, empty, or nothing that frames can be read from.
+    """
+    if path.suffix.lower() == ".mcap":
+        found = _of_mcap(path, path)
+    elif is_recorded_folder(path):
+        found = _of_recorded_folder(path)
+    elif is_bag_folder(path):
+        found = _of_mcap(path, mcap_file_in(path))
+    elif path.is_dir():
+        found = _of_images(path)
+    elif is_video(path):
+        found = _of_video(path)
+    else:
+        raise DataError(f"{path} is no video, no folder of images and no recording (*.mcap).")
+    if not found.times_s:
+        raise DataError(f"{path} holds no frame.")
+    return found
+
+
+def _of_mcap(path: Path, file: Path) -> Indexed:
+    index = McapIndex(file)
+    facts = index.facts
+    return Indexed(path, index.times_s, index.frame, facts.name, facts.rate_hz, facts.serial, facts.settings)
+
+
+def _of_recorded_folder(path: Path) -> Indexed:
+    facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
+    rows, reduction = sorted(rows_of(path)), reduction_in(facts.settings)
+    return Indexed(
+        path,
+        tuple(row[0] - rows[0][0] for row in rows),
+        lambda number: frame_of_row(path, rows[number], reduction),
+        facts.name,
+        facts.rate_hz,
+        facts.serial,
+        facts.settings,
+    )
+
+
+def _of_images(path: Path) -> Indexed:
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    if not files:
+        raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")
+
+    def frame(number: int) -> Frame:
+        return Frame(read_image(files[number]), number / USUAL_RATE_HZ, 0, number)
+
+    times_s = tuple(number / USUAL_RATE_HZ for number in range(len(files)))
+    return Indexed(path, times_s, frame, path.resolve().name, USUAL_RATE_HZ)
+
+
+def _of_video(path: Path) -> Indexed:
+    video = Video(path)
+    reel = _Reel(path, video.facts.frame_rate_hz or USUAL_RATE_HZ)
+    height, width = video.facts.shape
+    settings = {"width": float(width), "height": float(height)}
+    return Indexed(
+        path, reel.times_s, reel.frame, path.name, video.facts.frame_rate_hz or None, None, settings
+    )
+
+
+class _Reel:
+    """Frames of a video in any order.
+
+    Videos hold most frames as changes against others. OpenCV seeks by time, which some files answer inexactly: where the
+    frame that comes has another time than the wanted one had in the first pass, the video is read from its start.
+    """
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        self._path, self._rate_hz = path, rate_hz
+        self._capture = cv2.VideoCapture(str(path))
+        self._stamps: list[float] = []
+        while self._capture.grab():
+            self._stamps.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+        self._next = len(self._stamps)
+        grows = len(self._stamps) < 2 or float(np.diff(self._stamps).min()) > 0
+        first = self._stamps[0] if self._stamps else 0.0
+        self.times_s = tuple(
+            (stamp - first) / 1000 if grows else number / rate_hz for number, stamp in enumerate(self._stamps)
+        )
+
+    def frame(self, number: int) -> Frame:
+        if not self._grabbed(number):
+            raise DataError(f"Frame {number} of {self._path} cannot be read again.")
+        decoded, pixels = self._capture.retrieve()
+        if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
+            raise DataError(f"Frame {number} of {self._path} is damaged or no colour.")
+        return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), self.times_s[number], 0, number)
+
+    def _grabbed(self, number: int) -> bool:
+        """Whether the frame was reached: as the next one, by a seek, or from the start."""
+        if number != self._next:
+            self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+        if self._is_now(number):
+            return True
+        self._capture.release()
+        self._capture = cv2.VideoCapture(str(self._path))
+        for _ in range(number):
+            self._capture.grab()
+        return self._is_now(number)
+
+    def _is_now(self, number: int) -> bool:
+        grabbed = self._capture.grab()
+        self._next = number + 1
+        return grabbed and abs(self._capture.get(cv2.CAP_PROP_POS_MSEC) - self._stamps[number]) < 0.5
+
+
+class MessagePlace(NamedTuple):
+    """A message: its time, where its record (a chunk, or itself) begins in the file, and which message of it that is."""
+
+    log_time: int
+    offset: int
+    nth: int
+    sequence: int
+
+
+class McapIndex:
+    """The frames of an MCAP file by number.
+
+    Reads the file once; what it keeps is 32 bytes a frame and the two chunks that were last looked at. A file whose recorder
+    was killed has the frames up to its last whole chunk.
+
+    Parameters
+    ----------
+    path : of the file
+
+    Attributes
+    ----------
+    facts : RecordingFacts
+    times_s : of each frame, from the first
+
+    Raises
+    ------
+    DataError
+        It is missing, no MCAP file or damaged, holds no topic of pictures that can be read, or the extra `mcap` is missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.facts, self._topic = picture_topic_of(path)
+        self._channels: set[int] = set()
+        self._places = sorted(self._placed())
+        first = self._places[0].log_time if self._places else 0
+        self.times_s = tuple((place.log_time - first) / 1e9 for place in self._places)
+        self._chunks: OrderedDict[int, list[Any]] = OrderedDict()
+
+    def frame(self, number: int) -> Frame:
+        """A frame; DataError where it is damaged or the file has changed."""
+        place = self._places[number]
+        messages = self._messages_at(place.offset)
+        if place.nth >= len(messages) or messages[place.nth].log_time != place.log_time:
+            raise DataError(f"{self._path} was changed while it was open. Open it again.")
+        index = place.sequence if self._topic.numbered else number
+        return frame_from_message(
+            messages[place.nth].data,
+            self._topic,
+            reduction_in(self.facts.settings),
+            self.times_s[number],
+            index,
+            f"Frame {index} of {self._path}",
+        )
+
+    def _placed(self) -> Iterator[MessagePlace]:
+        """Every message of the topic, in the order of the file."""
+        for offset, inside in _records(self._path, 0):
+            for nth, message in enumerate(self._wanted(inside)):
+                yield MessagePlace(message.log_time, offset, nth, message.sequence)
+
+    def _messages_at(self, offset: int) -> list[Any]:
+        if offset not in self._chunks:
+            self._chunks[offset] = list(self._wanted(next(_records(self._path, offset))[1]))
+            while len(self._chunks) > KEPT_CHUNKS:
+                self._chunks.popitem(last=False)
+        self._chunks.move_to_end(offset)
+        return self._chunks[offset]
+
+    def _wanted(self, inside: list[Any]) -> Iterator[Any]:
+        """The messages of the topic among records; learns the numbers of its channels."""
+        for one in inside:
+            kind = type(one).__name__
+            if kind == "Channel" and one.topic == self._topic.name:
+                self._channels.add(one.id)
+            elif kind == "Message" and one.channel_id in self._channels:
+                yield one
+
+
+def _records(path: Path, offset: int) -> Iterator[tuple[int, list[Any]]]:
+    """(where it begins, what is inside: itself, or a chunk's records) from an offset on: 0, or one given before."""
+    from mcap.exceptions import EndOfFile, McapError
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    with path.open("rb") as file:
+        file.seek(offset)
+        reader = StreamReader(
+            file, skip_magic=offset > 0, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
+        )
+        begins = offset or MAGIC_BYTES
+        try:
+            for record in reader.records:
+                is_chunk = type(record).__name__ == "Chunk"
+                yield begins, breakup_chunk(record, validate_crc=True) if is_chunk else [record]
+                begins = file.tell()
+        except EndOfFile:
+            return  # not finished: the recorder was killed
+        except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
+            raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem

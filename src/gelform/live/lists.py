@@ -1,0 +1,180 @@
+"""What the page may choose from, by names that are made here: no path of a client's is opened."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Container, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gelform.calibration_file import KIND, Calibration, load_calibration
+from gelform.errors import GelformError
+from gelform.npz_files import kind_of_npz
+from gelform.sensors.recordings.image_folder import is_recorded_folder
+from gelform.sensors.video_files import is_video
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a calibration comes from, as Python says it.
+
+    Attributes
+    ----------
+    expression : gives the calibration, beside `import gelform`
+    imports : lines that it needs
+    path : of its file, where it has one of its own
+    """
+
+    expression: str
+    imports: tuple[str, ...] = ()
+    path: Path | None = None
+
+
+class Calibrations:
+    """Calibrations by name: those given, those of a folder, those made while the page is open.
+
+    Parameters
+    ----------
+    given : paths from the command line
+    folder : whose calibrations are offered too, or None
+    """
+
+    def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
+        self._lock = threading.Lock()
+        self._origins: dict[str, Origin] = {}
+        self._loaded: dict[str, Calibration] = {}
+        for path in given:
+            self.add_file(path)
+        for path in sorted(folder.glob("*.npz")) if folder is not None else ():
+            if kind_of_npz(path) == KIND:
+                self.add_file(path)
+
+    @property
+    def names(self) -> list[str]:
+        """What the page lists, in the order in which they came."""
+        with self._lock:
+            return list(self._origins)
+
+    def origin_of(self, name: str) -> Origin:
+        """Where the calibration of a name comes from."""
+        with self._lock:
+            return self._origins[name]
+
+    def add_file(self, path: Path) -> str:
+        """Offer a file; gives its name: the file's, with its folder where two are called alike."""
+        with self._lock:
+            listed = {name: one.path for name, one in self._origins.items() if one.path is not None}
+            if (known := _name_of(path, listed)) is not None:
+                return known
+            name = path.name if path.name not in listed else f"{path.parent.name}/{path.name}"
+            name = _free(name, self._origins)
+            self._origins[name] = Origin(f"gelform.load_calibration({str(path)!r})", (), path)
+            return name
+
+    def add(self, name: str, calibration: Calibration, origin: Origin) -> str:
+        """Offer a calibration that has no file of its own; gives the name that it got."""
+        with self._lock:
+            name = _free(name, self._origins)
+            self._loaded[name], self._origins[name] = calibration, origin
+            return name
+
+    def add_once(self, name: str, calibration: Calibration, origin: Origin) -> str:
+        """As `add`, but not where the name is taken by the same calibration already."""
+        with self._lock:
+            known = self._loaded.get(name)
+        return name if known and known.digest == calibration.digest else self.add(name, calibration, origin)
+
+    def of_serial(self, serial: str | None) -> str | None:
+        """The name of the last one on the list that was made with the camera of a serial number; None where none was."""
+        for name in reversed(self.names if serial else []):
+            try:
+                if self[name].serial == serial:
+                    return name
+            except GelformError:
+                continue  # what is wrong with its file is said when it is chosen
+        return None
+
+    def __getitem__(self, name: str) -> Calibration:
+        """The calibration of a name.
+
+        Raises
+        ------
+        GelformError
+            No such name, or its file cannot be read.
+        """
+        with self._lock:
+            if name in self._loaded:
+                return self._loaded[name]
+            path = self._origins[name].path if name in self._origins else None
+        if path is None:
+            raise GelformError(f"There is no calibration {name!r}. Choose one of the list.")
+        calibration = load_calibration(path)
+        with self._lock:
+            self._loaded[name] = calibration
+        return calibration
+
+
+class Recordings:
+    """Recordings by name: those of the command line, those of a folder, those made while the page is open.
+
+    Parameters
+    ----------
+    given : paths from the command line
+    folder : whose recordings (*.mcap, videos, folders that were recorded) are offered too, or None
+    """
+
+    def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
+        self._lock = threading.Lock()
+        self._paths: dict[str, Path] = {}
+        for path in given:
+            self.add(path)
+        for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
+            if path.suffix.lower() == ".mcap" or is_video(path) or is_recorded_folder(path):
+                self.add(path)
+
+    def add(self, path: Path) -> str:
+        """Offer a recording; gives its name: the file's, numbered where several are called alike."""
+        with self._lock:
+            name = _name_of(path, self._paths) or _free(path.resolve().name, self._paths)
+            self._paths.setdefault(name, path)
+            return name
+
+    def path(self, name: str) -> Path:
+        """The file or folder of a name; GelformError where there is none."""
+        with self._lock:
+            if name not in self._paths:
+                raise GelformError(f"There is no recording {name!r}. Choose one of the list.")
+            return self._paths[name]
+
+    def file(self, number: int) -> Path:
+        """The file that is fetched under a number of the list; GelformError where there is none, or a folder."""
+        with self._lock:
+            paths = list(self._paths.values())
+        if not 0 <= number < len(paths) or not paths[number].is_file():
+            raise GelformError("There is no such file. Share the recording first: that makes one file of it.")
+        return paths[number]
+
+    def facts(self) -> list[dict[str, Any]]:
+        """What the page lists: name, and the bytes of those that are one file; they are fetched by their place here."""
+        with self._lock:
+            listed = list(self._paths.items())
+        return [{"name": name, "bytes": _bytes(path)} for name, path in listed]
+
+
+def _name_of(path: Path, listed: dict[str, Path]) -> str | None:
+    return next((name for name, known in listed.items() if known.resolve() == path.resolve()), None)
+
+
+def _free(name: str, taken: Container[str]) -> str:
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name} ({number})", number + 1
+    return free
+
+
+def _bytes(path: Path) -> int | None:
+    try:
+        return path.stat().st_size if path.is_file() else None
+    except OSError:
+        return None  # it was removed meanwhile

@@ -1,0 +1,197 @@
+"""A recording as a source that is told what to show: play, pause, seek, step, speed, loop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from gelform.errors import DataError, GelformError
+from gelform.frames import Frame
+from gelform.live.indexed import Indexed
+
+SLOWEST, FASTEST = 1 / 16, 16.0  # times the pace at which it was taken
+
+
+@dataclass(frozen=True)
+class ReplayedFrame(Frame):
+    """A frame of a recording, shown now.
+
+    Attributes
+    ----------
+    number : in the recording, from 0
+    recorded_s : when it was taken, from the recording's first frame
+    """
+
+    number: int = 0
+    recorded_s: float = 0.0
+
+
+class Player:
+    """Plays a recording, at first from its start, at its own pace and once.
+
+    A reader that is too slow gets the newest frame that is due. A frame that is damaged is passed over, playing stops
+    there, and `problem` says why. Methods may be called in any thread.
+
+    Parameters
+    ----------
+    recording : Indexed
+    clock : replace it to run faster or slower than real time
+    """
+
+    live = True
+
+    def __init__(self, recording: Indexed, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self.recording = recording
+        self.name, self.serial, self.rate_hz = recording.name, recording.serial, recording.rate_hz
+        self.settings = dict(recording.settings)
+        self.problem = ""
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._closed = False
+        self._playing, self._loops, self._speed = True, False, 1.0
+        self._number, self._asked = -1, 0
+        self._from_s, self._since_s = 0.0, clock()
+
+    def __iter__(self) -> Iterator[Frame]:
+        index = 0
+        while (number := self._next()) is not None:
+            try:
+                frame = self.recording.frame(number)
+            except DataError as problem:
+                self.problem = str(problem)
+                self.play(False)
+                continue
+            yield ReplayedFrame(
+                frame.image,
+                self._clock(),
+                frame.wall_time_ns,
+                index,
+                frame.encoded,
+                number,
+                self.recording.times_s[number],
+            )
+            index += 1
+
+    # -- what it is told --------------------------------------------------------------------------------------------
+
+    def play(self, playing: bool = True) -> None:
+        """Go on, from the start where it is at its end; or hold."""
+        with self._changed:
+            if playing and self._number >= len(self.recording) - 1:
+                self._asked = 0
+            self._set(playing=playing)
+
+    def seek(self, number: float) -> None:
+        """Show a frame, the first or last one where the number is beyond; plays on from there if it was playing."""
+        with self._changed:
+            self._asked = min(max(int(number), 0), len(self.recording) - 1)
+            self._set()
+
+    def step(self, by: float) -> None:
+        """Hold, and show the next frame (+1) or the one before (-1)."""
+        with self._changed:
+            at = self._number if self._asked < 0 else self._asked
+            self._asked = min(max(at + int(by), 0), len(self.recording) - 1)
+            self._set(playing=False)
+
+    def again(self) -> None:
+        """Show the frame that is held once more: it is to be reconstructed otherwise."""
+        with self._changed:
+            if not self._playing and self._asked < 0:
+                self._asked = max(self._number, 0)
+                self._set()
+
+    def set_speed(self, speed: float) -> None:
+        """Play at so many times the pace at which it was taken, 1/16 to 16."""
+        if not SLOWEST <= speed <= FASTEST:
+            raise GelformError(f"Expected a speed from {SLOWEST:g} to {FASTEST:g}, got {speed:g}.")
+        with self._changed:
+            self._speed = speed
+            self._set()
+
+    def loop(self, loops: bool = True) -> None:
+        """Begin again at the end, or hold there."""
+        with self._changed:
+            self._loops = loops
+            self._set()
+
+    @property
+    def playing(self) -> bool:
+        """Whether it goes on by itself."""
+        return self._playing
+
+    def facts(self) -> dict[str, Any]:
+        """How it stands, as the page shows it."""
+        with self._changed:
+            times = self.recording.times_s
+            return {
+                "file": self.recording.path.name,
+                "number": max(self._number, 0),
+                "count": len(times),
+                "time_s": times[max(self._number, 0)],
+                "duration_s": times[-1],
+                "playing": self._playing,
+                "speed": self._speed,
+                "loop": self._loops,
+                "problem": self.problem,
+            }
+
+    def close(self) -> None:
+        """End the loop over it."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def __enter__(self) -> Player:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- the pace -----------------------------------------------------------------------------------------------------
+
+    def _set(self, playing: bool | None = None) -> None:
+        """Take over a change; the pace is counted from the frame that is shown."""
+        self._playing = self._playing if playing is None else playing
+        self._from_s, self._since_s = self.recording.times_s[max(self._number, 0)], self._clock()
+        self._changed.notify_all()
+
+    def _next(self) -> int | None:
+        """Wait for the next frame's turn; None once it is closed."""
+        with self._changed:
+            while not self._closed:
+                if self._asked >= 0:
+                    return self._show(self._asked)
+                if not self._playing:
+                    self._changed.wait()
+                elif self._number >= len(self.recording) - 1:
+                    self._at_end()
+                elif (number := self._due()) > self._number:
+                    self._number = number
+                    return number
+            return None
+
+    def _show(self, number: int) -> int:
+        self._asked, self._number = -1, number
+        self._from_s, self._since_s = self.recording.times_s[number], self._clock()
+        return number
+
+    def _due(self) -> int:
+        """The newest frame whose time has come; waits for the next one where none has."""
+        times = self.recording.times_s
+        at_s = self._from_s + self._speed * (self._clock() - self._since_s)
+        wait_s = (times[self._number + 1] - at_s) / self._speed
+        if wait_s > 0:
+            self._changed.wait(wait_s)
+            return self._number
+        return bisect_right(times, at_s) - 1
+
+    def _at_end(self) -> None:
+        if self._loops and len(self.recording) > 1:
+            self._asked = 0
+        else:
+            self._playing = False

@@ -1,0 +1,127 @@
+"""Recordings that the page makes: a station's frames from a button to the next, one file to share."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform import __version__
+from gelform.calibration_file import Calibration
+from gelform.errors import GelformError
+from gelform.frames import Frame
+from gelform.live.indexed import Indexed
+from gelform.live.setup import Setup
+from gelform.npz_files import check_free
+from gelform.progress import Progress, no_progress
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.mcap_writer import McapRecording
+from gelform.sensors.recordings.record import RecordStats, attachments_of, new_recording, record_frames
+
+
+def named_by_time(kind: str) -> str:
+    """The name of what the page makes: its kind and the time in UTC, to the second."""
+    return f"{kind}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}"
+
+
+class Recorder:
+    """One recording, in a thread of its own; a file where the extra `mcap` is installed, else a folder of images.
+
+    Parameters
+    ----------
+    grabber : running; it goes on for its other consumers
+    folder : where the recording is made, under a name of its own
+    setup : whose calibration and background the recording carries
+
+    Attributes
+    ----------
+    path : of the recording
+    stats : RecordStats so far
+    problem : why it ended early; "" where it did not
+    """
+
+    def __init__(self, grabber: Grabber, folder: Path, setup: Setup | None = None) -> None:
+        suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
+        self.path = folder / f"{named_by_time('recording')}{suffix}"
+        self.stats = RecordStats(0, 0, 0, 0.0)
+        self.problem = ""
+        self._grabber = grabber
+        self._stop = threading.Event()
+        calibration = None if setup is None else setup.calibration
+        self._recording = new_recording(
+            self.path,
+            grabber,
+            calibration_digest="" if calibration is None else calibration.digest,
+            attached=attachments_of(calibration, None if setup is None else setup.background),
+        )
+        self._thread = threading.Thread(target=self._run, name="record", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._stop.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        try:
+            self.stats = record_frames(self._grabber, self._recording, going_on=self._going_on)
+        except GelformError as problem:
+            self.problem = str(problem)
+        finally:
+            self._recording.close()
+
+    def _going_on(self, stats: RecordStats) -> bool:
+        self.stats = stats
+        return not self._stop.is_set()
+
+
+def share(
+    recording: Indexed,
+    path: Path,
+    *,
+    calibration: Calibration | None,
+    background: NDArray[np.float32] | None = None,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write an MCAP file of a recording, with its calibration attached.
+
+    Frames are kept as the camera compressed them, or as PNG without loss: `gelform live FILE` anywhere shows what is
+    shown here.
+
+    Parameters
+    ----------
+    recording : any
+    path : a new file, *.mcap
+    calibration : in use
+    background : (H, W, 3) that was taken on the page, or None: the calibration's own
+
+    Raises
+    ------
+    DataError
+        The file is there already or cannot be written, a frame is damaged, or the extra `mcap` is missing.
+    """
+    digest = "" if calibration is None else calibration.digest
+    facts = RecordingFacts(
+        recording.name, recording.serial, recording.settings, recording.rate_hz, digest, __version__
+    )
+    check_free(path, overwrite=False)
+    now_ns, attached = time.time_ns(), attachments_of(calibration, background)
+    unfinished = path.with_name(f".{path.name}.part")  # no name of the list: half a recording is not offered
+    try:
+        with closing(McapRecording(unfinished, facts, attached)) as out:
+            for number, time_s in enumerate(recording.times_s):
+                progress(number, len(recording), "one file to share")
+                frame = recording.frame(number)
+                stamp = frame.wall_time_ns or now_ns + round(1e9 * time_s)
+                out.write(Frame(frame.image, time_s, stamp, number, frame.encoded))
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,235 @@
+"""Other programs that show what the page shows: Rerun (extra `rerun`), Foxglove (extra `foxglove`).
+
+The newest frame wins, and a slow sink harms nobody. Foxglove's server listens on this machine alone, since it asks
+neither for an Origin nor for a token.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any, Protocol
+
+import numpy as np
+
+from gelform.errors import DataError, GelformError
+from gelform.live.hub import Hub
+from gelform.live.shown import Shown
+
+HOST = "127.0.0.1"
+RERUN_PORT, FOXGLOVE_PORT = 9876, 8767
+PER_METRE = 1000.0  # depth is mm
+BACKLOG = 16  # messages that wait for a slow client; the oldest are dropped (1024 would be 300 MB)
+
+
+class Sink(Protocol):
+    """Another program that shows results; `how` is a sentence that says where they are visible."""
+
+    how: str
+
+    def show(self, name: str, shown: Shown) -> None:
+        """Show one frame of a sensor, called in the feeder's thread; `name` is a path of letters, digits and _."""
+
+    def close(self) -> None:
+        """Show nothing any more."""
+
+
+class Feeder:
+    """Gives a sink the newest frame of each station; those that come while it is busy are passed over.
+
+    What a sink raises ends it and becomes a notice of the hub; the page goes on.
+
+    Parameters
+    ----------
+    hub : of the stations
+    sink : closed with the feeder
+    name : of the sink, for the notice
+    """
+
+    def __init__(self, hub: Hub, sink: Sink, name: str) -> None:
+        self._hub, self._sink, self._name = hub, sink, name
+        self._newer, self._stop = threading.Event(), threading.Event()
+        self._shown: dict[int, int] = {}
+        self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
+        hub.listen(self._newer.set)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop, and close the sink."""
+        self._stop.set()
+        self._newer.set()
+        self._thread.join(3.0)
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                self._newer.wait()
+                self._newer.clear()
+                self._show_newest()
+        except Exception as problem:  # of another program's library: the page goes on without it
+            self._hub.notice(f"{self._name} ended: {type(problem).__name__}: {problem}", "error")
+        finally:
+            self._sink.close()
+
+    def _show_newest(self) -> None:
+        for station in self._hub.stations:
+            shown = station.newest
+            if shown is not None and shown.serial != self._shown.get(station.number):
+                self._shown[station.number] = shown.serial
+                self._sink.show(f"sensor_{station.number}", shown)
+
+
+class RerunSink:
+    """Entities `sensor_N/image`, `sensor_N/depth` (mm) and the numbers `sensor_N/peak`, `area`, `volume`.
+
+    Parameters
+    ----------
+    port : of the viewer
+
+    Raises
+    ------
+    DataError
+        The extra `rerun` is not installed.
+    GelformError
+        No viewer answers.
+    """
+
+    def __init__(self, port: int = RERUN_PORT) -> None:
+        try:
+            import rerun
+        except ImportError as problem:
+            raise DataError("This needs the extra rerun: pip install 'gelform[rerun]'.") from problem
+        try:
+            socket.create_connection((HOST, port), timeout=2).close()
+        except OSError as problem:
+            raise GelformError(
+                f"No Rerun viewer answers at {HOST}:{port}. Start one in another terminal: rerun."
+            ) from problem
+        self._rerun: Any = rerun
+        self._recording = rerun.RecordingStream("gelform")
+        self._recording.connect_grpc(f"rerun+http://{HOST}:{port}/proxy")
+        self.how = f"Rerun: the viewer at {HOST}:{port} shows it."
+
+    def show(self, name: str, shown: Shown) -> None:
+        """Send a frame to the viewer."""
+        log, rerun = self._recording.log, self._rerun
+        self._recording.set_time("taken", timestamp=shown.frame.wall_time_ns / 1e9)
+        log(f"{name}/image", rerun.Image(shown.image))
+        if shown.result is not None:
+            log(f"{name}/depth", rerun.DepthImage(shown.result.depth_mm, meter=PER_METRE))
+        if shown.measures is not None:
+            for what, number in shown.measures.numbers.items():
+                log(f"{name}/{what}", rerun.Scalars(number))
+
+    def close(self) -> None:
+        """Send what is left."""
+        self._recording.disconnect()
+
+
+class FoxgloveSink:
+    """Topics `/sensor_N/image` (rgb8), `/sensor_N/indentation` (32FC1, metres, NaN where unknown), `/sensor_N/numbers`.
+
+    Parameters
+    ----------
+    port : of the server; 0 for any that is free
+
+    Raises
+    ------
+    DataError
+        The extra `foxglove` is not installed.
+    GelformError
+        The port is taken.
+    """
+
+    def __init__(self, port: int = FOXGLOVE_PORT) -> None:
+        try:
+            import foxglove
+        except ImportError as problem:
+            raise DataError("This needs the extra foxglove: pip install 'gelform[foxglove]'.") from problem
+        self._context = foxglove.Context()
+        try:
+            self._server = foxglove.start_server(
+                name="gelform",
+                host=HOST,
+                port=port,
+                context=self._context,
+                message_backlog_size=BACKLOG,
+            )
+        except Exception as problem:  # of the extension's own kind
+            raise GelformError(
+                f"Foxglove's server cannot listen on {HOST}:{port}: {problem}. Another program, perhaps another gelform "
+                "live, uses the port: end it."
+            ) from problem
+        self._channels: dict[str, Any] = {}
+        self.address = f"ws://{HOST}:{self._server.port}"
+        self.how = f"Foxglove: open a connection to {self.address} (WebSocket)."
+
+    def show(self, name: str, shown: Shown) -> None:
+        """Send a frame to the clients that are there."""
+        stamp = shown.frame.wall_time_ns
+        self._image(f"/{name}/image", shown.image, "rgb8", stamp)
+        if shown.result is not None:
+            metres = (shown.result.depth_mm * np.float32(1e-3)).astype("<f4")
+            metres[~shown.result.known] = np.nan
+            self._image(f"/{name}/indentation", metres, "32FC1", stamp)
+        if shown.measures is not None:
+            self._channel(f"/{name}/numbers", None).log(shown.measures.numbers, log_time=stamp)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._server.stop()
+
+    def _image(self, topic: str, pixels: Any, encoding: str, stamp_ns: int) -> None:
+        from foxglove.messages import RawImage, Timestamp
+
+        seconds, nanoseconds = divmod(stamp_ns, 10**9)
+        data = np.ascontiguousarray(pixels).tobytes()
+        height, width = pixels.shape[:2]
+        message = RawImage(
+            timestamp=Timestamp(sec=seconds, nsec=nanoseconds),
+            frame_id=topic.split("/")[1],
+            width=width,
+            height=height,
+            encoding=encoding,
+            step=len(data) // height,
+            data=data,
+        )
+        self._channel(topic, "RawImageChannel").log(message, log_time=stamp_ns)
+
+    def _channel(self, topic: str, kind: str | None) -> Any:
+        if topic not in self._channels:
+            import foxglove
+            from foxglove import channels
+
+            make = foxglove.Channel if kind is None else getattr(channels, kind)
+            self._channels[topic] = make(topic, context=self._context)
+        return self._channels[topic]
+
+
+SINKS: dict[str, Callable[[], Sink]] = {"rerun": RerunSink, "foxglove": FoxgloveSink}
+
+
+def feed(hub: Hub, names: Sequence[str]) -> tuple[list[Feeder], list[str]]:
+    """Feed the sinks of those names; the feeders, and a sentence for each that says where it is visible.
+
+    Raises
+    ------
+    ValueError
+        An unknown name.
+    DataError
+        The sink's extra is not installed.
+    GelformError
+        No viewer answers, or the port is taken; none is fed then.
+    """
+    unknown = [name for name in names if name not in SINKS]
+    if unknown:
+        raise ValueError(f"Expected sinks among {', '.join(SINKS)}, got {', '.join(unknown)}.")
+    made: dict[str, Sink] = {}
+    with ExitStack() as undone:
+        for name in dict.fromkeys(names):
+            made[name] = SINKS[name]()
+            undone.callback(made[name].close)
+        undone.pop_all()  # all were made: they stay
+    return [Feeder(hub, sink, name) for name, sink in made.items()], [sink.how for sink in made.values()]

@@ -1,1 +1,0 @@
-"""What a visitor takes along: files of a frame, and the code that gives the same."""

@@ -1,0 +1,150 @@
+"""Scratch, dust, tear: small parts of the image that differ from the start's and stay so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.findings import Finding
+from gelform.streams.background_drift import Evidence
+from gelform.streams.smooth_light import robust_sigma
+
+SMOOTH_PX, WIDE_PX = 1.0, 8.0  # of the image, and of the surroundings that it is compared with
+MARK_SIGMAS, LEAST_MARK_CHANGE = 6.0, 0.04  # deviations of noise; fraction of the brightness
+MARK_STAYS = 3  # evidences in a row, some ten seconds each
+LEAST_AREA_PX = 4  # less is noise
+LONG_PX, THIN = 10.0, 0.4  # a scratch: its length, and its width over that; or ...
+GROOVE_THIN, BOTH_SIGNS = 0.6, 0.4  # ... less thin, but bright on one side and dark on the other
+TORN, TORN_AREA = 0.2, 0.0045  # a tear: fraction of the brightness in all channels, and of the image
+DARK = 0.06  # dust keeps light away, on average so much; a slight bright spot does no harm
+CONTACT_AROUND = 0.5  # of a mark's surroundings; more of it is a body that rests there
+AROUND_PX = 8  # how far a mark's surroundings reach
+BODY_PX = 15  # contact that is wider is a body
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One connected part of the image that differs.
+
+    Attributes
+    ----------
+    name : "scratch", "dust", "tear"
+    area_px, length_px : int, float
+    change : float, relative, of all channels together
+    """
+
+    name: str
+    area_px: int
+    length_px: float
+    change: float
+
+
+class Marks:
+    """Remembers for how long each pixel has differed from the start without contact around it."""
+
+    def __init__(self) -> None:
+        self._stays: NDArray[np.uint8] | None = None
+
+    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+        """`scratch`, `dust` and `tear`; figures are the largest one's length or diameter, px, and fraction of the image."""
+        change = evidence.image / np.maximum(evidence.start * evidence.light, 1) - 1
+        odd = _stands_out(change, _near_a_body(evidence.contact))
+        if self._stays is None:
+            self._stays = np.zeros(odd.shape, np.uint8)
+        self._stays[:] = np.where(_dilated(odd, 1), np.minimum(self._stays + 1, 250), 0)
+        marks = _marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
+        return tuple(_finding(name, marks, odd.size) for name in _WORDS if any(m.name == name for m in marks))
+
+
+_WORDS = {
+    "scratch": "A new line of {length:.0f} px has stayed on the gel: a scratch, or a fibre. Depth along it is not right.",
+    "dust": "A new spot of {length:.0f} px has stayed on the gel: dust. Clean it.",
+    "tear": "{percent:.1f} % of the image has become {change:+.0f} % brighter, and stayed so: the coating is torn or worn. "
+    "Replace the gel.",
+}
+
+
+def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
+    largest = max((mark for mark in marks if mark.name == name), key=lambda mark: mark.area_px)
+    fraction = largest.area_px / pixels
+    message = _WORDS[name].format(
+        length=largest.length_px, percent=100 * fraction, change=100 * largest.change
+    )
+    return Finding(name, message, fraction if name == "tear" else largest.length_px)
+
+
+def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) in or beside contact that is wider than a mark somewhere: their relief is that of what touches."""
+    map8 = contact.view(np.uint8)
+    wide = cv2.morphologyEx(map8, cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
+    count, labels = cv2.connectedComponents(map8, connectivity=8)
+    bodies = np.zeros(count, np.uint8)
+    bodies[labels[wide > 0]] = 1
+    return _dilated(bodies[labels], BODY_PX)
+
+
+def _dilated(mask: NDArray[Any], by_px: int) -> NDArray[np.bool_]:
+    """A mask (H, W) with a square margin."""
+    wide: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)).view(
+        np.bool_
+    )
+    return wide
+
+
+def _stands_out(change: NDArray[np.float32], near_a_body: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) that differ from their wide surroundings by much more than others do, in any channel; or are torn."""
+    smooth = cv2.GaussianBlur(change, (0, 0), SMOOTH_PX)
+    height, width = change.shape[:2]
+    step = max(1, round(WIDE_PX / 2))
+    small = cv2.resize(smooth, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
+    wide = cv2.resize(cv2.medianBlur(small, 5), (width, height), interpolation=cv2.INTER_LINEAR)
+    off = np.abs(smooth - wide)
+    torn = np.abs(smooth).min(axis=-1) > TORN  # wider than the surroundings that the median looks at
+    noise = robust_sigma(off[::2, ::2], axis=(0, 1))
+    odd = (off > np.maximum(MARK_SIGMAS * noise, LEAST_MARK_CHANGE)).any(axis=-1)
+    return np.asarray((odd & ~near_a_body) | torn)
+
+
+def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArray[np.bool_]) -> list[Mark]:
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(where.view(np.uint8), connectivity=8)
+    marks = []
+    for label in range(1, count):
+        area = int(boxes[label][cv2.CC_STAT_AREA])
+        if area < LEAST_AREA_PX:
+            continue
+        mine = labels == label
+        name, length = _kind(mine, change[mine], area)
+        brighter = float(change[mine].mean())
+        if name == "dust" and brighter > -DARK:
+            continue
+        if name == "tear" or not _rests(mine, contact):
+            marks.append(Mark(name, area, length, brighter))
+    return marks
+
+
+def _kind(mine: NDArray[np.bool_], change: NDArray[np.float32], area: int) -> tuple[str, float]:
+    """The name and the length, px, of a mark (H, W) whose pixels have changed by (N, 3)."""
+    y, x = np.nonzero(mine)
+    covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
+    small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
+    if area > TORN_AREA * mine.size and abs(change.mean()) > TORN:
+        return "tear", float(large)
+    thin = GROOVE_THIN if _has_both_signs(change) else THIN
+    return ("scratch" if large > LONG_PX and small < thin * large else "dust"), float(large)
+
+
+def _has_both_signs(change: NDArray[np.float32]) -> bool:
+    """Whether pixels (N, 3) became brighter and darker alike, in the channel that changed most."""
+    sizes = np.abs(change).mean(axis=0)
+    most = int(sizes.argmax())
+    return float(abs(change[:, most].mean())) < BOTH_SIGNS * float(sizes[most])
+
+
+def _rests(mine: NDArray[np.bool_], contact: NDArray[np.bool_]) -> bool:
+    """Whether a wide contact is around the mark: something that rests on the gel, not the gel itself."""
+    around = _dilated(mine, AROUND_PX) & ~mine
+    return float(contact[around].mean()) > CONTACT_AROUND

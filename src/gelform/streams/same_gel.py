@@ -1,0 +1,123 @@
+"""Whether the gel stands where it stood, and whether it is the same gel: by its fine texture, as by a fingerprint."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.background.registration import PreparedRegistration
+from gelform.findings import Finding
+from gelform.streams.background_drift import Evidence
+from gelform.streams.smooth_light import robust_sigma
+
+MOVED_PX, TURNED_DEG = 0.5, 0.2  # from which on a camera has moved
+MOVED_SIGMAS = 4.0  # deviations of the registration by which it must exceed them
+FINE_PX, COARSE_PX = 0.8, 2.0  # the texture is finer than the second and coarser than the first
+MARGIN_PX = 12  # where a blur reaches beyond the image
+# Correlation that the texture must promise, and the part of it that the same gel has at least: little, for a touch adds
+# texture of its own; never more than SAME_GEL.
+LEAST_EXPECTED, SAME_FRACTION, SAME_GEL = 0.08, 0.4, 0.07
+LEAST_FREE = 0.15  # fraction of the image that nothing may touch
+PATTERN = 0.02  # of the brightness: what the light of one gel leaves unexplained in the middle of all blocks
+PATTERN_PX = 16  # width of these blocks
+MOSTLY_DIFFERENT, GEL_STAYS = 0.9, 3  # fraction of the frames of some ten seconds; so often in a row
+OTHER_STAYS = 2  # a step of the light is not followed at once
+
+
+class SameGel:
+    """Compares what the sensor shows with the untouched image of the start; of one sequence.
+
+    Parameters
+    ----------
+    start : (H, W, 3) float32, 0-255
+    """
+
+    def __init__(self, start: NDArray[np.float32]) -> None:
+        self._registration = PreparedRegistration(start)
+        self._start = _texture(start)
+        self._before: NDArray[np.float32] | None = None
+        self._different = self._others = 0
+
+    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+        """`camera_moved` (figure: px) or `other_gel` (figure: what differs, or the texture's correlation)."""
+        texture, before = _texture(evidence.image), self._before
+        self._before = texture
+        self._different = self._different + 1 if evidence.different > MOSTLY_DIFFERENT else 0
+        if self._different >= GEL_STAYS:
+            return (_other_gel("Nearly all of the image has differed from the untouched one for long", 0.0),)
+        free = ~evidence.touched
+        free[:MARGIN_PX] = free[-MARGIN_PX:] = free[:, :MARGIN_PX] = free[:, -MARGIN_PX:] = False
+        if free.mean() < LEAST_FREE:
+            return ()
+        moved = self._moved(evidence)
+        if moved:
+            return moved
+        other = self._other_pattern(evidence) or self._other_texture(texture, before, free)
+        self._others = self._others + 1 if other else 0
+        return other if self._others >= OTHER_STAYS else ()
+
+    def _moved(self, evidence: Evidence) -> tuple[Finding, ...]:
+        gains = evidence.light.mean(
+            axis=(0, 1)
+        )  # its slopes must stay: those of a moved image look like light
+        found = self._registration(np.clip(evidence.image / gains, 0, 255), evidence.touched)
+        by_px = found.moved_px(MOVED_SIGMAS)
+        turned = abs(found.turn_deg) - MOVED_SIGMAS * found.turn_sigma_deg
+        if by_px < MOVED_PX and turned < TURNED_DEG:
+            return ()
+        x, y = found.shift_px
+        message = (
+            f"The image has moved by {x:+.1f} px in x and {y:+.1f} px in y, turned by {found.turn_deg:+.2f} degrees since "
+            "the start: the camera, or the gel in its frame. Calibrate again, or set it right."
+        )
+        return (Finding("camera_moved", message, float(np.hypot(x, y))),)
+
+    def _other_pattern(self, evidence: Evidence) -> tuple[Finding, ...]:
+        """Brightness that no smooth light explains, all over."""
+        height, width = evidence.touched.shape
+        size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)
+        ratio = (evidence.image + 1) / (evidence.start * evidence.light + 1) - 1
+        blocks = cv2.resize(ratio, size, interpolation=cv2.INTER_AREA)
+        free = cv2.resize(evidence.touched.astype(np.float32), size, interpolation=cv2.INTER_AREA) < 0.5
+        off = float(np.median(np.abs(blocks[free]).max(axis=-1))) if free.any() else 0.0
+        if off < PATTERN:
+            return ()
+        said = f"Half of what nothing touches differs by {100 * off:.1f} % or more from the start in any smooth light"
+        return (_other_gel(said, off),)
+
+    def _other_texture(
+        self, now: NDArray[np.float32], before: NDArray[np.float32] | None, free: NDArray[np.bool_]
+    ) -> tuple[Finding, ...]:
+        """Texture that stays from one evidence to the next, but is not that of the start."""
+        if before is None:
+            return ()
+        stays = _correlation(now[free], before[free])
+        expected = stays * float(np.std(now[free])) / max(float(np.std(self._start[free])), 1e-9)
+        found = _correlation(now[free], self._start[free])
+        if expected < LEAST_EXPECTED or found > min(SAME_FRACTION * expected, SAME_GEL):
+            return ()
+        said = f"The fine texture correlates with the calibration's by {found:.2f}, expected {min(expected, 1.0):.2f}"
+        return (_other_gel(said, found),)
+
+
+def _other_gel(said: str, figure: float) -> Finding:
+    return Finding(
+        "other_gel", f"{said}: another gel, or another sensor's calibration. Calibrate with this one.", figure
+    )
+
+
+def _texture(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What is finer than 2 px and coarser than noise, (H, W): relative brightness, channels together."""
+    logs = np.log(image.mean(axis=-1) + 10)
+    fine = cv2.GaussianBlur(logs, (0, 0), FINE_PX) - cv2.GaussianBlur(logs, (0, 0), COARSE_PX)
+    fine -= cv2.GaussianBlur(fine, (0, 0), 2 * COARSE_PX)  # shading that curves is no texture
+    limit = 6 * float(robust_sigma(fine))
+    # A speck of dust is not all of the texture.
+    return np.asarray(np.clip(fine, -limit, limit), dtype=np.float32)
+
+
+def _correlation(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt(np.dot(a, a) * np.dot(b, b)))
+    return float(np.dot(a, b)) / size if size > 0 else 0.0

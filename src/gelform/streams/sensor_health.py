@@ -1,0 +1,173 @@
+"""What is wrong with a sensor, as only a sequence of frames shows it: named findings with figures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.calibration_file import Calibration
+from gelform.findings import Finding
+from gelform.sensors import settings_mismatch
+from gelform.streams.background_drift import Evidence
+from gelform.streams.marks import Marks
+from gelform.streams.same_gel import SameGel
+from gelform.streams.smooth_light import FIT_ROUNDS, tukey_weights
+
+FROZEN = "frozen"
+FROZEN_S, FROZEN_FRAMES = 0.25, 3  # videos repeat a frame now and then; noise makes no two images alike
+ROWS_APART = 16  # of a first look whether images are equal
+BRIGHTER = (
+    0.08  # logarithm of the gain of all channels: calibrated slopes stay good, but something has changed
+)
+COLORED = 0.03  # of one channel against the others
+OUTSIDE_LEVELS = 3.0  # grey levels that were added to all channels alike
+LEAST_PIXELS = 2_000  # without contact, for light from outside to be looked for
+STEP_PX = 3  # every third row and column tells it
+LEAST_NOISE = 1e-3  # grey levels
+
+
+class CameraCheck:
+    """Compares a camera with the calibration's; again whenever it says something else: one that was unplugged forgets."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._serial = calibration.serial
+        self._settings = calibration.settings.camera or {}
+        self._compared: tuple[str | None, dict[str, Any]] | None = None
+        self._findings: tuple[Finding, ...] = ()
+
+    def __call__(self, serial: str | None, settings: dict[str, Any]) -> tuple[Finding, ...]:
+        """`other_camera` and `settings_mismatch`; figures: 1, and how many settings are not as calibrated.
+
+        Parameters
+        ----------
+        serial, settings : of the source, as they were read back; what is not known is not compared
+        """
+        if self._compared != (serial, settings):
+            self._compared = serial, settings
+            self._findings = (*self._of_serial(serial), *self._of_settings(settings))
+        return self._findings
+
+    def _of_serial(self, serial: str | None) -> tuple[Finding, ...]:
+        if not serial or not self._serial or serial == self._serial:
+            return ()
+        message = (
+            f"The camera's serial is {serial}, the calibration is of {self._serial}. Colours differ from unit to unit: take "
+            "that unit's calibration, or calibrate this one."
+        )
+        return (Finding("other_camera", message, 1.0),)
+
+    def _of_settings(self, settings: dict[str, Any]) -> tuple[Finding, ...]:
+        different = settings_mismatch(self._settings, settings)
+        if not different:
+            return ()
+        said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
+        message = f"The camera is set otherwise than when it was calibrated: {said}. Set it as then, or calibrate again."
+        return (Finding("settings_mismatch", message, float(len(different))),)
+
+
+class Frozen:
+    """Counts for how long the images of a sequence have been the same, pixel for pixel."""
+
+    def __init__(self) -> None:
+        self._last: NDArray[Any] | None = None
+        self._since_s = 0.0
+        self._count = 0
+
+    def __call__(self, image: NDArray[Any], time_s: float) -> tuple[Finding, ...]:
+        """The finding `frozen` (figure: for how long, s) from the third equal image and 0.25 s on."""
+        if self._last is None or not _equal(image, self._last) or time_s < self._since_s:
+            self._last, self._since_s, self._count = image, time_s, 1
+            return ()
+        self._count += 1
+        for_s = time_s - self._since_s
+        if self._count < FROZEN_FRAMES or for_s < FROZEN_S:
+            return ()
+        message = (
+            f"The camera has given the same image for {for_s:.1f} s: it hangs. Depth is that of the image."
+        )
+        return (Finding(FROZEN, message, for_s),)
+
+
+def _equal(image: NDArray[Any], other: NDArray[Any]) -> bool:
+    if image.shape != other.shape or not np.array_equal(image[::ROWS_APART], other[::ROWS_APART]):
+        return False
+    return np.array_equal(image, other)
+
+
+def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
+    """`brightness_shift` and `color_shift` of gains (3,) against the start; a figure is the largest gain minus 1."""
+    logs = np.log(np.maximum(gains, 1e-3))
+    said = ", ".join(f"{name} {100 * (gain - 1):+.1f} %" for name, gain in zip("RGB", gains))
+    findings = []
+    if abs(float(logs.mean())) > BRIGHTER:
+        message = f"The light has changed since the start ({said}): exposure, or the LEDs. It is compensated."
+        findings.append(Finding("brightness_shift", message, float(np.exp(logs.mean()) - 1)))
+    apart = logs - np.median(logs)
+    worst = int(np.argmax(np.abs(apart)))
+    if abs(float(apart[worst])) > COLORED:
+        message = f"The light's colour has changed since the start ({said}): white balance, or an LED. It is compensated."
+        findings.append(Finding("color_shift", message, float(np.exp(apart[worst]) - 1)))
+    return tuple(findings)
+
+
+def room_light_finding(evidence: Evidence) -> tuple[Finding, ...]:
+    """`room_light`: light that was added to all channels, figure: grey levels.
+
+    The sensor's own light multiplies the untouched image; light from outside is added to it, where it is dark too. Both are
+    fitted to the untouched pixels, channel by channel, robustly: now = gain start + added.
+    """
+    every = np.s_[::STEP_PX, ::STEP_PX]
+    free = ~evidence.contact[every]
+    if np.count_nonzero(free) * STEP_PX**2 < LEAST_PIXELS:
+        return ()
+    now, start = evidence.image[every][free], evidence.start[every][free]
+    added = np.array([_added(now[:, c], start[:, c]) for c in range(3)])
+    least = float(added.min())
+    if least < OUTSIDE_LEVELS:
+        return ()
+    message = (
+        f"Light from outside: {least:.0f} grey levels were added in every channel. Slopes are read too flat by about "
+        f"{100 * least / float(evidence.start.mean()):.0f} %. Shade the gel."
+    )
+    return (Finding("room_light", message, least),)
+
+
+def _added(now: NDArray[np.float32], start: NDArray[np.float32]) -> float:
+    """The constant of the robust line through (start, now), less three of its standard deviations; 0 where unknown."""
+    x = start.astype(np.float64) - float(start.mean())
+    weights = np.ones_like(x)
+    for _ in range(FIT_ROUNDS + 1):
+        total = float(weights.sum())
+        middle = float((weights * x).sum()) / total
+        spread = float((weights * np.square(x - middle)).sum())
+        if spread < 1e-6 * len(x):
+            return 0.0
+        level = float((weights * now).sum()) / total
+        slope = float((weights * (x - middle) * (now - level)).sum()) / spread
+        off = now - level - slope * (x - middle)
+        noise, weights = tukey_weights(off, LEAST_NOISE)
+    at_zero = -float(start.mean()) - middle
+    independent = max(total / 50, 1.0)  # neighbours share what the line does not explain
+    sigma = noise * np.sqrt(1 / independent + at_zero**2 / (spread / total * independent))
+    return float(level + slope * at_zero - 3 * sigma)
+
+
+class Examination:
+    """Holds each evidence against the untouched image of the start; remembers what stayed from one to the next."""
+
+    def __init__(self) -> None:
+        self._marks = Marks()
+        self._same_gel: SameGel | None = None
+        self._start: object = None
+
+    def __call__(self, evidence: Evidence) -> tuple[Finding, ...]:
+        """The findings: `camera_moved`, `other_gel`, `room_light`, `scratch`, `dust`, `tear`.
+
+        The first cause stands for what follows from it: in light from outside the gel looks like another one, and on a gel
+        that has moved every speck is new.
+        """
+        if self._same_gel is None or evidence.start is not self._start:
+            self._same_gel, self._marks, self._start = SameGel(evidence.start), Marks(), evidence.start
+        return room_light_finding(evidence) or self._same_gel(evidence) or self._marks(evidence)

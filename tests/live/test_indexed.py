@@ -1,0 +1,111 @@
+"""Recordings by number: every frame is the one that was recorded, in whatever order, also of MCAP files that are torn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.errors import DataError
+from gelform.live.indexed import McapIndex, indexed, is_recording
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.mcap_writer import McapRecording
+
+ORDER = (0, 4, 3, 6, 1, 1, 5, 2)
+
+
+@pytest.mark.parametrize("form", ["mcap", "recorded", "images", "video"])
+def test_any_frame_in_any_order(form, forms, frames):
+    recording = indexed(forms[form])
+    assert len(recording) == len(frames)
+    for number in ORDER:
+        found = recording.frame(number)
+        np.testing.assert_array_equal(found.image, frames[number].image)
+        assert found.time_s == pytest.approx(recording.times_s[number])
+
+
+@pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("recorded", 20), ("video", 20), ("images", 25)])
+def test_times_are_those_of_the_recording(form, rate_hz, forms, frames):
+    times = indexed(forms[form]).times_s
+    np.testing.assert_allclose(times, np.arange(len(frames)) / rate_hz, atol=1e-3)
+
+
+@pytest.mark.parametrize("form", ["mcap", "recorded"])
+def test_the_camera_is_known(form, forms):
+    recording = indexed(forms[form])
+    assert (recording.name, recording.serial, dict(recording.settings)) == ("ring", "S7", {"exposure": 50.0})
+
+
+@pytest.mark.parametrize("form", ["mcap", "recorded", "images", "video"])
+def test_numbers_are_those_of_open_source(form, forms):
+    """What the page's code says: the n-th frame of the source."""
+    with gelform.open_source(forms[form]) as source:
+        played = list(source)
+    recording = indexed(forms[form])
+    for number in (0, 3, 6):
+        np.testing.assert_array_equal(recording.frame(number).image, played[number].image)
+
+
+def test_what_is_no_recording_is_said(tmp_path):
+    (tmp_path / "notes.txt").write_text("x")
+    (tmp_path / "empty").mkdir()
+    for name, words in (("notes.txt", "no video"), ("empty", "Expected images")):
+        with pytest.raises(DataError, match=words):
+            indexed(tmp_path / name)
+    assert is_recording(str(tmp_path / "empty"))
+    assert not is_recording("/dev/null")
+    assert not is_recording("2BKRXXXX")
+
+
+def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
+    import shutil
+
+    copied = shutil.copytree(forms["recorded"], tmp_path / "copy")
+    recording = indexed(copied)
+    (copied / "00000003.png").unlink()
+    with pytest.raises(DataError, match=r"00000003\.png"):
+        recording.frame(3)
+
+
+@pytest.fixture
+def many_chunks(frames, tmp_path, monkeypatch):
+    """A chunk for each frame."""
+    monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
+    recording = McapRecording(tmp_path / "many.mcap", RecordingFacts("ring"))
+    for frame in frames:
+        recording.write(frame)
+    recording.close()
+    return tmp_path / "many.mcap"
+
+
+def test_frames_are_found_across_chunks(many_chunks, frames):
+    index = McapIndex(many_chunks)
+    for number in (6, 0, 5, 1, 4):
+        found = index.frame(number)
+        np.testing.assert_array_equal(found.image, frames[number].image)
+        assert found.index == number
+
+
+def test_a_killed_recorders_file_has_its_whole_chunks(many_chunks, frames, tmp_path):
+    whole = many_chunks.read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole[: int(0.6 * len(whole))])
+    index = McapIndex(torn)
+    assert 2 <= len(index.times_s) < len(frames)
+    np.testing.assert_array_equal(index.frame(1).image, frames[1].image)
+
+
+def test_damaged_bytes_are_an_error(many_chunks, tmp_path):
+    content = bytearray(many_chunks.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(bytes(content))
+    with pytest.raises(DataError, match=r"damaged\.mcap"):
+        McapIndex(damaged).frame(3)
+
+
+def test_a_file_that_was_replaced_meanwhile_is_noticed(many_chunks, forms):
+    index = McapIndex(many_chunks)
+    many_chunks.write_bytes(forms["mcap"].read_bytes())
+    with pytest.raises(DataError):
+        index.frame(5)

@@ -1,0 +1,91 @@
+"""The lists of calibrations and recordings: names are made here, and nothing else is opened."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelform.errors import CalibrationError, GelformError
+from gelform.live.lists import Calibrations, Origin, Recordings
+
+
+@pytest.fixture
+def calibrations_folder(tmp_path, calibration):
+    calibration.save(tmp_path / "mine.npz")
+    (tmp_path / "other.npz").write_bytes(b"no calibration")
+    (tmp_path / "deep").mkdir()
+    calibration.save(tmp_path / "deep" / "mine.npz")
+    return tmp_path
+
+
+def test_a_folders_calibrations_are_offered_and_nothing_else(calibrations_folder, calibration):
+    known = Calibrations(folder=calibrations_folder)
+    assert known.names == ["mine.npz"]
+    assert known["mine.npz"].digest == calibration.digest
+
+
+def test_files_that_are_called_alike_keep_apart(calibrations_folder):
+    known = Calibrations(
+        [calibrations_folder / "mine.npz", calibrations_folder / "deep" / "mine.npz"], calibrations_folder
+    )
+    assert known.names == ["mine.npz", "deep/mine.npz"]
+    assert known.origin_of("deep/mine.npz").path == calibrations_folder / "deep" / "mine.npz"
+
+
+def test_what_was_made_here_gets_a_free_name(calibration):
+    known, origin = Calibrations(), Origin("made()")
+    assert known.add("mine", calibration, origin) == "mine"
+    assert known.add("mine", calibration, origin) == "mine (2)"
+    assert known["mine (2)"] is calibration
+    assert known.add_once("mine", calibration, origin) == "mine"
+    assert len(known.names) == 2
+
+
+@pytest.mark.parametrize("name", ["", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"])
+def test_a_path_is_no_name(calibrations_folder, name):
+    with pytest.raises(GelformError, match="Choose one of the list"):
+        Calibrations(folder=calibrations_folder)[name]
+
+
+def test_a_file_that_cannot_be_read_is_said(calibrations_folder):
+    known = Calibrations([calibrations_folder / "other.npz"])
+    with pytest.raises(CalibrationError):
+        known["other.npz"]
+
+
+def test_given_and_found_ones_are_listed_once(forms):
+    listed = Recordings([forms["mcap"], forms["images"]], forms["mcap"].parent)
+    names = [one["name"] for one in listed.facts()]
+    assert names == ["a.mcap", "d", "b", "c.avi"]
+    assert listed.path("a.mcap") == forms["mcap"]
+    assert listed.facts()[0]["bytes"] == forms["mcap"].stat().st_size
+    assert listed.facts()[1]["bytes"] is None
+
+
+def test_two_of_one_name_are_told_apart(forms, tmp_path):
+    copy = tmp_path / "a.mcap"
+    copy.write_bytes(b"")
+    listed = Recordings([forms["mcap"], copy])
+    assert listed.path("a.mcap (2)") == copy
+
+
+def test_folders_are_not_fetched_and_what_is_gone_is_said(forms, tmp_path):
+    gone = tmp_path / "gone.mcap"
+    gone.write_bytes(b"x")
+    listed = Recordings([forms["recorded"], gone])
+    gone.unlink()
+    for number in (0, 1, 2, -1):
+        with pytest.raises(GelformError, match="Share"):
+            listed.file(number)
+    assert listed.facts()[1]["bytes"] is None
+
+
+@pytest.mark.slow
+@settings(max_examples=30, deadline=None)
+@given(st.text(max_size=30) | st.sampled_from(["../a.mcap", "/etc/passwd", "a.mcap/..", "b/frames.csv"]))
+def test_no_other_name_opens_anything(forms, name):
+    listed = Recordings([forms["mcap"]])
+    if name != "a.mcap":
+        with pytest.raises(GelformError, match="no recording"):
+            listed.path(name)

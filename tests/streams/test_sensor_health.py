@@ -1,0 +1,211 @@
+"""What is wrong with a sensor: an image that is repeated, the light, settings of the camera, faults of a simulated gel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.calibration.presses.taken import TakenPresses
+from gelform.errors import SourceLostError
+from gelform.sensors import SensorSettings
+from gelform.streams.background_drift import Evidence
+from gelform.streams.sensor_health import CameraCheck, Frozen, light_findings, room_light_finding
+from made.sources import ImageSource
+from stream.sensor_faults import CHANGES, ONSET_S
+
+SHAPE = (96, 128)
+IMAGE = np.random.default_rng(0).integers(0, 255, (40, 50, 3), dtype=np.uint8)
+
+
+def names(images, rate_hz):
+    frozen = Frozen()
+    return [bool(frozen(image, index / rate_hz)) for index, image in enumerate(images)]
+
+
+def other(row):
+    image = IMAGE.copy()
+    image[row, 3, 1] ^= 1
+    return image
+
+
+def test_noise_in_one_pixel_is_life():
+    assert not any(names([IMAGE if i % 2 else other(17) for i in range(40)], 25))
+
+
+def test_one_image_for_a_while_is_frozen():
+    found = names([other(3)] + [IMAGE.copy()] * 20, 25)
+    assert found.index(True) == 8  # 0.25 s after the first of them
+    assert all(found[8:])
+
+
+def test_frames_that_come_twice_are_none():
+    assert not any(names([image for row in range(30) for image in (other(row), other(row).copy())], 25))
+
+
+def test_it_ends_with_the_next_image():
+    frozen = Frozen()
+    for index in range(20):
+        found = frozen(IMAGE, index / 10)
+    assert found[0].figure == 1.9
+    assert frozen(other(5), 2.0) == ()
+
+
+def named(gains):
+    return {finding.name: finding.figure for finding in light_findings(np.array(gains))}
+
+
+def test_the_light_of_the_start_is_no_finding():
+    assert named([1.0, 1.02, 0.99]) == {}
+
+
+def test_all_channels_alike_are_brightness():
+    assert named([0.8, 0.8, 0.8]) == {"brightness_shift": pytest.approx(-0.2)}
+
+
+def test_one_channel_is_colour():
+    assert named([1.0, 1.06, 1.0]) == {"color_shift": pytest.approx(0.06)}
+
+
+def evidence(now, contact=None):
+    nowhere = np.zeros(SHAPE, bool)
+    start = start_levels()
+    return Evidence(
+        10.0,
+        now.astype(np.float32),
+        10,
+        start,
+        np.ones_like(start),
+        nowhere,
+        nowhere if contact is None else contact,
+    )
+
+
+def start_levels():
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] / SHAPE[1]
+    return np.stack([40 + 90 * x, 120 - 60 * y, 60 + 60 * x * y], axis=-1).astype(np.float32)
+
+
+def noise(seed=0):
+    return np.random.default_rng(seed).normal(0, 0.5, (*SHAPE, 3))
+
+
+def test_light_from_outside_is_added_in_every_channel():
+    (found,) = room_light_finding(evidence(0.97 * start_levels() + 10 + noise()))
+    assert found.name == "room_light"
+    assert 6 < found.figure <= 10.5  # at least so much: three standard deviations are taken off
+
+
+@pytest.mark.parametrize("gain", [0.75, 1.0, 1.3])
+def test_the_sensors_own_light_is_none(gain):
+    assert room_light_finding(evidence(gain * start_levels() + noise())) == ()
+
+
+def test_one_channel_alone_is_none():
+    assert room_light_finding(evidence(start_levels() + np.array([15, 0, 0]) + noise())) == ()
+
+
+def test_what_touches_does_not_count():
+    now, contact = start_levels() + noise(), np.zeros(SHAPE, bool)
+    now[:, 40:] += 30
+    contact[:, 40:] = True
+    assert room_light_finding(evidence(now, contact)) == ()
+    assert room_light_finding(evidence(now, np.ones(SHAPE, bool))) == ()
+
+
+def camera(calibration, **settings):
+    return replace(calibration, settings={**calibration.settings, "camera": settings})
+
+
+def source_of(images, settings, **how):
+    source = ImageSource(images, **how)
+    source.settings = settings
+    return source
+
+
+def mismatches(result):
+    return [one for one in result.health if one.name == "settings_mismatch"]
+
+
+def test_another_exposure_is_a_finding_of_the_stream(calibration, at_rest):
+    source = source_of(at_rest, {"exposure": 200.0, "gain": 1.0}, live=False, count=2)
+    results = list(gelform.stream(source, camera(calibration, exposure=100.0, gain=1.0)))
+    for result in results:
+        (finding,) = mismatches(result)
+        assert finding.figure == 1
+        assert "exposure 200.0 instead of 100.0" in finding.message
+
+
+def test_the_same_or_unknown_settings_are_none(calibration):
+    check = CameraCheck(camera(calibration, exposure=100.0))
+    assert check(None, {"exposure": 100.0}) == check(None, {}) == ()
+    assert CameraCheck(calibration)(None, {"exposure": 100.0}) == ()
+
+
+def test_another_unit_is_named_where_both_serials_are_known(calibration):
+    check = CameraCheck(replace(calibration, serial="D1"))
+    (finding,) = check("D2", {})
+    assert finding.name == "other_camera"
+    assert "serial is D2, the calibration is of D1" in finding.message
+    assert (
+        check("D1", {}) == check(None, {}) == CameraCheck(replace(calibration, serial=None))("D2", {}) == ()
+    )
+
+
+def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibration, at_rest):
+    lost = SourceLostError("unplugged")
+    plugged = [
+        source_of(at_rest, {"exposure": 100.0}, count=3, fails=lost),
+        source_of(at_rest, {"exposure": 250.0}),
+    ]
+    with gelform.stream(lambda: plugged.pop(0), camera(calibration, exposure=100.0)) as stream:
+        first = stream.newest(timeout_s=60)
+        assert mismatches(first.result) == []
+        index = first.index
+        while index < 4:
+            seen = stream.newest(index, timeout_s=60)
+            index = seen.index
+        assert "exposure 250.0 instead of 100.0" in mismatches(seen.result)[0].message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("exposure", "found"), [(120.0, 0), (180.0, 1)])
+def test_from_the_press_folder_to_the_stream(pressed_folder, simulated, at_rest, exposure, found):
+    """What `gelform record --presses` writes is what the stream compares with."""
+    calibration = gelform.load_calibration(pressed_folder)
+    assert calibration.serial == "D7"
+    used = {"width": 176, "height": 132, "exposure": exposure, "gain": 3.0, "led_level": 15.0}
+    source = source_of(at_rest, used, live=False, count=1)
+    source.serial = "D7"
+    (result,) = gelform.stream(source, calibration)
+    assert len(mismatches(result)) == found
+    assert "other_camera" not in [one.name for one in result.health]
+
+
+@pytest.fixture(scope="module")
+def pressed_folder(simulated, tmp_path_factory):
+    """A calibration file of presses taken one by one with a camera whose settings are known."""
+    folder = tmp_path_factory.mktemp("settings") / "presses"
+    camera = {"width": 176, "height": 132, "exposure": 120.0, "gain": 3.0, "led_level": 15.0}
+    settings = SensorSettings("made", simulated.sensor.mm_per_px, serial="D7", camera=camera)
+    taken = TakenPresses(folder, settings, simulated.presses[0].ball_diameter_mm)
+    taken.take_background([simulated.background.round().astype("uint8")] * 3)
+    for press in simulated.presses[:8]:
+        taken.take_press(press.image)
+    calibration = gelform.calibrate(gelform.read_presses(folder), color_model="lambertian")
+    calibration.save(folder.parent / "made.npz")
+    return folder.parent / "made.npz"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [*CHANGES, "other_gel", "frozen", "torn"])
+def test_each_fault_is_named(findings, fault):
+    found = findings(fault)
+    assert fault in found
+    assert found[fault] >= (0 if fault == "other_gel" else ONSET_S)
+
+
+def test_a_sound_gel_has_no_findings(findings):
+    assert findings(None) == {}
