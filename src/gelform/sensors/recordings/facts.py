@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.jpeg import image_from_jpeg
+from gelform.sensors.playback import Playback
 
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
@@ -72,6 +74,24 @@ class RecordingSummary:
     frames: int
     duration_s: float
     finished: bool
+
+
+def playback_of(facts: RecordingFacts, frames: Callable[[], Iterator[Frame]], paced: bool) -> Playback:
+    """A recording as a source."""
+    camera = {
+        "name": facts.name,
+        "serial": facts.serial,
+        "settings": facts.settings,
+        "rate_hz": facts.rate_hz,
+    }
+    return Playback(frames, **camera, paced=paced)  # type: ignore[arg-type]
+
+
+def unwritable(path: Path, problem: OSError) -> DataError:
+    """The error for a recording that cannot go on."""
+    return DataError(
+        f"Cannot write {path} any further: {problem.strerror}. What was written before can be read."
+    )
 
 
 def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:

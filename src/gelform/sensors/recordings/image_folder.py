@@ -15,7 +15,9 @@ from gelform.sensors.recordings.facts import (
     RecordingSummary,
     encoded_from_frame,
     image_from_encoded,
+    playback_of,
     reduction_in,
+    unwritable,
 )
 
 TIMES, FACTS, COLUMNS = "frames.csv", "recording.json", "index,time_s,wall_time_ns,image"
@@ -75,7 +77,7 @@ class FolderRecording:
             self._times.write(f"{frame.index},{time_s:.6f},{frame.wall_time_ns},{name}\n")
             self._times.flush()
         except OSError as problem:
-            raise self._unwritable(problem) from problem
+            raise unwritable(self.path, problem) from problem
         return len(content)
 
     def flush_if_due(self) -> None:
@@ -89,18 +91,13 @@ class FolderRecording:
             self._times.close()
             self._write_facts(finished=True)
         except OSError as problem:
-            raise self._unwritable(problem) from problem
+            raise unwritable(self.path, problem) from problem
 
     def _write_facts(self, *, finished: bool) -> None:
         """Replace recording.json as a whole: a recorder that is killed leaves one that can be read."""
         fresh = self.path / f".{FACTS}"
         fresh.write_text(json.dumps({**self._facts, "finished": finished}), encoding="utf-8")
         os.replace(fresh, self.path / FACTS)
-
-    def _unwritable(self, problem: OSError) -> DataError:
-        return DataError(
-            f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
-        )
 
 
 def is_recorded_folder(path: Path) -> bool:
@@ -117,14 +114,7 @@ def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
         Its tables are damaged; in a loop: an image is missing or damaged.
     """
     facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
-    return Playback(
-        lambda: _frames(path, reduction_in(facts.settings)),
-        name=facts.name,
-        rate_hz=facts.rate_hz,
-        serial=facts.serial,
-        settings=facts.settings,
-        paced=paced,
-    )
+    return playback_of(facts, lambda: _frames(path, reduction_in(facts.settings)), paced)
 
 
 def folder_summary(path: Path) -> RecordingSummary:

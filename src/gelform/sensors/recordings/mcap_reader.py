@@ -15,6 +15,7 @@ from gelform.sensors.recordings.facts import (
     RecordingFacts,
     RecordingSummary,
     image_from_encoded,
+    playback_of,
     reduction_in,
 )
 from gelform.sensors.recordings.mcap_writer import METADATA, TOPIC
@@ -100,13 +101,17 @@ def mcap_records(path: Path) -> Iterator[Any]:
     DataError
         The file is missing, none of MCAP or damaged, or the extra `mcap` is not installed.
     """
-    stream_reader, end_of_file = _library()
+    try:
+        from mcap.exceptions import EndOfFile, McapError
+        from mcap.stream_reader import StreamReader
+    except ImportError as problem:
+        raise DataError("MCAP files need the extra mcap: pip install 'gelform[mcap]'.") from problem
     if not path.is_file():
         raise DataError(f"No recording {path}. Check the path.")
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
     with path.open("rb") as file:
-        reader = stream_reader(_WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        reader = StreamReader(_WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
         try:
             for record in reader.records:
                 kind = type(record).__name__
@@ -120,9 +125,9 @@ def mcap_records(path: Path) -> Iterator[Any]:
                     yield Placed(topics.get(record.channel_id, ""), record)
                 elif kind != "Channel":
                     yield record
-        except end_of_file:
+        except EndOfFile:
             return  # not finished: the recorder was killed
-        except (ValueError, KeyError, struct.error, MemoryError, _mcap_error()) as problem:
+        except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
             raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
 
 
@@ -135,21 +140,6 @@ class _WholeReads:
     def read(self, count: int) -> bytes:
         data = self._file.read(count)
         return data if len(data) == count else b""
-
-
-def _library() -> tuple[Any, Any]:
-    try:
-        from mcap.exceptions import EndOfFile
-        from mcap.stream_reader import StreamReader
-    except ImportError as problem:
-        raise DataError("MCAP files need the extra mcap: pip install 'gelform[mcap]'.") from problem
-    return StreamReader, EndOfFile
-
-
-def _mcap_error() -> type[Exception]:
-    from mcap.exceptions import McapError
-
-    return McapError  # type: ignore[no-any-return]
 
 
 LOOKED_AT = 200  # records, for what kind of pictures a file holds
@@ -258,14 +248,7 @@ def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
         the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
     facts, topic = picture_topic_of(path)
-    return Playback(
-        lambda: _frames(path, topic, facts),
-        name=facts.name,
-        rate_hz=facts.rate_hz,
-        serial=facts.serial,
-        settings=facts.settings,
-        paced=paced,
-    )
+    return playback_of(facts, lambda: _frames(path, topic, facts), paced)
 
 
 def mcap_summary(path: Path) -> RecordingSummary:

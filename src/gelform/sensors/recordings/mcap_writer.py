@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gelform.errors import DataError
 from gelform.frames import Frame
-from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame
+from gelform.sensors.recordings.facts import ATTACHABLE, RecordingFacts, encoded_from_frame, unwritable
 from gelform.sensors.recordings.messages import (
     MESSAGE_ENCODING,
     SCHEMA,
@@ -44,7 +44,12 @@ class McapRecording:
     def __init__(
         self, path: Path, facts: RecordingFacts, attached: Mapping[str, bytes] | None = None
     ) -> None:
-        writer = writer_class()
+        try:
+            from mcap.writer import CompressionType, Writer
+        except ImportError as problem:
+            raise DataError(
+                "MCAP files need the extra mcap: pip install 'gelform[mcap]'. A folder of images needs none: -o DIR."
+            ) from problem
         self.path = path
         self._frame_id = facts.serial or facts.name
         try:
@@ -53,7 +58,8 @@ class McapRecording:
             raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         except OSError as problem:
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
-        self._writer = writer(self._file, chunk_size=CHUNK_BYTES, compression=_uncompressed())
+        uncompressed = CompressionType.NONE  # pictures are compressed already
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=uncompressed)
         self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
         self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
         for name, content in (attached or {}).items():
@@ -78,7 +84,7 @@ class McapRecording:
         try:
             self._writer.add_message(self._channel, stamp, message, stamp, frame.index % 2**32)
         except OSError as problem:
-            raise self._unwritable(problem) from problem
+            raise unwritable(self.path, problem) from problem
         self.flush_if_due()
         return len(content)
 
@@ -95,35 +101,12 @@ class McapRecording:
             self._writer.finish()
             self._file.close()
         except OSError as problem:
-            raise self._unwritable(problem) from problem
+            raise unwritable(self.path, problem) from problem
 
     def _flush(self) -> None:
         try:
             self._end_chunk()
             self._file.flush()
         except OSError as problem:
-            raise self._unwritable(problem) from problem
+            raise unwritable(self.path, problem) from problem
         self._flushed_s = time.monotonic()
-
-    def _unwritable(self, problem: OSError) -> DataError:
-        return DataError(
-            f"Cannot write {self.path} any further: {problem.strerror}. What was written before can be read."
-        )
-
-
-def writer_class():  # type: ignore[no-untyped-def]  # of an extra
-    """The library's writer; DataError, naming the extra, where it is not installed."""
-    try:
-        from mcap.writer import Writer
-    except ImportError as problem:
-        raise DataError(
-            "MCAP files need the extra mcap: pip install 'gelform[mcap]'. A folder of images needs none: -o DIR."
-        ) from problem
-    return Writer
-
-
-def _uncompressed():  # type: ignore[no-untyped-def]
-    """Pictures are compressed already."""
-    from mcap.writer import CompressionType
-
-    return CompressionType.NONE
