@@ -20,8 +20,8 @@ import gelform
 from gelform.background.untouched import untouched_from_color_change
 from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, find_contact
+from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.fitted import untouched_change
 from gelform.calibration.report.record import summary

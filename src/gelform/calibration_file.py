@@ -23,6 +23,7 @@ from gelform.checks import (
 )
 from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.color_models.forward_response import older_response
+from gelform.color_models.seam import RenderingModel
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
 from gelform.npz_files import digest_of, read_npz, write_npz
@@ -177,7 +178,7 @@ class Calibration:
             Imported from a package that does not say it.
         """
         source: Any = self.forward if self.forward is not None else self.color_model
-        if not hasattr(source, "color_from_gradients"):
+        if not isinstance(source, RenderingModel):
             raise CalibrationError(
                 f"This calibration ({self.sensor_name}, color model {self.color_model.name}) was imported without a "
                 "forward response: what colour a slope gives is not known. Calibrate on presses of a ball."

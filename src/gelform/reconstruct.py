@@ -17,7 +17,7 @@ from gelform.background.change import PreparedBackground
 from gelform.background.check import background_digest, check_own_background
 from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.color_models.seam import gradients_from_pending
+from gelform.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.color_models.stepped import SteppedSlopes
 from gelform.confidence import (
     AllAlike,
@@ -341,5 +341,5 @@ class Reconstructor:
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
         """The albedo, worked out when it is asked for; color models that know none give none."""
-        albedo_from_color = getattr(self._today.model, "albedo_from_color", None)
-        return None if albedo_from_color is None else partial(albedo_from_color, change.copy())
+        model = self._today.model
+        return partial(model.albedo_from_color, change.copy()) if isinstance(model, AlbedoModel) else None

@@ -9,9 +9,8 @@ import pytest
 import gelform
 from gelform.calibration.circles.edge import contact_radius_ratio
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.refine import Refined, refine
+from gelform.calibration.circles.locate import Located, Refined, check_places, refine
 from gelform.calibration.circles.samples import USUAL_EDGE
-from gelform.calibration.fit import _check_enough
 from gelform.color_models import COLOR_MODELS
 from gelform.metrics import press_errors
 from gelform.simulate import Ball, simulate_ball_presses, simulate_press
@@ -110,12 +109,12 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
         gelform.CalibrationError,
         match=rf"{len(reasons)} like {names[0]}: contact radius 0.5 px is too wide: ball diameter is wrong; 1 like",
     ):
-        _check_enough(presses, refined, 0, None)
+        check_places(Located(presses, [], [], refined), 0)
     with pytest.raises(
         gelform.CalibrationError,
         match=r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball",
     ):
-        _check_enough(presses, refined, 0, "The ball is twice as large.")
+        check_places(Located(presses, [], [], refined, notes=("The ball is twice as large.",)), 0)
 
 
 @pytest.mark.slow
@@ -143,7 +142,7 @@ def test_all_color_models_can_be_compared_and_the_choice_stays(presses, monkeypa
     """Beside the trials of what was asked for, those of all others, on the same folds; what cannot be tried is named."""
     slow = ("near_light", "interpolation", "lookup")
     quick = {name: model for name, model in COLOR_MODELS.items() if name not in slow}
-    monkeypatch.setattr("gelform.calibration.fit.COLOR_MODELS", quick)
+    monkeypatch.setattr("gelform.calibration.fitted.COLOR_MODELS", quick)
 
     def refuse(*samples, **settings):
         raise gelform.GelformError("Training needs what is not installed.")

@@ -7,7 +7,7 @@ import pytest
 
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.refine import refine
+from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.fitted import (
     FIRST_GUESS,
@@ -91,7 +91,8 @@ def drafted(presses, prepared, found):
     def make(step_ridge, change=lambda image: image):
         candidate = Candidate("polynomial", (("position_degrees", (2, 1)),), step_ridge=step_ridge)
         changed = tuple(replace(press, image=change(press.image)) for press in presses.presses)
-        return fit_all(replace(presses, presses=changed), prepared, refined, candidate, 0.02)
+        own = replace(presses, presses=changed).subset(refined.accepted)
+        return fit_all(own, *refined.of_accepted(prepared), candidate, 0.02)
 
     return make
 

@@ -8,8 +8,8 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
+from gelform.calibration.circles.locate import Located, Refined, repeated_images
 from gelform.calibration.circles.prepare import prepare
-from gelform.calibration.circles.refine import Refined
 from gelform.calibration.inputs import (
     check_inputs,
     contact_in_background,
@@ -18,7 +18,6 @@ from gelform.calibration.inputs import (
     light_notes,
     light_order_note,
     light_turn,
-    repeated_images,
 )
 from gelform.calibration.presses.press_set import FlatPress, presses_from_simulated
 from gelform.simulate import Led, exposed, simulate_ball_presses
@@ -146,7 +145,7 @@ def test_presses_in_one_corner_are_noted(presses, simulated):
     assert len(near) >= 3
     prepared, contacts, _ = turn_of(presses.subset(near))
     refined = Refined(tuple(contacts), (None,) * len(contacts), None)
-    notes = input_notes(presses, prepared, refined)
+    notes = input_notes(Located(presses, prepared, [], refined))
     assert any(f"All {len(near)} presses lie in the" in note and "bottom right (" in note for note in notes)
 
 
@@ -181,7 +180,11 @@ def test_real_sets_pass_and_are_caught_when_spoilt(data):
 
 
 def drift_notes(presses):
-    return [note for note in input_notes(presses, [], Refined((), (), None)) if "have drifted" in note]
+    return [
+        note
+        for note in input_notes(Located(presses, [], [], Refined((), (), None)))
+        if "have drifted" in note
+    ]
 
 
 def test_light_that_drifted_since_the_background_is_noted(presses):
@@ -257,7 +260,8 @@ def test_frames_of_one_press_are_no_presses(presses):
 def edge_notes(presses, prepared):
     """Of the presses, whose contacts end where they were prepared with."""
     contact = find_contact(prepared[0].color_change)
-    notes = input_notes(presses, prepared, Refined((contact,) * len(prepared), (None,) * len(prepared), None))
+    refined = Refined((contact,) * len(prepared), (None,) * len(prepared), None)
+    notes = input_notes(Located(presses, prepared, [], refined))
     return [note for note in notes if "leaves the ball" in note]
 
 

@@ -46,17 +46,11 @@ def frame(response):
     return change.reshape(*SHAPE, 3).astype(np.float32), read, slopes.reshape(*SHAPE, 2)
 
 
-def full_depth(change, read, hidden=None):
-    """Of the slopes that were read, at every pixel."""
-    depth = FrameDepth(SHAPE, UNTOUCHED)(change, read, hidden)
-    return cv2.resize(depth, SHAPE[::-1], interpolation=cv2.INTER_LINEAR)
-
-
 def test_a_step_is_that_of_the_response_with_the_frames_depth(response, frame):
     change, read, _ = frame
     stepped = SteppedSlopes(response, SHAPE, UNTOUCHED)
     assert stepped.steps
-    assert 4 < full_depth(change, read).max() < 5
+    assert 4 < FrameDepth(SHAPE, UNTOUCHED).at_pixels(change, read).max() < 5
     depth = FrameDepth(SHAPE, UNTOUCHED)(change, read)
     for found, wanted in zip(stepped(change, read), PreparedStep(response)(change, read, depth)):
         np.testing.assert_array_equal(found, wanted)
@@ -75,12 +69,10 @@ def test_slopes_come_nearer_to_the_truth(response, frame):
 
 @pytest.mark.parametrize("stepless", [True, False])
 def test_without_a_response_or_its_prior_no_step_is_taken(response, frame, stepless):
-    """The depth is there all the same: a forward response is fitted with it."""
     change, read, _ = frame
     plain = SteppedSlopes(replace(response, step_sigma=None) if stepless else None, SHAPE, UNTOUCHED)
     assert not plain.steps
     assert plain(change, read) is None
-    np.testing.assert_array_equal(plain.depth_px(change, read), full_depth(change, read))
 
 
 def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
@@ -95,9 +87,6 @@ def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
     apart = [np.abs(one.gradients - plain.gradients)[~hidden].max() for one in (guarded, open_)]
     assert apart[0] < 0.1 * apart[1]
     assert apart[0] < 0.003 < 0.02 < apart[1]
-    np.testing.assert_array_equal(
-        stepped.depth_px(change, garbled, hidden), full_depth(change, garbled, hidden)
-    )
 
 
 def test_clipped_channels_say_nothing_to_a_step(response, frame):

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, factor_at, law_at, solved_factor
+from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, factor_at, law_at
 
 LAW = SlopeSigma(rest=0.01, slopes=(0.0, 0.5, 1.0), sigmas=(0.02, 0.05, 0.12), clean=0.03, correlation_px=8.0)
 
@@ -110,13 +110,6 @@ def test_the_first_format_is_read():
     assert SlopeSigma.from_dict(asdict(LAW)) == LAW
     second = {**asdict(LAW), "surround_sigma": 0.03, "steepest": [[0.4, 0.5]]}  # rules that are no more
     assert SlopeSigma.from_dict(second) == LAW
-
-
-def test_the_share_of_error_that_a_surface_keeps():
-    errors = np.random.default_rng(0).normal(0, 0.05, (4000, 2))
-    assert solved_factor(errors, 0.9 * errors) == pytest.approx(0.9)
-    assert solved_factor(errors, 1.2 * errors) == 1.0
-    assert solved_factor(0 * errors, errors) == 1.0
 
 
 def test_a_place_where_all_slopes_were_right_is_not_taken_for_exact():

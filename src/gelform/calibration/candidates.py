@@ -1,14 +1,15 @@
-"""What calibration fits: a color model with its settings, and the forward response that its slopes get a step by.
+"""What calibration fits: a color model with its settings, where it starts, and the forward response of its step.
 
-Which settings a color model is tried with is said by the model's own class (`variants`); here nothing is listed again.
+Which settings a color model is tried with is said by the model's own class (`variants`); which model "auto" means for how
+many presses, by `enough.AUTO_MODELS`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +22,29 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
+from gelform.calibration.enough import AUTO_MODELS
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse, HierarchicalModel, Samples
+from gelform.color_models import (
+    COLOR_MODELS,
+    DEFAULT_MODEL,
+    ColorModel,
+    ForwardResponse,
+    Samples,
+    StartableModel,
+)
 from gelform.color_models.forward_response import Step
-from gelform.color_models.stepped import SteppedSlopes
+from gelform.color_models.stepped import FrameDepth
 from gelform.errors import CalibrationError
 
-if TYPE_CHECKING:
-    from gelform.calibration.presses.folder import Presses
-
 AUTO = "auto"
-ENOUGH_FOR_HIERARCHICAL = (
-    12  # presses: of fewer a polynomial of few terms is the better one (7.6 against 10.5 degrees at 5)
-)
 START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
 STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
 LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
+TRANSLATED_SAMPLES = 20_000
+TRANSLATED_SLOPE = (
+    0.7  # mm/mm, the steepest, where the first unit does not say up to which slope it was measured
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +53,11 @@ class Start:
 
     Attributes
     ----------
-    model : HierarchicalModel
+    model : fitted, of a class whose fit can begin at it
     digest : of the calibration that it comes from
     """
 
-    model: HierarchicalModel
+    model: StartableModel
     digest: str
 
 
@@ -71,6 +79,11 @@ class Candidate:
     step_ridge: float | None = None
 
     @property
+    def plain(self) -> Candidate:
+        """The same without a step."""
+        return replace(self, step_ridge=None)
+
+    @property
     def change_offset(self) -> float:
         """Grey levels that are added to the background where its color changes are divided by it."""
         return float(COLOR_MODELS[self.model].change_offset)
@@ -82,9 +95,44 @@ class Candidate:
 
     def describe(self) -> str:
         """Name and settings, short."""
-        said = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
+        settings = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
         step = [] if self.step_ridge is None else [f"step {self.step_ridge:g}"]
-        return " ".join([self.model, *said, *step])
+        return " ".join([self.model, *settings, *step])
+
+
+def color_model_names() -> list[str]:
+    """What `calibrate` takes as its color model."""
+    return [AUTO, *COLOR_MODELS]
+
+
+def candidates_for(color_model: str, presses: int) -> list[Candidate]:
+    """What is tried with so many presses, the simplest first.
+
+    Parameters
+    ----------
+    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto", by `enough.AUTO_MODELS`
+    presses : number of accepted presses
+
+    Raises
+    ------
+    ValueError
+        The name is unknown.
+    """
+    if color_model not in color_model_names():
+        raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
+    if color_model == AUTO:
+        color_model, settings = [row[1:] for row in AUTO_MODELS if presses >= row[0]][-1]
+        if settings is not None:
+            return [Candidate(color_model, settings)]
+    return [
+        Candidate(color_model, tuple(variant.items()))
+        for variant in COLOR_MODELS[color_model].variants(presses)
+    ]
+
+
+def candidates_from(start: Start) -> list[Candidate]:
+    """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
+    return [Candidate(start.model.name, (("ridge", ridge),), start) for ridge in START_RIDGES]
 
 
 def training_samples(
@@ -94,30 +142,75 @@ def training_samples(
     return with_rest_samples(contact_samples(presses, contacts, total=total), presses, contacts)
 
 
-def fitted_responses(
-    model: ColorModel,
-    presses: Sequence[PreparedPress],
-    contacts: Sequence[ContactCircle],
-    ridges: Sequence[float],
-    untouched: float,
-    *,
-    total: int = TOTAL_SAMPLES,
-) -> list[ForwardResponse]:
-    """Forward responses of presses, one for each ridge, with the depths that a color model reads there.
+class SlopeReader:
+    """Reads whole presses of one sensor by a fitted color model and steps of forward responses, as a Reconstructor does.
 
     Parameters
     ----------
-    model : fitted on the presses
+    model : fitted
+    press : any of those that it will read
+    untouched : color changes up to it are those of untouched gel
+    """
+
+    def __init__(self, model: ColorModel, press: PreparedPress, untouched: float) -> None:
+        shape = press.size.shape
+        background = np.zeros((*shape, 3), np.float32) if press.background is None else press.background
+        self.model = model
+        self._prepared = model.prepare(background, shape)
+        self._depth = FrameDepth(shape, untouched)
+
+    def frames(self, press: PreparedPress, responses: Sequence[ForwardResponse | None]) -> list[Step]:
+        """Slopes of the whole press by the step of each response; where none is taken variance is 1, residual 0."""
+        change = np.ascontiguousarray(press.color_change)
+        slopes, _ = self._prepared.gradients_from_color(change)
+        ones, zeros = np.ones(slopes.shape[:2], np.float32), np.zeros(slopes.shape[:2], np.float32)
+        stepping = any(one is not None and one.step_sigma is not None for one in responses)
+        depth = self._depth(change, slopes) if stepping else None
+        return [
+            Step(slopes, ones, zeros)
+            if depth is None or one is None or one.step_sigma is None
+            else one.prepare()(change, slopes, depth)
+            for one in responses
+        ]
+
+    def depth_px(self, press: PreparedPress) -> NDArray[np.float32]:
+        """Depth (H, W), px, by the slopes that the color model reads: what forward responses are fitted with."""
+        change = np.ascontiguousarray(press.color_change)
+        return self._depth.at_pixels(change, self._prepared.gradients_from_color(change)[0])
+
+
+class FittedSlopes(NamedTuple):
+    """A fitted candidate: what reads presses by its color model, and the forward response of its step or None."""
+
+    reader: SlopeReader
+    forward: ForwardResponse | None
+
+    def frame(self, press: PreparedPress) -> Step:
+        """Slopes of the whole press."""
+        return self.reader.frames(press, [self.forward])[0]
+
+
+def fitted_responses(
+    reader: SlopeReader,
+    presses: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    ridges: Sequence[float],
+    *,
+    total: int = TOTAL_SAMPLES,
+) -> list[ForwardResponse]:
+    """Forward responses of presses, one for each ridge, with the depths that the reader's color model gives there.
+
+    Parameters
+    ----------
+    reader : of a color model that was fitted on the presses
     presses, contacts : prepared, and their circles
     ridges : of `ForwardResponse.fit_each`
-    untouched : color changes up to it say untouched gel
     total : how many pixels are used, about
     """
-    reader = SlopeReader(model, None, presses[0], untouched)
     depths = [reader.depth_px(press) for press in presses]
     inside = contact_samples(presses, contacts, total=total, depths_px=depths)
     samples = with_rest_samples(inside, presses, contacts, depths)
-    return ForwardResponse.fit_each(samples, ridges, step_sigma=step_sigma_of(model, samples))
+    return ForwardResponse.fit_each(samples, ridges, step_sigma=step_sigma_of(reader.model, samples))
 
 
 def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
@@ -129,79 +222,8 @@ def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
     return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
 
 
-def color_model_names() -> list[str]:
-    """What `calibrate` takes as its color model."""
-    return [AUTO, *COLOR_MODELS]
-
-
-def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried with so many training presses, the simplest first.
-
-    Parameters
-    ----------
-    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto": `hierarchical` at every ridge, and a polynomial
-        of few presses
-    presses : number of presses that train
-
-    Raises
-    ------
-    ValueError
-        The name is unknown.
-    """
-    if color_model not in color_model_names():
-        raise ValueError(f"Expected color_model among {', '.join(color_model_names())}, got {color_model!r}.")
-    if color_model == AUTO and presses < ENOUGH_FOR_HIERARCHICAL:
-        few = [v for v in COLOR_MODELS["polynomial"].variants(presses) if len(v["position_degrees"]) <= 2]
-        return [Candidate("polynomial", tuple(few[-1].items()))]
-    name = "hierarchical" if color_model == AUTO else color_model
-    return [Candidate(name, tuple(variant.items())) for variant in COLOR_MODELS[name].variants(presses)]
-
-
-def candidates_from(start: Start) -> list[Candidate]:
-    """What is tried on a second unit, stiffest first: the first unit's model, changed more and more freely."""
-    return [Candidate("hierarchical", (("ridge", ridge),), start) for ridge in START_RIDGES]
-
-
-class SlopeReader:
-    """Reads whole presses of one sensor.
-
-    Parameters
-    ----------
-    model : fitted
-    forward : fitted with it, for a step; None, or one without `step_sigma`: slopes stay as the model reads them
-    press : any of those that it will read
-    untouched : color changes up to it say untouched gel
-    """
-
-    def __init__(
-        self, model: ColorModel, forward: ForwardResponse | None, press: PreparedPress, untouched: float
-    ) -> None:
-        shape = press.size.shape
-        rest = np.zeros((*shape, 3), np.float32) if press.background is None else press.background
-        self._model = model.prepare(rest, shape)
-        self._stepped = SteppedSlopes(forward, shape, untouched)
-
-    def frame(self, press: PreparedPress) -> Step:
-        """Slopes of the whole press; where no step is taken their variance is 1 and their residual 0."""
-        change = np.ascontiguousarray(press.color_change)
-        read, _ = self._model.gradients_from_color(change)
-        step = self._stepped(change, read)
-        if step is None:
-            return Step(read, np.ones(read.shape[:2], np.float32), np.zeros(read.shape[:2], np.float32))
-        return step
-
-    def depth_px(self, press: PreparedPress) -> NDArray[np.float32]:
-        """Depth (H, W), px, by the slopes that the color model reads: what forward responses are fitted with."""
-        change = np.ascontiguousarray(press.color_change)
-        return self._stepped.depth_px(change, self._model.gradients_from_color(change)[0])
-
-
-TRANSLATED_SAMPLES = 20_000
-STEEPEST = 0.7  # mm/mm, of translated slopes, where the first unit does not say up to which it was measured
-
-
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
-    """What a first unit's calibration gives a second one to begin with.
+    """What a first unit's calibration gives a second one to begin with: its color model, translated where it is another.
 
     Parameters
     ----------
@@ -212,31 +234,30 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
     Raises
     ------
     ValueError
-        The second unit asks for another color model than `hierarchical`, or its images are of another size.
+        The second unit asks for another color model than the default one, or its images are of another size.
     CalibrationError
         The first unit's calibration was imported and does not say what colour a slope gives.
     """
     first = as_calibration(start)
-    if color_model not in ("auto", "hierarchical"):
+    if color_model not in (AUTO, DEFAULT_MODEL):
         raise ValueError(
-            f"Expected the color model hierarchical, which can be drawn to another unit's, got {color_model}. "
-            "Leave it out, or give --model hierarchical."
+            f"Expected the color model {DEFAULT_MODEL}, which can be drawn to another unit's, got {color_model}. "
+            f"Leave it out, or give --model {DEFAULT_MODEL}."
         )
     model = first.color_model
-    if isinstance(model, HierarchicalModel):
+    if isinstance(model, StartableModel):
         model.check_like(model.degree, presses.image_shape)
-    elif tuple(first.image_shape) != tuple(presses.image_shape):
+        return Start(model, first.digest)
+    if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape
         raise ValueError(
             f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
         )
-    else:
-        model = translated(first)
-    return Start(model, first.digest)
+    return Start(translated(first), first.digest)
 
 
-def translated(first: Calibration) -> HierarchicalModel:
-    """A `hierarchical` that reads the slopes that a calibration's model reads, where its gel gives colours.
+def translated(first: Calibration) -> StartableModel:
+    """A model of the default kind that reads the slopes that a calibration's model reads, where its gel gives colours.
 
     Places and slopes are drawn at random, always the same ones; the forward response gives their colours, its noise
     is added, and the model says which slopes it reads there.
@@ -251,21 +272,20 @@ def translated(first: Calibration) -> HierarchicalModel:
             f"Expected a first unit that was calibrated on presses of a ball, got {first.sensor_name} with the imported "
             f"color model {first.color_model.name}: it does not say what colour a slope gives. Calibrate it on presses."
         )
-    rng, shape = np.random.default_rng(0), first.image_shape
+    rng, shape, kind = np.random.default_rng(0), first.image_shape, COLOR_MODELS[DEFAULT_MODEL]
     x, y = (rng.integers(0, n, TRANSLATED_SAMPLES) for n in (shape[1], shape[0]))
-    steepest = STEEPEST if first.slope_sigma is None else first.slope_sigma.slopes[-1]
+    steepest = TRANSLATED_SLOPE if first.slope_sigma is None else first.slope_sigma.slopes[-1]
     size = steepest * np.sqrt(rng.uniform(size=TRANSLATED_SAMPLES))
     turn = rng.uniform(0, 2 * np.pi, TRANSLATED_SAMPLES)
     slopes = size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     noise = rng.multivariate_normal(np.zeros(3), first.forward.covariance, len(x))
     change = first.forward.color_from_gradients(slopes, x, y) + noise
     usual = ChangeSettings(
-        offset=HierarchicalModel.change_offset,
-        crosstalk=first.change.crosstalk,
-        response=first.change.response,
+        offset=kind.change_offset, crosstalk=first.change.crosstalk, response=first.change.response
     )
     gains = (gain_from_background(first.background, settings)[y, x] for settings in (usual, first.change))
     usual_change = (change * (next(gains) / next(gains))).astype(np.float32)
     read = first.color_model.gradients_at(change.astype(np.float32), x, y)
-    samples = Samples(usual_change, x, y, read, np.ones(len(x)), shape, first.background)
-    return HierarchicalModel.fit(samples)
+    model = kind.fit(Samples(usual_change, x, y, read, np.ones(len(x)), shape, first.background))
+    assert isinstance(model, StartableModel)
+    return model

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gelform.calibration.enough import NEEDED, enough
+
 DIRECTIONS = 8
 LONGER_SIDE = 8  # tiles along it
 COARSE = (3, 4)  # tiles (rows, columns) that notes speak of
@@ -21,7 +23,6 @@ ZONE = 0.8
 FLAT = 0.25  # of the contact radius: nearer to its centre a ball is level
 STEP = 2
 ENOUGH = 0.0007  # of the image's pixels
-ADVISED_PRESSES = 20
 NAMED_PLACES = 5
 PART_SHARE = 0.65
 
@@ -200,11 +201,12 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
             f"All {len(circles)} presses lie in the {part} of the image. Elsewhere colours mean other slopes, and depth "
             f"there is a guess. Press all over the gel{_at('next', press_next(coverage))}.",
         )
-    missing = ADVISED_PRESSES - len(circles)
+    advised = NEEDED["advised"].presses
+    missing = advised - len(circles)
     if missing > 0:
         places = press_next(coverage, min(missing, NAMED_PLACES))
         where = _at("first", places) or ", all over the gel"
-        return (f"{missing} more presses are advised ({len(circles)} of {ADVISED_PRESSES} fit){where}.",)
+        return (f"{missing} more presses are advised ({len(circles)} of {advised} fit){where}.",)
     if coverage.share < 0.5:
         where = _at("first", press_next(coverage)) or ", with larger contacts"
         return (
@@ -219,7 +221,7 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     Top, bottom, left and right are halves, the middle is a third. Along one side at least the contacts must
     leave a third of the image free.
     """
-    if len(circles) < 3:
+    if not enough("spread", len(circles)):
         return None
     x, y, radius = np.array(circles).T
     low_x, low_y = max(0, (x - radius).min()), max(0, (y - radius).min())

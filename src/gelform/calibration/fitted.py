@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from typing import Any
 
@@ -13,17 +13,28 @@ from numpy.typing import NDArray
 
 from gelform import __version__
 from gelform.background.average import noise_from_image
-from gelform.calibration.candidates import Candidate, fitted_responses, training_samples
+from gelform.calibration.candidates import (
+    Candidate,
+    SlopeReader,
+    candidates_for,
+    candidates_from,
+    fitted_responses,
+    training_samples,
+)
 from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.prepare import change_settings
-from gelform.calibration.circles.refine import Refined
+from gelform.calibration.circles.locate import Located
+from gelform.calibration.circles.prepare import change_settings, prepared_by_offset
 from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.held_out.folds import Fold
+from gelform.calibration.held_out.scores import HeldOutPresses, Selection, select
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration, CalibrationSettings
-from gelform.color_models import ColorModel, ForwardResponse
+from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse
 from gelform.color_models.forward_response import RIDGES
 from gelform.confidence import SlopeSigma
 from gelform.confidence.clipped import ends_shown
+from gelform.errors import GelformError
+from gelform.progress import Progress, no_progress
 
 UNTOUCHED_PERCENTILE = 99.0
 UNTOUCHED_DISTANCE = 3  # contact radii
@@ -34,36 +45,108 @@ MAX_NOISE_IMAGES = 12
 FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
 
 
-def fit_all(
-    presses: Presses,
-    prepared: Sequence[PreparedPress],
-    refined: Refined,
-    chosen: Candidate,
-    untouched: float,
-) -> Calibration:
-    """The calibration of every accepted press; its errors and its slope sigma are filled in later.
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The chosen color model and forward response, fitted on all presses that are used, and without each fold.
+
+    Attributes
+    ----------
+    located : the presses and their circles
+    held_out : the presses, dealt into folds, with all that was fitted without each
+    selection : what was chosen
+    calibration : of all presses that are used; it does not know its errors yet
+    notes : which color models could not be compared, and why
+    """
+
+    located: Located
+    held_out: HeldOutPresses
+    selection: Selection
+    calibration: Calibration
+    notes: tuple[str, ...] = ()
+
+
+def fit(
+    located: Located,
+    folds: Sequence[Fold],
+    color_model: str,
+    *,
+    compare: bool = False,
+    progress: Progress = no_progress,
+) -> Fitted:
+    """Choose on held-out presses how stiff the color model and its forward response are, and fit both on all.
 
     Parameters
     ----------
-    presses : as read
-    prepared : with the color changes that the candidate wants
-    refined : their circles, and which presses are accepted
+    located : the presses and their circles
+    folds : from `make_folds`
+    color_model : as in `candidates_for`; not asked where `located` started from another unit
+    compare : whether every color model is tried too; the choice stays the same
+    progress : called with (done, total, what)
+    """
+    accepted, start = len(located.refined.accepted), located.start
+    candidates = candidates_for(color_model, accepted) if start is None else candidates_from(start)
+    offsets = {one.change_offset for one in candidates}
+    if compare:
+        offsets |= {float(one.change_offset) for one in COLOR_MODELS.values()}
+    by_offset = prepared_by_offset(located.presses, located.prepared, offsets)
+    untouched = {
+        offset: untouched_change(*located.refined.of_accepted(own)) for offset, own in by_offset.items()
+    }
+    held_out = HeldOutPresses(by_offset, located.found, folds, untouched)
+    selection = select(candidates, held_out, progress=progress)
+    notes: tuple[str, ...] = ()
+    if compare:
+        selection, notes = _compared(selection, held_out, accepted, progress)
+    offset = selection.chosen.change_offset
+    used, contacts = located.refined.of_accepted(by_offset[offset])
+    own = located.presses.subset(located.refined.accepted)
+    calibration = fit_all(own, used, contacts, selection.chosen, untouched[offset])
+    return Fitted(located, held_out, selection, calibration, notes)
+
+
+def _compared(
+    selection: Selection, held_out: HeldOutPresses, presses: int, progress: Progress
+) -> tuple[Selection, tuple[str, ...]]:
+    """The selection with the trials of every color model after its own, and which could not be tried."""
+    trials = {trial.candidate: trial for trial in selection.trials}
+    left_out: list[str] = []
+    for name in COLOR_MODELS:
+        try:
+            others = select(candidates_for(name, presses), held_out, progress=progress).trials
+        except GelformError as problem:  # its extra is not installed, or the presses are not enough for it
+            left_out.append(f"{name} was not compared: {problem}")
+            continue
+        trials |= {trial.candidate: trial for trial in others if trial.candidate not in trials}
+    return replace(selection, trials=tuple(trials.values())), tuple(left_out)
+
+
+def fit_all(
+    presses: Presses,
+    prepared: Sequence[PreparedPress],
+    contacts: Sequence[ContactCircle],
+    chosen: Candidate,
+    untouched: float,
+) -> Calibration:
+    """The calibration of presses; its errors and its slope sigma are filled in later.
+
+    Parameters
+    ----------
+    presses : those that are used, as read
+    prepared, contacts : with the color changes that the candidate wants, and their circles
     chosen : the color model, its settings and its step
     untouched : from `untouched_change`
     """
-    used, contacts = refined.of_accepted(prepared)
-    own = [presses.presses[i] for i in refined.accepted]
     noise = presses.background_noise
-    model = chosen.fit(training_samples(used, contacts))
+    model = chosen.fit(training_samples(prepared, contacts))
     ridge = RIDGES[0] if chosen.step_ridge is None else chosen.step_ridge
-    (forward,) = fitted_responses(model, used, contacts, [ridge], untouched)
-    images = [press.image for press in own]
+    (forward,) = fitted_responses(SlopeReader(model, prepared[0], untouched), prepared, contacts, [ridge])
+    images = [press.image for press in presses.presses]
     forward = replace(
         forward,
         step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
-        clipped=_clipped(images, used, contacts),
+        clipped=_clipped(images, prepared, contacts),
     )
-    relaxation_mm = relaxation_from_presses(model, used, contacts, presses.background, presses.mm_per_px)
+    relaxation_mm = relaxation_from_presses(model, prepared, contacts, presses.background, presses.mm_per_px)
     return Calibration(
         sensor_name=presses.sensor_name,
         serial=presses.serial,
@@ -80,8 +163,8 @@ def fit_all(
         slope_sigma=_first_guess(forward),
         untouched_change=untouched,
         held_out={},
-        training_digests=tuple(press.digest for press in own),
-        settings=_settings(presses, chosen, images, used[0].contact_radius_ratio, relaxation_mm),
+        training_digests=tuple(press.digest for press in presses.presses),
+        settings=_settings(presses, chosen, images, prepared[0].contact_radius_ratio, relaxation_mm),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )

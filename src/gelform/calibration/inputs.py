@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from gelform.background.change import color_change_from_image
 from gelform.background.check import check_background_of_frames
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of, why_no_contact
-from gelform.calibration.circles.refine import Refined
+from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
+from gelform.calibration.enough import enough
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.sensors.profiles import light_order_of
@@ -21,7 +22,6 @@ from gelform.sensors.profiles import light_order_of
 REVERSED_SHARE = 0.6
 MIN_DIFFERENCE = 3.0
 CHECKED_STEP = 4
-MIN_FOR_MEDIAN = 5
 MOST_FOR_MEDIAN = 25
 MIN_CHANGE = 0.08
 MIN_ROUGHER = 1.3
@@ -43,28 +43,6 @@ def check_inputs(presses: Presses) -> None:
     _check_colored(presses)
     _check_channels(presses)
     _check_untouched(presses)
-
-
-def repeated_images(presses: Presses) -> dict[int, str]:
-    """Presses whose image is pixel for pixel an earlier one's, with the reason to leave them out.
-
-    Raises
-    ------
-    CalibrationError
-        The same image is said to be of two balls.
-    """
-    first: dict[str, int] = {}
-    repeated = {}
-    for i, press in enumerate(presses.presses):
-        earlier = presses.presses[first.setdefault(press.digest, i)]
-        if earlier.ball_diameter_mm != press.ball_diameter_mm:
-            raise CalibrationError(
-                f"{press.name} and {earlier.name} of {presses.folder} are the same image, listed with balls of "
-                f"{press.ball_diameter_mm:g} and {earlier.ball_diameter_mm:g} mm. Correct the table."
-            )
-        if earlier is not press:
-            repeated[i] = f"the same image as {earlier.name}"
-    return repeated
 
 
 def _check_flats(presses: Presses) -> None:
@@ -131,7 +109,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     the background is touched.
     """
     count = len(presses.presses)
-    if count < MIN_FOR_MEDIAN:
+    if not enough("median", count):
         return None
     chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_FOR_MEDIAN)).round().astype(int))
     images = np.stack([presses.presses[k].image for k in chosen])
@@ -147,20 +125,10 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     return found if float(size[inside].mean()) > MIN_CHANGE and rougher > MIN_ROUGHER else None
 
 
-def input_notes(
-    presses: Presses,
-    prepared: Sequence[PreparedPress],
-    refined: Refined,
-) -> tuple[str, ...]:
-    """What a user should know of the presses: how they were read, where some are missing, drift, light, their order.
-
-    Parameters
-    ----------
-    presses : as read
-    prepared : the same with their color changes
-    refined : their circles, and which are accepted
-    """
-    prepared, contacts = refined.of_accepted(prepared)
+def input_notes(located: Located) -> tuple[str, ...]:
+    """What a user should know of the presses: how they were read, where some are missing, drift, light, their order."""
+    presses = located.presses
+    prepared, contacts = located.refined.of_accepted(located.prepared)
     covered = coverage_notes([contact.circle_px for contact in contacts], presses.image_shape)
     order = light_order_note(presses, prepared, contacts)
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)

@@ -17,7 +17,13 @@ from gelform.color_models.mlp import MlpModel
 from gelform.color_models.near_light import NearLightModel
 from gelform.color_models.network import NetworkModel
 from gelform.color_models.polynomial import PolynomialModel
-from gelform.color_models.seam import ColorModel, FittableColorModel, PreparedColorModel, Samples
+from gelform.color_models.seam import (
+    ColorModel,
+    FittableColorModel,
+    PreparedColorModel,
+    Samples,
+    StartableModel,
+)
 from gelform.color_models.slope_table import SlopeTableModel
 
 COLOR_MODELS: dict[str, type[FittableColorModel]] = {
@@ -30,6 +36,10 @@ COLOR_MODELS: dict[str, type[FittableColorModel]] = {
     "lookup": LookupModel,
 }
 
+# Which of them calibration takes where nobody names one: the one that knows the light at every place and may begin at
+# another unit's, and one of few terms, for few presses and for circles that are still uncertain.
+DEFAULT_MODEL, PLAIN_MODEL = "hierarchical", "polynomial"
+
 # Made by other packages and read by `importers`, never fitted here.
 IMPORTED_MODELS: dict[str, type[ColorModel]] = {
     "network": NetworkModel,
@@ -38,6 +48,7 @@ IMPORTED_MODELS: dict[str, type[ColorModel]] = {
 
 __all__ = [
     "COLOR_MODELS",
+    "DEFAULT_MODEL",
     "IMPORTED_MODELS",
     "ColorModel",
     "FittableColorModel",
@@ -49,8 +60,10 @@ __all__ = [
     "MlpModel",
     "NetworkModel",
     "NearLightModel",
+    "PLAIN_MODEL",
     "PolynomialModel",
     "PreparedColorModel",
     "Samples",
     "SlopeTableModel",
+    "StartableModel",
 ]

@@ -26,7 +26,7 @@ from gelform.color_models._shared.least_squares import (
 from gelform.color_models.seam import Samples, check_image_shape
 
 MAX_POSITION_DEGREE = 5
-# Position degrees that calibration tries, and the training presses that each needs.
+# Position degrees that calibration tries, and the accepted presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
 
 PIXELS = 16  # of a row, that the kernel takes at a time

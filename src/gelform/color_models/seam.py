@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,17 +63,32 @@ class PendingChange(Protocol):
         ...
 
 
+@runtime_checkable
+class OnePassModel(Protocol):
+    """Beyond `PreparedColorModel`: its kernel works out the color change too."""
+
+    def gradients_in_one_pass(
+        self, pending: PendingChange, out: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """As `gradients_from_color`; the color change is written to `out` (H, W, 3)."""
+        ...
+
+
+@runtime_checkable
+class AlbedoModel(Protocol):
+    """Beyond `PreparedColorModel`: it knows the albedo besides the slopes."""
+
+    def albedo_from_color(self, color_change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Albedo (H, W) relative to the untouched gel's."""
+        ...
+
+
 def gradients_from_pending(
     model: PreparedColorModel, pending: PendingChange, out: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """Gradients and their deviation, as `gradients_from_color`; the color change is written to `out` (H, W, 3).
-
-    In one pass, where the prepared model has a `gradients_in_one_pass(pending, out)`; it need not have one.
-    """
-    in_one_pass = getattr(model, "gradients_in_one_pass", None)
-    if in_one_pass is not None:
-        gradients, sigma = in_one_pass(pending, out)
-        return gradients, sigma
+    """Gradients and their deviation, in one pass where the model can; the color change is written to `out` (H, W, 3)."""
+    if isinstance(model, OnePassModel):
+        return model.gradients_in_one_pass(pending, out)
     return model.gradients_from_color(pending.write(out))
 
 
@@ -109,6 +124,17 @@ class ColorModel(Protocol):
         ...
 
 
+@runtime_checkable
+class RenderingModel(Protocol):
+    """Beyond `ColorModel`: it says what colour a slope gives, as a forward response does."""
+
+    def color_from_gradients(
+        self, gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Color change (N, 3) of gradients (N, 2) at pixel positions (N,)."""
+        ...
+
+
 class FittableColorModel(ColorModel, Protocol):
     """What the classes in `COLOR_MODELS` have beside: how they are fitted, and what calibration should try."""
 
@@ -119,7 +145,21 @@ class FittableColorModel(ColorModel, Protocol):
 
     @classmethod
     def variants(cls, presses: int) -> Sequence[Mapping[str, Any]]:
-        """Keywords of `fit` to try with so many training presses, the simplest first; at least one."""
+        """Keywords of `fit` to try with so many accepted presses, the simplest first; at least one."""
+        ...
+
+
+@runtime_checkable
+class StartableModel(ColorModel, Protocol):
+    """Beyond `ColorModel`: the fit of another unit may begin at it; its class's `fit` takes it as `start`, and a `ridge`."""
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomial in colour."""
+        ...
+
+    def check_like(self, degree: int, shape: tuple[int, int]) -> None:
+        """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
         ...
 
 

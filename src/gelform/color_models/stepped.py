@@ -72,6 +72,16 @@ class FrameDepth:
         np.maximum(depth, 0, out=depth)
         return depth
 
+    def at_pixels(
+        self,
+        color_change: NDArray[np.float32],
+        gradients: NDArray[np.float32],
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.float32]:
+        """The same at every pixel (H, W)."""
+        depth = self(color_change, gradients, hidden)
+        return np.asarray(cv2.resize(depth, gradients.shape[1::-1], interpolation=cv2.INTER_LINEAR))
+
     def _made_coarse(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values (H, W, ...) on the coarser grid: means."""
         return np.asarray(cv2.resize(values, self._coarse[::-1], interpolation=cv2.INTER_AREA))
@@ -115,13 +125,3 @@ class SteppedSlopes:
         if self._step is None:
             return None
         return self._step(color_change, gradients, self._depth(color_change, gradients, hidden), clipped)
-
-    def depth_px(
-        self,
-        color_change: NDArray[np.float32],
-        gradients: NDArray[np.float32],
-        hidden: NDArray[np.bool_] | None = None,
-    ) -> NDArray[np.float32]:
-        """Depth (H, W), px, of the slopes that the color model read."""
-        depth = self._depth(color_change, gradients, hidden)
-        return np.asarray(cv2.resize(depth, gradients.shape[1::-1], interpolation=cv2.INTER_LINEAR))

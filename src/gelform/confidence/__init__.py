@@ -4,7 +4,7 @@ from gelform.confidence.causes import AllAlike, PreparedCauses
 from gelform.confidence.clipped import ClippedChannels
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
-from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors, solved_factor
+from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors
 from gelform.confidence.solved import SolvedSigma, with_solved_factors
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "SolvedSigma",
     "UnknownSigma",
     "explanation_of",
-    "solved_factor",
     "with_model_sigma",
     "with_solved_factors",
 ]

@@ -97,7 +97,7 @@ class SlopeSigma:
     rest : of untouched gel
     slopes, sigmas : factors in contact, linear between these |gradient| and proportional beyond the last
     gain_sigma : relative error of all slopes of a press together, RMS over presses: depth is off in proportion
-    solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact; see `solved_factor`
+    solved_factor : deviation of the solved depth's slopes over that of the slopes read, in a contact, in older calibrations
     solved_slopes, solved_places : (gentle, steep) and (2, rows, columns): the same by slope and place, over what a slope's
         reading and its neighbours predict; linear between the slopes, constant beyond. None in calibrations that do not
         hold it
@@ -208,16 +208,6 @@ class SlopeSigma:
         """How the errors correlate, as `DepthSigma` takes it."""
         names = ("correlation_px", "correlated_share", "rest_correlation_px", "rest_correlated_share")
         return {name: getattr(self, name) for name in names}
-
-
-def solved_factor(observed_errors: NDArray[Any], solved_errors: NDArray[Any]) -> float:
-    """How much of the error of slopes (N, 2) read in contacts is left in the slopes (N, 2) of the solved depth.
-
-    The ratio of the magnitudes that 68 % of either stay under, at most 1: a surface cannot follow errors that have
-    curl. Both are of the same pixels of held-out presses.
-    """
-    observed, solved = (float(np.quantile(np.abs(e), ONE_SIGMA)) for e in (observed_errors, solved_errors))
-    return min(solved / observed, 1.0) if observed > 0 else 1.0
 
 
 def law_at(slopes: NDArray[Any], knots: NDArray[Any], sigmas: NDArray[Any]) -> NDArray[np.float64]:

@@ -6,8 +6,13 @@ from dataclasses import replace
 import pytest
 
 from gelform.calibration.circles import locate as module
-from gelform.calibration.circles.locate import FACTORS, NEARLY_ALL, other_ball_note
-from gelform.calibration.circles.refine import Refined, refine
+from gelform.calibration.circles.locate import (
+    BALL_FACTORS,
+    NEARLY_ALL,
+    Refined,
+    other_ball_note,
+    refine,
+)
 
 BALL_PX = 40.0
 
@@ -29,7 +34,7 @@ def test_a_ball_that_is_stated_half_as_large_is_named(prepared, found):
     assert "check ball_diameter_mm and mm_per_px" in note
     assert float(factor) > 1.25
     assert int(of) == len(prepared)
-    named = FACTORS[abs(FACTORS - float(factor)).argmin()]
+    named = BALL_FACTORS[abs(BALL_FACTORS - float(factor)).argmin()]
     assert len(refine(stated(small, named), found).accepted) == int(count) >= NEARLY_ALL * len(prepared)
 
 
@@ -77,7 +82,7 @@ def best_at(factor):
     return lambda tried: 0.01 * (3 + abs(tried - factor)) / tried
 
 
-@pytest.mark.parametrize("factor", [FACTORS[3], FACTORS[13], FACTORS[-1]])
+@pytest.mark.parametrize("factor", [BALL_FACTORS[3], BALL_FACTORS[13], BALL_FACTORS[-1]])
 def test_of_all_that_fit_the_best_one_is_named(judged, monkeypatch, factor):
     note = judged(lambda tried: 0 if tried == 1 else 10, best_at(factor)).note(monkeypatch)
     assert note.startswith(f"10 of 10 presses fit a ball {factor:.2f} times as large as stated")
@@ -85,15 +90,17 @@ def test_of_all_that_fit_the_best_one_is_named(judged, monkeypatch, factor):
 
 def test_the_best_has_to_fit_nearly_all(judged, monkeypatch):
     """One that eight of ten fit is passed over, however well they do."""
-    better, good = FACTORS[15], FACTORS[13]
+    better, good = BALL_FACTORS[15], BALL_FACTORS[13]
     counts = {better: 8, good: 9}
-    note = judged(lambda tried: counts.get(min(FACTORS, key=lambda f: abs(f - tried)), 0), best_at(better))
+    note = judged(
+        lambda tried: counts.get(min(BALL_FACTORS, key=lambda f: abs(f - tried)), 0), best_at(better)
+    )
     assert note.note(monkeypatch).startswith(f"9 of 10 presses fit a ball {good:.2f} times")
 
 
 def test_a_ball_that_hardly_differs_is_the_stated_one(judged, monkeypatch):
     """A step of the sweep either way: what is wrong is something else."""
-    for factor in FACTORS[9:12]:
+    for factor in BALL_FACTORS[9:12]:
         assert judged(lambda tried: 0 if tried == 1 else 10, best_at(factor)).note(monkeypatch) is None
 
 
@@ -107,7 +114,7 @@ def test_presses_that_were_refused_before_do_not_count(judged, monkeypatch):
     """The same image listed twice is refused with any ball: it neither asks for another one nor speaks for it."""
     twice = judged(lambda tried: 5 if abs(tried - 1) < 0.01 else 10, best_at(1.5))
     assert twice.note(monkeypatch, excluded=range(5)) is None
-    three_of_five = judged(lambda tried: 2 if abs(tried - 1) < 0.01 else 10, best_at(FACTORS[16]))
+    three_of_five = judged(lambda tried: 2 if abs(tried - 1) < 0.01 else 10, best_at(BALL_FACTORS[16]))
     assert three_of_five.note(monkeypatch, excluded=range(5)).startswith("5 of 5 presses fit")
 
 

@@ -9,15 +9,13 @@ import gelform
 from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.ball import ball_gradients, center_jacobian
 from gelform.calibration.circles.find import ContactCircle, find_contact
+from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.circles.refine import (
-    MAX_STEP_PX,
-    ROUNDS,
+    JOINT_MOVE_PX,
     joint_moves,
     misfit_reasons,
     recentered,
-    refine,
-    refining_degrees,
     why_impossible,
     why_too_wide,
 )
@@ -157,10 +155,6 @@ def test_deep_presses_of_another_ball_than_stated_are_refused(deep):
     assert not any(why_too_wide(prepared, found))
 
 
-def test_few_presses_carry_few_terms():
-    assert [refining_degrees(n) for n in (3, 6, 9)] == [(1,), (2, 1), (3, 2, 0)]
-
-
 SHAPE, BALL_PX, CONTACT_PX = (120, 160), 26.0, 20.0
 TRUTH = [(x, y) for y in (30, 60, 90) for x in (30, 65, 100, 130)]
 
@@ -202,7 +196,7 @@ def test_right_centres_stay_and_no_step_is_long():
     stay = joint_moves(presses, circles(TRUTH), 0.8, (1,), total=6000)
     assert np.hypot(*stay.T).max() < 0.1
     far = circles([(x + 9, y) for x, y in TRUTH])
-    assert np.hypot(*joint_moves(presses, far, 0.8, (1,), total=6000).T).max() <= MAX_STEP_PX / 2 + 1e-9
+    assert np.hypot(*joint_moves(presses, far, 0.8, (1,), total=6000).T).max() <= JOINT_MOVE_PX / 2 + 1e-9
 
 
 def test_the_jacobian_is_that_of_the_labels():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare
-from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out import folds as module
 from gelform.calibration.held_out.folds import (
@@ -16,8 +16,8 @@ from gelform.calibration.held_out.folds import (
     Fold,
     _jackknife,
     circle_sigmas,
-    groups_alike,
     make_folds,
+    near_duplicates,
 )
 from gelform.color_models import HierarchicalModel
 from gelform.frames import pixels_digest
@@ -77,7 +77,7 @@ def test_presses_that_were_rejected_are_in_no_fold(prepared, found):
 
 
 def grouped(presses, among):
-    return groups_alike(presses, find_contacts(presses), among)
+    return near_duplicates(presses, find_contacts(presses), among)
 
 
 def again(press, noise):
@@ -111,7 +111,7 @@ def alike(changes, circles=None, balls=(40.0, 40.0)):
     circles = circles or [(30, 30, 15), (90, 60, 15)]
     presses = [PreparedPress("one", one, one[..., 0], ball) for one, ball in zip(changes, balls)]
     found = [ContactCircle(*circle, 1.0, 9.0) for circle in circles]
-    return groups_alike(presses, found, [0, 1]) == [[0, 1]]
+    return near_duplicates(presses, found, [0, 1]) == [[0, 1]]
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_one_picture_saved_in_two_ways_stays_in_one_fold(presses, how):
     four = presses.subset(range(4))
     both = prepare(replace(four, presses=(*four.presses, *(saved_again(one, how) for one in four.presses))))
     found = find_contacts(both)
-    assert groups_alike(both, found, range(8)) == [[0, 4], [1, 5], [2, 6], [3, 7]]
+    assert near_duplicates(both, found, range(8)) == [[0, 4], [1, 5], [2, 6], [3, 7]]
     for fold in make_folds(both, found, range(8)):
         assert {i % 4 for i in fold.held_out}.isdisjoint(i % 4 for i in fold.training)
 

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from gelform.ball import ball_gradients
-from gelform.calibration.candidates import Candidate, SlopeReader, fitted_responses, training_samples
+from gelform.calibration.candidates import (
+    Candidate,
+    FittedSlopes,
+    SlopeReader,
+    fitted_responses,
+    training_samples,
+)
 from gelform.calibration.circles.find import ContactCircle, magnitude
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out.folds import Fold
@@ -124,19 +130,21 @@ def test_scores_are_those_of_models_that_have_not_seen_the_press(held_out, folds
     training = [prepared[i] for i in fold.training]
     model = plain.fit(training_samples(training, fold.contacts, total=SAMPLES_OF_FOLD))
     ridges = [RIDGES[0]]
-    (forward,) = fitted_responses(model, training, fold.contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
+    reader = SlopeReader(model, prepared[0], untouched)
+    (forward,) = fitted_responses(reader, training, fold.contacts, ridges, total=SAMPLES_OF_FOLD)
     for trial_, response in ((of_plain, None), (of_stepped, forward)):
-        reader = SlopeReader(model, response, prepared[0], untouched)
         for i in fold.held_out:
-            assert trial_.scores[i] == score_of(prepared[i], found[i], reader)
+            frame = FittedSlopes(reader, response).frame(prepared[i])
+            assert trial_.scores[i] == score_of(prepared[i], found[i], frame)
     assert of_plain.scores != of_stepped.scores
 
 
 def test_a_model_that_saw_the_press_flatters_itself(held_out, folds, prepared, found):
     """Why all this: the same candidate scores better on the presses that it was fitted on."""
     candidate = Candidate("polynomial", (("position_degrees", (3, 2, 0)),))
-    reader = held_out.reader(folds[0], candidate)
-    seen = np.median([score_of(prepared[i], found[i], reader).slope_error for i in folds[0].training])
+    (fit,) = held_out.fit(folds[0], [candidate])
+    scores = [score_of(prepared[i], found[i], fit.frame(prepared[i])) for i in folds[0].training]
+    seen = np.median([score.slope_error for score in scores])
     (unseen,) = held_out.try_candidates([candidate])
     assert seen < np.median([score.slope_error for score in unseen.scores.values()])
 
@@ -153,20 +161,10 @@ def test_each_candidate_is_fitted_once_for_each_fold(prepared, found, folds, hel
     own.try_candidates(steps)
     assert own.try_candidates([candidate]) == first
     assert [replace(one, step_ridge=None) for one in fits] == [candidate] * 2
-    (model, forward), *stepped = own.fit(folds[0], [candidate, *steps])
+    (reader, forward), *stepped = own.fit(folds[0], [candidate, *steps])
     assert forward is None
-    assert all(one is model for one, _ in stepped)
+    assert all(one is reader for one, _ in stepped)
     assert len({id(response) for _, response in stepped}) == 2
-
-
-class Reads:
-    """A reader of slopes that lie in the color change, times a factor."""
-
-    def __init__(self, factor):
-        self.factor = factor
-
-    def frame(self, press):
-        return Step(self.factor * press.color_change[..., :2], None, None)
 
 
 def test_scores_are_the_errors_that_were_put_in():
@@ -178,11 +176,11 @@ def test_scores_are_the_errors_that_were_put_in():
     change = np.concatenate([slopes, slopes[..., :1]], axis=-1).astype(np.float32)
     press = PreparedPress("one", change, magnitude(change), 40.0, contact_radius_ratio=0.7)
     contact = ContactCircle(61.4, 43.8, 25.0, 1.0, 9.0)
-    exact, steep = (score_of(press, contact, Reads(factor)) for factor in (1.0, 1.1))
+    exact, steep = (score_of(press, contact, Step(factor * slopes, None, None)) for factor in (1.0, 1.1))
     assert exact.slope_error < 1e-4
     assert exact.normal_deg < 0.01
     inside = np.linalg.norm(slopes[away < 0.7 * 25], axis=-1)
     assert steep.slope_error == pytest.approx(0.1 * np.sqrt(np.mean(inside**2)), rel=0.05)
     assert 0.5 < steep.normal_deg < 2
-    blind = score_of(replace(press, color_change=0 * change), contact, Reads(0.0))
+    blind = score_of(press, contact, Step(0 * slopes, None, None))
     assert blind.slope_error == pytest.approx(np.sqrt(np.mean(inside**2)), rel=0.1)

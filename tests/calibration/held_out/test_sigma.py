@@ -157,7 +157,7 @@ def test_the_share_that_folds_have_seen():
 def test_columns_are_thinned_and_stay_in_place():
     press, contact = press_at(60, 70)
     reader = Reader()
-    residuals = press_residuals(press, contact, reader)
+    residuals = press_residuals(press, contact, reader.frame(press))
     slopes, errors, x, y, number, stated, residual = residuals.columns((120, 160), 4)
     assert 600 < len(slopes) <= 2 * 2000
     pixels = np.rint(y * 120 - 0.5).astype(int), np.rint(x * 160 - 0.5).astype(int)

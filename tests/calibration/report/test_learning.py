@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelform.calibration.candidates import START_RIDGES, Start
-from gelform.calibration.circles.refine import refine
+from gelform.calibration.circles.locate import refine
 from gelform.calibration.report import learning as learning_module
 from gelform.calibration.report.learning import (
     _with_expectation,

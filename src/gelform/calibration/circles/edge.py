@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import USUAL_EDGE, PreparedPress, contact_samples, with_rest_samples
-from gelform.color_models import ColorModel, HierarchicalModel
+from gelform.calibration.enough import enough
+from gelform.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
-LEAST_PRESSES = 12  # fewer do not know the light at every place
 GROUPS = 5  # that are left out in turn
 INNER = 0.5  # of the visible radius: what trains
 RINGS = np.arange(0.05, 1.001, 0.05)
@@ -36,7 +36,7 @@ def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[Co
     ----------
     presses, contacts : that fit, and their circles
     """
-    if len(presses) < LEAST_PRESSES:
+    if not enough("edge", len(presses)):
         return USUAL_EDGE
     visible = [replace(press, contact_radius_ratio=1.0) for press in presses]
     gains = []
@@ -66,7 +66,7 @@ def edge_of_gains(gains: NDArray[np.float64]) -> float:
 
 def _of_inner_half(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> ColorModel:
     samples = contact_samples(presses, contacts, INNER, total=SAMPLES)
-    return HierarchicalModel.fit(with_rest_samples(samples, presses, contacts))
+    return COLOR_MODELS[DEFAULT_MODEL].fit(with_rest_samples(samples, presses, contacts))
 
 
 def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> NDArray[np.float64]:

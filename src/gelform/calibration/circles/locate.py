@@ -1,20 +1,205 @@
-"""A ball of another size: where presses are refused for their slopes or radius, and a larger or smaller ball fits them."""
+"""Where each press touches: the loop that moves circles and color model to each other, and which presses are used."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
-from dataclasses import replace
+import re
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gelform.calibration.circles.find import ContactCircle
-from gelform.calibration.circles.refine import Refined, agreement, refine
-from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.candidates import Start
+from gelform.calibration.circles.edge import contact_radius_ratio
+from gelform.calibration.circles.find import ContactCircle, moved
+from gelform.calibration.circles.prepare import find_contacts, prepare
+from gelform.calibration.circles.refine import (
+    REFINING_SAMPLES,
+    agreement,
+    fit_model,
+    is_deep,
+    joint_moves,
+    recentered,
+    why_impossible,
+    why_misfits,
+    why_too_wide,
+)
+from gelform.calibration.circles.samples import ZONE, PreparedPress
+from gelform.calibration.coverage import coverage_notes
+from gelform.calibration.enough import NEEDED, enough
+from gelform.calibration.presses.press_set import Presses
+from gelform.color_models import ColorModel, StartableModel
+from gelform.errors import CalibrationError
+from gelform.progress import Progress, no_progress
 
-FACTORS = np.geomspace(0.5, 2.0, 21)
-REFUSED = 0.3  # of the presses, from which on another ball is looked for
-NEARLY_ALL = 0.9  # of them
-OWN_SIZE = 0.07  # |log| of a factor: a step of the sweep either way is the stated ball
+ROUNDS = 5  # of fitting the model and moving circles to it: further ones move none by a tenth of a pixel
+WHOLE_ROUNDS = 2  # of them without presses that the border cuts: those are found too far inside
+JOINT_ROUNDS = 5  # of moving all centres at once
+JOINT_DEGREES = (1,)  # of place, in the model that they are moved with
+BALL_FACTORS = np.geomspace(0.5, 2.0, 21)  # times the stated ball
+MANY_REFUSED = 0.3  # of the presses, from which on another ball is looked for
+NEARLY_ALL = 0.9  # of them fit the other ball
+STATED_SIZE = 0.07  # |log| of a factor: a step of the sweep either way is the stated ball
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The presses after refinement.
+
+    Attributes
+    ----------
+    contacts : one per press, refined where it was accepted, as found where not
+    reasons : why a press was rejected, or None
+    model : what refined them
+    """
+
+    contacts: tuple[ContactCircle, ...]
+    reasons: tuple[str | None, ...]
+    model: ColorModel | None
+
+    @property
+    def accepted(self) -> list[int]:
+        """Indices of the presses that fit."""
+        return [i for i, reason in enumerate(self.reasons) if reason is None]
+
+    def of_accepted(
+        self, presses: Sequence[PreparedPress]
+    ) -> tuple[list[PreparedPress], list[ContactCircle]]:
+        """Those of all presses that fit, and their circles."""
+        return [presses[i] for i in self.accepted], [self.contacts[i] for i in self.accepted]
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Presses with their circles: which are used, and why the others are not.
+
+    Attributes
+    ----------
+    presses : as read
+    prepared : with their color changes and the measured edge of their contacts
+    found : the circle found in each image by itself
+    refined : circles that agree with each other, and reasons
+    start : another unit's model that they were refined with, or None
+    notes : what a user should check
+    """
+
+    presses: Presses
+    prepared: list[PreparedPress]
+    found: list[ContactCircle]
+    refined: Refined
+    start: Start | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> StartableModel | None:
+        """Of the other unit."""
+        return None if self.start is None else self.start.model
+
+
+def locate(presses: Presses, start: Start | None = None, *, progress: Progress = no_progress) -> Located:
+    """The contact circle of each press, refined with all others inside the measured edge of the contact."""
+    prepared = prepare(presses, progress=progress)
+    found = find_contacts(prepared, progress=progress)
+    excluded, model = repeated_images(presses), None if start is None else start.model
+    refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
+    other_ball = other_ball_note(prepared, found, refined, excluded)
+    ratio = contact_radius_ratio(*refined.of_accepted(prepared))
+    if ratio != prepared[0].contact_radius_ratio:
+        prepared = [replace(press, contact_radius_ratio=ratio) for press in prepared]
+        refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
+    return Located(presses, prepared, found, refined, start, () if other_ball is None else (other_ball,))
+
+
+def refine(
+    presses: Sequence[PreparedPress],
+    found: Sequence[ContactCircle],
+    *,
+    excluded: Mapping[int, str] | None = None,
+    start: StartableModel | None = None,
+    progress: Progress = no_progress,
+) -> Refined:
+    """Move each circle to agree with a color model fitted on all of them; reject the presses that do not.
+
+    Parameters
+    ----------
+    presses, found : what was pressed and the circle found in each image
+    excluded : presses that are rejected already, with the reason
+    start : what another unit of the same sensor taught
+    """
+    reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
+    reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
+    for i, reason in (excluded or {}).items():
+        reasons[i] = reason
+    candidates = [i for i, reason in enumerate(reasons) if reason is None]
+    whole = [i for i in candidates if _is_whole(presses[i], found[i])]
+    contacts, fit_on = list(found), whole if enough("whole", len(whole)) else candidates
+    contacts = _jointly_centered(presses, contacts, fit_on)
+    model: ColorModel | None = None
+    for round_ in range(ROUNDS if enough("model", len(candidates)) else 0):
+        model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
+        for i in candidates:
+            contacts[i] = recentered(presses[i], contacts[i], found[i], model)
+        misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
+        late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
+        if round_ + 1 == WHOLE_ROUNDS:  # presses cut by the border join; only then are misfits left out
+            fit_on = candidates
+        elif round_ + 1 > WHOLE_ROUNDS:
+            fit_on = [i for i in candidates if i not in late] or candidates
+        progress(round_ + 1, ROUNDS, "fitting circles and colours together")
+    if model is not None:
+        for i, reason in late.items():
+            reasons[i] = reason
+            contacts[i] = found[i]
+    return Refined(tuple(contacts), tuple(reasons), model)
+
+
+def _jointly_centered(
+    presses: Sequence[PreparedPress], contacts: list[ContactCircle], fit_on: Sequence[int]
+) -> list[ContactCircle]:
+    """The contacts, moved with a first model of all where most presses are deep: those are found 2-10 px off.
+
+    Usual presses are found within 1-2 px, which alternating keeps, while the stiff model would move them.
+    """
+    deep = [is_deep(presses[i], contacts[i]) for i in fit_on]
+    if not enough("whole", len(fit_on)) or np.mean(deep) < 0.5:
+        return contacts
+    chosen = [presses[i] for i in fit_on]
+    for _ in range(JOINT_ROUNDS):
+        moves = joint_moves(
+            chosen, [contacts[i] for i in fit_on], ZONE, JOINT_DEGREES, total=REFINING_SAMPLES
+        )
+        for i, (dx, dy) in zip(fit_on, moves):
+            x, y = contacts[i].x_px + float(dx), contacts[i].y_px + float(dy)
+            contacts[i] = moved(contacts[i], presses[i].size, x, y)
+    return contacts
+
+
+def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
+    """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
+    height, width = press.size.shape
+    margin = contact.radius_px
+    return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
+
+
+def repeated_images(presses: Presses) -> dict[int, str]:
+    """Presses whose image is pixel for pixel an earlier one's, with the reason to leave them out.
+
+    Raises
+    ------
+    CalibrationError
+        The same image is said to be of two balls.
+    """
+    first: dict[str, int] = {}
+    repeated = {}
+    for i, press in enumerate(presses.presses):
+        earlier = presses.presses[first.setdefault(press.digest, i)]
+        if earlier.ball_diameter_mm != press.ball_diameter_mm:
+            raise CalibrationError(
+                f"{press.name} and {earlier.name} of {presses.folder} are the same image, listed with balls of "
+                f"{press.ball_diameter_mm:g} and {earlier.ball_diameter_mm:g} mm. Correct the table."
+            )
+        if earlier is not press:
+            repeated[i] = f"the same image as {earlier.name}"
+    return repeated
 
 
 def other_ball_note(
@@ -33,10 +218,10 @@ def other_ball_note(
     """
     judged = [i for i in range(len(presses)) if i not in excluded]
     presses, found, count = [presses[i] for i in judged], [found[i] for i in judged], len(judged)
-    if count - len(refined.accepted) < REFUSED * count:
+    if count - len(refined.accepted) < MANY_REFUSED * count:
         return None
     fits = []
-    for factor in FACTORS:
+    for factor in BALL_FACTORS:
         scaled = [replace(press, ball_radius_px=factor * press.ball_radius_px) for press in presses]
         other = refine(scaled, found)
         if other.model is not None and len(other.accepted) >= NEARLY_ALL * count:
@@ -47,9 +232,41 @@ def other_ball_note(
     if not fits:
         return None
     _, factor, accepted = min(fits)
-    if abs(np.log(factor)) <= OWN_SIZE:
+    if abs(np.log(factor)) <= STATED_SIZE:
         return None
     return (
         f"{accepted} of {count} presses fit a ball {factor:.2f} times as large as stated: check ball_diameter_mm and "
         "mm_per_px."
+    )
+
+
+def check_places(located: Located, places: int) -> None:
+    """Refuse presses that fit at too few different places, with the reasons of the others.
+
+    Raises
+    ------
+    CalibrationError
+        Under three places.
+    """
+    least, refined, presses = NEEDED["places"].presses, located.refined, located.presses
+    if places >= least:
+        return
+    if len(refined.accepted) >= least:
+        raise CalibrationError(
+            f"Expected presses at {least} places or more, got {places} among the {len(refined.accepted)} of "
+            f"{presses.folder} that fit: the others show the same press. Press the ball at many places, one image each."
+        )
+    rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
+    kinds: dict[str, list[str]] = {}
+    for name, why in rejected:  # alike but for figures, reasons are counted together
+        kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
+    most = sorted(kinds.values(), key=len, reverse=True)[:4]
+    listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
+    circles = [refined.contacts[i].circle_px for i in refined.accepted]
+    remedy = "".join(f"{note} " for note in located.notes)
+    raise CalibrationError(
+        f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
+        f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
+        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
+        f"radius. {' '.join(coverage_notes(circles, presses.image_shape))}"
     )

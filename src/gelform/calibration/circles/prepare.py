@@ -16,14 +16,14 @@ from gelform.background.exposure import Exposure
 from gelform.calibration.circles.find import ContactCircle, find_contact, magnitude, scale_of
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
-from gelform.color_models import COLOR_MODELS
+from gelform.color_models import COLOR_MODELS, PLAIN_MODEL
 from gelform.errors import CalibrationError
 from gelform.gradients import fill_unknown
 from gelform.markers import MarkerFinder
 from gelform.progress import Progress, no_progress
 
 BLUR_PX = 1.25
-USUAL_OFFSET = COLOR_MODELS["polynomial"].change_offset
+USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset
 
 
 class ColorChanges:

@@ -1,14 +1,17 @@
-"""Joint refinement: the color model and the contact circles of all presses, fitted to each other.
+"""The steps that move circles: the color model that they agree on, where a press agrees best with it, and which do not fit.
 
 A circle found in one image is off by a pixel or two. A model fitted on all presses averages that out, so each
-press is moved to where its ball agrees best with the model, and the model is fitted again. Presses that do not
-agree are left out, with the reason.
+press is moved to where its ball agrees best with the model, and the model is fitted again (`circles.locate`).
+
+Where most presses are deep, all centres and the model are moved at once: a color model whose coefficients vary over the
+image follows much of a wrong centre, so that alternating converges slowly. The labels are linear in small moves of their
+centres, and model and moves are solved together, the model eliminated (variable projection, G. Golub and V. Pereyra,
+SIAM J. Numer. Anal. 10, 1973).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import scipy  # its parts load at first use
@@ -17,125 +20,25 @@ from numpy.typing import NDArray
 from gelform.ball import ball_center, center_jacobian, followed_radius
 from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
 from gelform.calibration.circles.samples import ZONE, PreparedPress, contact_samples, with_rest_samples
-from gelform.color_models import ColorModel, HierarchicalModel, PolynomialModel, Samples
+from gelform.calibration.enough import REFINING
+from gelform.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples, StartableModel
 from gelform.color_models._shared.least_squares import (
     HUBER_SLOPE,
     normal_equations,
     polynomial_terms,
     unit_position,
 )
-from gelform.progress import Progress, no_progress
 
-ROUNDS = 5
-WHOLE_ROUNDS = 2
-MIN_WHOLE = 6
-REFINING_SAMPLES = 15_000
-MAX_MOVE_PX = 8.0
-MAX_RESIDUAL = 0.25
-RESIDUAL_OVER_MEDIAN = 3.0
-START_RIDGE = 1e-2
-JOINT_ROUNDS = 5
-JOINT_DEGREES = (1,)
-STEEPEST_RING = 0.95
-GAIN_RANGE = (0.7, 1.45)
-
-
-@dataclass(frozen=True)
-class Refined:
-    """The presses after refinement.
-
-    Attributes
-    ----------
-    contacts : one per press, refined where it was accepted, as found where not
-    reasons : why a press was rejected, or None
-    model : what refined them
-    """
-
-    contacts: tuple[ContactCircle, ...]
-    reasons: tuple[str | None, ...]
-    model: ColorModel | None
-
-    @property
-    def accepted(self) -> list[int]:
-        """Indices of the presses that fit."""
-        return [i for i, reason in enumerate(self.reasons) if reason is None]
-
-    def of_accepted(
-        self, presses: Sequence[PreparedPress]
-    ) -> tuple[list[PreparedPress], list[ContactCircle]]:
-        """Those of all presses that fit, and their circles."""
-        return [presses[i] for i in self.accepted], [self.contacts[i] for i in self.accepted]
-
-
-def refining_degrees(count: int) -> tuple[int, ...]:
-    """Position degrees that a number of presses can carry while their circles are still uncertain."""
-    if count < 6:
-        return (1,)
-    return (2, 1) if count < 9 else (3, 2, 0)
-
-
-def refine(
-    presses: Sequence[PreparedPress],
-    found: Sequence[ContactCircle],
-    *,
-    excluded: Mapping[int, str] | None = None,
-    start: HierarchicalModel | None = None,
-    progress: Progress = no_progress,
-) -> Refined:
-    """Move each circle to agree with a color model fitted on all of them; reject the presses that do not.
-
-    Parameters
-    ----------
-    presses, found : what was pressed and the circle found in each image
-    excluded : presses that are rejected already, with the reason
-    start : what another unit of the same sensor taught
-    """
-    reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
-    reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
-    for i, reason in (excluded or {}).items():
-        reasons[i] = reason
-    candidates = [i for i, reason in enumerate(reasons) if reason is None]
-    whole = [i for i in candidates if _is_whole(presses[i], found[i])]
-    contacts, fit_on = list(found), whole if len(whole) >= MIN_WHOLE else candidates
-    contacts = _jointly_centered(presses, contacts, fit_on)
-    model: ColorModel | None = None
-    for round_ in range(ROUNDS if len(candidates) > 1 else 0):
-        model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
-        for i in candidates:
-            contacts[i] = recentered(presses[i], contacts[i], found[i], model)
-        misfits = why_misfits([presses[i] for i in candidates], [contacts[i] for i in candidates], model)
-        late = {i: reason for i, reason in zip(candidates, misfits) if reason is not None}
-        if round_ + 1 == WHOLE_ROUNDS:  # presses cut by the border join; only then are misfits left out
-            fit_on = candidates
-        elif round_ + 1 > WHOLE_ROUNDS:
-            fit_on = [i for i in candidates if i not in late] or candidates
-        progress(round_ + 1, ROUNDS, "fitting circles and colours together")
-    if model is not None:
-        for i, reason in late.items():
-            reasons[i] = reason
-            contacts[i] = found[i]
-    return Refined(tuple(contacts), tuple(reasons), model)
-
-
-def _jointly_centered(
-    presses: Sequence[PreparedPress], contacts: list[ContactCircle], fit_on: Sequence[int]
-) -> list[ContactCircle]:
-    """The contacts, moved with a first model of all where most presses are deep: those are found 2-10 px off.
-
-    Usual presses are found within 1-2 px, which alternating keeps, while the stiff model would move them.
-    """
-    deep = [is_deep(presses[i], contacts[i]) for i in fit_on]
-    if len(fit_on) < MIN_WHOLE or np.mean(deep) < 0.5:
-        return contacts
-    chosen = [presses[i] for i in fit_on]
-    for _ in range(JOINT_ROUNDS):
-        moves = joint_moves(
-            chosen, [contacts[i] for i in fit_on], ZONE, JOINT_DEGREES, total=REFINING_SAMPLES
-        )
-        for i, (dx, dy) in zip(fit_on, moves):
-            x, y = contacts[i].x_px + float(dx), contacts[i].y_px + float(dy)
-            contacts[i] = moved(contacts[i], presses[i].size, x, y)
-    return contacts
+REFINING_SAMPLES = 15_000  # pixels of all presses
+MAX_MOVE_PX = 8.0  # at 240 rows: usual presses are found within 2, deep ones within 10
+MAX_RESIDUAL = 0.25  # mm/mm, the median slope error of a press that may still fit
+RESIDUAL_OVER_MEDIAN = 3.0  # of the other presses' median slope error
+START_RIDGE = 1e-2  # of the model that another unit's is followed with
+STEEPEST_RING = 0.95  # of the ball's radius: a deep press is steepest further in
+GAIN_RANGE = (0.7, 1.45)  # slopes over those of the stated ball
+JOINT_RIDGE = 1e-5  # of the polynomial, relative to its normal equations' diagonal
+JOINT_MOVE_PX = 3.0  # at 240 rows, in one step: labels are linear in it
+JOINT_REWEIGHTED = 2  # rounds of Huber's weights in one step
 
 
 def is_deep(press: PreparedPress, contact: ContactCircle) -> bool:
@@ -143,24 +46,18 @@ def is_deep(press: PreparedPress, contact: ContactCircle) -> bool:
     return followed_radius(contact.radius_px, press.ball_radius_px) < contact.radius_px
 
 
-def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
-    """Whether the circle lies inside the frame: one that the border cuts is found too far inside."""
-    height, width = press.size.shape
-    margin = contact.radius_px
-    return margin <= contact.x_px <= width - 1 - margin and margin <= contact.y_px <= height - 1 - margin
-
-
 def fit_model(
     presses: Sequence[PreparedPress],
     contacts: Sequence[ContactCircle],
-    start: HierarchicalModel | None = None,
+    start: StartableModel | None = None,
 ) -> ColorModel:
     """What circles are refined with: a polynomial, or a start that is followed closely."""
     samples = contact_samples(presses, contacts, total=REFINING_SAMPLES)
     samples = with_rest_samples(samples, presses, contacts)
     if start is not None:
-        return HierarchicalModel.fit(samples, ridge=START_RIDGE, start=start)
-    return PolynomialModel.fit(samples, position_degrees=refining_degrees(len(presses)))
+        return COLOR_MODELS[start.name].fit(samples, ridge=START_RIDGE, start=start)
+    degrees = [degrees for least, degrees in REFINING if len(presses) >= least][-1]
+    return COLOR_MODELS[PLAIN_MODEL].fit(samples, position_degrees=degrees)
 
 
 def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
@@ -243,11 +140,6 @@ def agreement(press: PreparedPress, contact: ContactCircle, model: ColorModel) -
     return float(np.median(error)), float(np.sum(seen * ball) / max(np.sum(ball * ball), 1e-12))
 
 
-RIDGE = 1e-5
-MAX_STEP_PX = 3.0
-REWEIGHTED = 2
-
-
 def joint_moves(
     presses: Sequence[PreparedPress],
     contacts: Sequence[ContactCircle],
@@ -271,12 +163,12 @@ def joint_moves(
     x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
     design = polynomial_terms(samples.color_change, x, y, position_degrees)
     weight, moves = samples.weight, np.zeros((len(presses), 2))
-    for _ in range(REWEIGHTED):
+    for _ in range(JOINT_REWEIGHTED):
         coefficients, moves = _solved(design, samples.gradients, weight, owner, jacobian, len(presses))
         moved = np.einsum("nkc,nc->nk", jacobian, moves[owner])
         error = np.linalg.norm(design @ coefficients - samples.gradients - moved, axis=1)
         weight = samples.weight * np.minimum(1, HUBER_SLOPE / np.maximum(error, 1e-12))
-    limit = MAX_STEP_PX * scale_of(samples.shape)
+    limit = JOINT_MOVE_PX * scale_of(samples.shape)
     far = np.hypot(*moves.T)[:, None]
     return moves * np.minimum(1, limit / np.maximum(far, 1e-12))
 
@@ -314,7 +206,7 @@ def _solved(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients (terms, 2) and moves (N, 2) that minimise `sum weight |design w - target - jacobian move|^2`."""
     normal, right = normal_equations(design, target, weight)
-    factor = scipy.linalg.cho_factor(normal + np.diag(RIDGE * np.diag(normal) + 1e-12))
+    factor = scipy.linalg.cho_factor(normal + np.diag(JOINT_RIDGE * np.diag(normal) + 1e-12))
     schur, rest = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     cross = np.empty((2, design.shape[1], 2 * count))
     for i in range(count):

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.circles.find import ContactCircle, scale_of
-from gelform.calibration.circles.refine import fit_model, recentered, refine
+from gelform.calibration.circles.locate import refine
+from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.color_models import HierarchicalModel
+from gelform.color_models import StartableModel
 from gelform.progress import Progress, no_progress
 
 FOLDS = 5
@@ -43,12 +44,12 @@ def make_folds(
     found: Sequence[ContactCircle],
     usable: Sequence[int],
     *,
-    start: HierarchicalModel | None = None,
+    start: StartableModel | None = None,
     progress: Progress = no_progress,
 ) -> list[Fold]:
     """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
 
-    Presses that show the same (`groups_alike`) stay in one fold.
+    Presses that show the same (`near_duplicates`) stay in one fold.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def make_folds(
     start : another unit's model, where the refinement begins
     progress : called with (done, total, what)
     """
-    groups = groups_alike(presses, found, sorted(usable, key=lambda i: presses[i].ball_radius_px))
+    groups = near_duplicates(presses, found, sorted(usable, key=lambda i: presses[i].ball_radius_px))
     ordered = [i for group in groups for i in group]
     count = min(FOLDS, len(groups))
     folds = []
@@ -73,7 +74,7 @@ def _fold(
     found: Sequence[ContactCircle],
     held_out: tuple[int, ...],
     training: Sequence[int],
-    start: HierarchicalModel | None,
+    start: StartableModel | None,
 ) -> Fold:
     refined = refine([presses[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
@@ -91,7 +92,7 @@ MAX_DIFFERENCE = (
 NEAR_PX, NEAR_RADIUS = 2.0, 0.04  # at 240 rows; of the smaller radius: circles of one press saved in two ways
 
 
-def groups_alike(
+def near_duplicates(
     presses: Sequence[PreparedPress], found: Sequence[ContactCircle], among: Sequence[int]
 ) -> list[list[int]]:
     """The presses in groups that show the same ball at the same place, each press in one; order is kept.
@@ -153,7 +154,7 @@ def circle_sigmas(
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
     folds: Sequence[Fold],
-    start: HierarchicalModel | None = None,
+    start: StartableModel | None = None,
 ) -> dict[int, tuple[float, float]]:
     """Standard deviations, px, of each usable press's centre (either axis) and of its visible radius.
 

@@ -19,20 +19,20 @@ from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import ZONE, PreparedPress
-from gelform.calibration.held_out.folds import Fold
-from gelform.calibration.held_out.scores import HeldOutPresses, Selection
-from gelform.calibration.held_out.sigma import slope_sigma_from_folds
+from gelform.calibration.fitted import Fitted
+from gelform.calibration.held_out.folds import Fold, circle_sigmas
+from gelform.calibration.held_out.sigma import share_seen, slope_sigma_from_folds
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import Calibration
-from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, solved_factor, with_solved_factors
-from gelform.metrics import PressErrors, angle_deg, press_errors, score_slopes
+from gelform.color_models import ForwardResponse
+from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, with_solved_factors
+from gelform.metrics import PressErrors, angle_deg, press_errors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 
 MAX_PIXELS = 2000
 CENTER_PIXELS = 1500
-SLOPE_STEP_PX = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,110 +89,84 @@ class HeldOutSample:
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """What the held-out presses tell.
+class Judged:
+    """What the held-out presses say of what was fitted.
 
     Attributes
     ----------
     errors : index of the press -> its errors through the whole path, by what was chosen without its fold
     saved_errors : the same by the saved model's kind, settings and zone, fitted without its fold
     samples : some pixels of each
-    slope_sigma : standard deviation of the slopes of the chosen color model
-    residual_scale : of the forward response
+    slope_sigma : standard deviation of the slopes of the chosen color model, and of those of the solved depth
+    forward : the forward response, its residuals in the unit of those of held-out presses
+    circle_sigmas : index of the press -> standard deviations, px, of its circle's centre and radius
     """
 
     errors: Mapping[int, PressErrors]
     saved_errors: Mapping[int, PressErrors]
     samples: tuple[HeldOutSample, ...]
     slope_sigma: SlopeSigma
-    residual_scale: float
+    forward: ForwardResponse
+    circle_sigmas: Mapping[int, tuple[float, float]]
 
 
-def measure_held_out(
-    draft: Calibration,
-    presses: Presses,
-    held_out: HeldOutPresses,
-    selection: Selection,
-    *,
-    progress: Progress = no_progress,
-) -> HeldOut:
-    """Errors of every usable press, with what was chosen and fitted without its fold.
+def judge(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
+    """Errors of every usable press, with what was chosen and fitted without its fold, and how well slopes are known.
 
-    Parameters
-    ----------
-    draft : the calibration of all presses; its color model is replaced by each fold's
-    presses : as read
-    held_out : the same, prepared and dealt into folds
-    selection : what was chosen by all presses, and without each fold
-    progress : called with (done, total, what)
+    The deviation of slopes is put together here: of those that are read by what the folds' models are off, and of those of
+    the solved depth by what the reconstructed presses are.
     """
     errors: dict[int, PressErrors] = {}
     saved_errors: dict[int, PressErrors] = {}
     samples: list[HeldOutSample] = []
-    slope_errors: list[list[NDArray[np.float64]]] = []
-    found, folds, chosen = held_out.found, held_out.folds, selection.chosen
-    prepared, mm_per_px = held_out.presses[chosen.change_offset], draft.known_mm_per_px
-    readers = [held_out.reader(fold, chosen) for fold in folds]
-    sigma, residual_scale = slope_sigma_from_folds(readers, folds, prepared, found)
-    if draft.forward is not None:
-        draft = replace(draft, forward=replace(draft.forward, residual_scale=residual_scale))
-    for done, (fold, candidate) in enumerate(zip(folds, selection.by_fold)):
+    held_out, chosen, draft = fitted.held_out, fitted.selection.chosen, fitted.calibration
+    prepared, folds = held_out.presses[chosen.change_offset], held_out.folds
+    fits = held_out.fitted(chosen)
+    sigma, residual_scale = slope_sigma_from_folds(fits, folds, prepared, held_out.found)
+    assert draft.forward is not None
+    forward = replace(draft.forward, residual_scale=residual_scale)
+    draft = replace(draft, forward=forward)
+    for done, (fold, candidate) in enumerate(zip(folds, fitted.selection.by_fold)):
         runs = [(candidate, errors)]
         if candidate != chosen:
             runs.append((chosen, saved_errors))
         for one, into in runs:
-            for i, circle, result in _reconstructed(draft, presses, held_out, one, fold):
-                how = presses.presses[i], circle, result, mm_per_px, prepared[i].contact_radius_ratio
-                into[i] = errors_of(*how)
+            for i, circle, result in _reconstructed(draft, fitted, one, fold):
+                press = fitted.located.presses.presses[i]
+                measured = press, circle, result, draft.known_mm_per_px, prepared[i].contact_radius_ratio
+                into[i] = errors_of(*measured)
                 if into is errors:
-                    samples.append(sample_of(i, *how))
-                    slope_errors.append(_slope_errors(result, circle, prepared[i]))
+                    samples.append(sample_of(i, *measured))
         if candidate == chosen:
             saved_errors |= {i: errors[i] for i in fold.held_out if i in errors}
         progress(done + 1, len(folds), "measuring on held-out presses")
-    observed, solved = (np.concatenate(parts) for parts in zip(*slope_errors))
-    sigma = replace(sigma, solved_factor=solved_factor(observed, solved))
-    return HeldOut(errors, saved_errors, tuple(samples), sigma, residual_scale)
+    return Judged(
+        errors,
+        saved_errors,
+        tuple(samples),
+        solved_by_place(draft, sigma, fitted.located.presses, samples, share_seen(folds)),
+        forward,
+        circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.model),
+    )
 
 
 def _reconstructed(
-    calibration: Calibration,
-    presses: Presses,
-    held_out: HeldOutPresses,
-    candidate: Candidate,
-    fold: Fold,
+    draft: Calibration, fitted: Fitted, candidate: Candidate, fold: Fold
 ) -> Iterator[tuple[int, tuple[float, float, float], Reconstruction]]:
     """Index, circle and result of each press of a fold, by a calibration that was fitted without the fold."""
-    suited = held_out.presses[candidate.change_offset]
-    ((model, forward),) = held_out.fit(fold, [candidate])
+    held_out, presses, known = fitted.held_out, fitted.located.presses, draft.forward
+    ((reader, forward),) = held_out.fit(fold, [candidate])
     change = change_settings(presses, candidate.change_offset)
-    if (known := calibration.forward) is not None:
-        own = replace(known, step_sigma=None) if forward is None else forward
-        forward = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
-    fitted = replace(calibration, color_model=model, forward=forward, change=change)
-    reconstruct = Reconstructor(fitted, depth_sigma=False)
+    assert known is not None
+    own = replace(known, step_sigma=None) if forward is None else forward
+    own = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
+    reconstruct = Reconstructor(
+        replace(draft, color_model=reader.model, forward=own, change=change), depth_sigma=False
+    )
     for i in fold.held_out:
         result = reconstruct.from_image(presses.presses[i].image)
-        yield i, _free_circle(suited[i], held_out.found[i], result), result
-
-
-def _slope_errors(
-    result: Reconstruction, circle_px: tuple[float, float, float], press: PreparedPress
-) -> list[NDArray[np.float64]]:
-    """Errors (N, 2) of the slopes that were read and of those of the solved depth, inside the contact.
-
-    Each has its own free centre, as everywhere.
-    """
-    x, y, radius = circle_px
-    height, width = result.shape
-    rows, cols = (axis.ravel() for axis in np.mgrid[:height:SLOPE_STEP_PX, :width:SLOPE_STEP_PX])
-    inside = np.hypot(cols - x, rows - y) < press.contact_radius_ratio * followed_radius(
-        radius, press.ball_radius_px
-    )
-    rows, cols = rows[inside], cols[inside]
-    assert result.observed_gradients is not None
-    maps = result.observed_gradients, result.gradients
-    return [score_slopes(one[rows, cols], cols, rows, (x, y), press.ball_radius_px).errors for one in maps]
+        circle = _free_circle(held_out.presses[candidate.change_offset][i], held_out.found[i], result)
+        yield i, circle, result
 
 
 def _free_circle(
@@ -300,7 +274,8 @@ def solved_by_place(
 ) -> SlopeSigma:
     """The deviation of slopes with factors by slope and place for those of the solved depth.
 
-    As in `slope_sigma_from_folds`, errors are taken down by the root of the share of presses that a fold has seen.
+    As in `slope_sigma_from_folds`, errors are taken down by the root of the fraction of presses that a fold has seen. Where
+    too few pixels were held out for factors, the slopes of the solved depth are known as well as those that were read.
 
     Parameters
     ----------
@@ -310,10 +285,9 @@ def solved_by_place(
     samples : of the held-out presses, reconstructed by models that have not seen them
     seen : share of the presses that such a model has seen
     """
-    without = replace(sigma, solved_factor=1.0)
-    reconstruct = Reconstructor(replace(draft, slope_sigma=without), depth_sigma=False)
+    reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
     no_walls = copy(reconstruct)
-    no_walls.solved_sigma = SolvedSigma(without, draft.image_shape, None)
+    no_walls.solved_sigma = SolvedSigma(sigma, draft.image_shape, None)
     height, width = draft.image_shape
     parts = []
     ratio = draft.settings["contact_radius_ratio"]

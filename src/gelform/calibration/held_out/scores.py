@@ -14,12 +14,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gelform.calibration.candidates import Candidate, SlopeReader, fitted_responses, training_samples
+from gelform.calibration.candidates import (
+    Candidate,
+    FittedSlopes,
+    SlopeReader,
+    fitted_responses,
+    training_samples,
+)
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out.folds import Fold
-from gelform.color_models import ColorModel, ForwardResponse
-from gelform.color_models.forward_response import RIDGES
+from gelform.color_models.forward_response import RIDGES, Step
 from gelform.metrics import score_slopes
 from gelform.progress import Progress, no_progress
 
@@ -78,73 +83,66 @@ class HeldOutPresses:
     presses : prepared, by the `change_offset` that candidates want
     found : the circles found in single images, one per press
     folds : from `make_folds`
-    untouched : color changes up to it say untouched gel, by the offset too
+    untouched : color changes up to it are those of untouched gel, by the offset too
     """
 
     presses: Mapping[float, Sequence[PreparedPress]]
     found: Sequence[ContactCircle]
     folds: Sequence[Fold]
     untouched: Mapping[float, float]
-    _fits: dict[tuple[Fold, Candidate], tuple[ColorModel, ForwardResponse | None]] = field(
-        default_factory=dict, init=False, repr=False
-    )
+    _fits: dict[tuple[Fold, Candidate], FittedSlopes] = field(default_factory=dict, init=False, repr=False)
 
-    def fit(
-        self, fold: Fold, candidates: Sequence[Candidate]
-    ) -> list[tuple[ColorModel, ForwardResponse | None]]:
+    def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[FittedSlopes]:
         """Candidates that differ in their settings alone, fitted on a fold's training presses; remembered."""
         new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
         if new:
-            training = [self.presses[new[0].change_offset][i] for i in fold.training]
-            untouched = self.untouched[new[0].change_offset]
+            offset = new[0].change_offset
+            training = [self.presses[offset][i] for i in fold.training]
             samples = training_samples(training, fold.contacts, total=SAMPLES_OF_FOLD)
-            models: dict[Candidate, ColorModel] = {}
-            for one in new:
-                plain = replace(one, step_ridge=None)
-                if plain not in models:
-                    models[plain] = (
-                        self._fits[fold, plain][0] if (fold, plain) in self._fits else one.fit(samples)
+            for plain in dict.fromkeys(one.plain for one in new):
+                if (fold, plain) not in self._fits:
+                    reader = SlopeReader(plain.fit(samples), self.presses[offset][0], self.untouched[offset])
+                    self._fits[fold, plain] = FittedSlopes(reader, None)
+            for plain in dict.fromkeys(one.plain for one in new):
+                reader = self._fits[fold, plain].reader
+                ridges = {
+                    one.step_ridge: one for one in new if one.plain == plain and one.step_ridge is not None
+                }
+                if ridges:
+                    responses = fitted_responses(
+                        reader, training, fold.contacts, list(ridges), total=SAMPLES_OF_FOLD
                     )
-            for plain, model in models.items():
-                stepped = [
-                    one
-                    for one in new
-                    if one.step_ridge is not None and replace(one, step_ridge=None) == plain
-                ]
-                ridges = [one.step_ridge for one in stepped if one.step_ridge is not None]
-                made = (
-                    fitted_responses(model, training, fold.contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
-                    if ridges
-                    else []
-                )
-                self._fits[fold, plain] = model, None
-                for one, forward in zip(stepped, made):
-                    self._fits[fold, one] = model, forward
+                    for one, forward in zip(ridges.values(), responses):
+                        self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
 
-    def reader(self, fold: Fold, candidate: Candidate) -> SlopeReader:
-        """What reads presses by a candidate that was fitted without the fold."""
-        (fit,) = self.fit(fold, [candidate])
-        offset = candidate.change_offset
-        return SlopeReader(*fit, self.presses[offset][0], self.untouched[offset])
+    def fitted(self, candidate: Candidate) -> list[FittedSlopes]:
+        """A candidate fitted without each fold."""
+        return [self.fit(fold, [candidate])[0] for fold in self.folds]
 
     def try_candidates(self, candidates: Sequence[Candidate]) -> list[Trial]:
-        """Fit candidates without each fold; score what was left out."""
+        """Fit candidates that differ in their settings alone without each fold; score what was left out."""
         scores: list[dict[int, SlopeScore]] = [{} for _ in candidates]
+        prepared = self.presses[candidates[0].change_offset]
         for fold in self.folds:
-            self.fit(fold, candidates)
-            for candidate, of_presses in zip(candidates, scores):
-                reader, prepared = self.reader(fold, candidate), self.presses[candidate.change_offset]
+            readers: dict[SlopeReader, list[int]] = {}
+            fits = self.fit(fold, candidates)
+            for k, fit in enumerate(fits):
+                readers.setdefault(fit.reader, []).append(k)
+            for reader, members in readers.items():  # one that differs by its steps alone is read once
                 for i in fold.held_out:
-                    of_presses[i] = score_of(prepared[i], self.found[i], reader)
+                    frames = reader.frames(prepared[i], [fits[k].forward for k in members])
+                    for k, frame in zip(members, frames):
+                        scores[k][i] = score_of(prepared[i], self.found[i], frame)
         return [Trial(candidate, of) for candidate, of in zip(candidates, scores)]
 
 
-def score_of(press: PreparedPress, found: ContactCircle, reader: SlopeReader) -> SlopeScore:
-    """Errors inside the contact's edge."""
+def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> SlopeScore:
+    """Errors of the slopes that were read on a press, inside the contact's edge."""
     rows, cols = press.pixels(found, 1.0, SCORED_PIXELS)
-    slopes = reader.frame(press).gradients[rows, cols]
-    score = score_slopes(slopes, cols, rows, (found.x_px, found.y_px), press.ball_radius_px)
+    score = score_slopes(
+        frame.gradients[rows, cols], cols, rows, (found.x_px, found.y_px), press.ball_radius_px
+    )
     error = float(np.sqrt(np.mean(np.sum(score.errors**2, axis=1))))
     return SlopeScore(max(error, 1e-9), score.normal_deg)
 

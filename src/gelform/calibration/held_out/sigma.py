@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.candidates import SlopeReader
+from gelform.calibration.candidates import FittedSlopes
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.samples import REST_DISTANCE, PreparedPress
 from gelform.calibration.held_out.folds import Fold
+from gelform.color_models.forward_response import Step
 from gelform.confidence import SlopeErrors, SlopeSigma
 from gelform.metrics import score_slopes
 
@@ -64,7 +65,7 @@ class PressResiduals:
 
 
 def slope_sigma_from_folds(
-    readers: Sequence[SlopeReader],
+    fits: Sequence[FittedSlopes],
     folds: Sequence[Fold],
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
@@ -83,8 +84,8 @@ def slope_sigma_from_folds(
     shape = presses[0].size.shape
     step = max(1, round(scale_of(shape)))
     residuals = {
-        i: press_residuals(presses[i], found[i], reader)
-        for reader, fold in zip(readers, folds)
+        i: press_residuals(presses[i], found[i], fit.frame(presses[i]))
+        for fit, fold in zip(fits, folds)
         for i in fold.held_out
     }
     gains = [gain_of(one.slopes, one.slopes - one.errors) for one in residuals.values()]
@@ -160,10 +161,9 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     return best[1], best[2]
 
 
-def press_residuals(press: PreparedPress, found: ContactCircle, reader: SlopeReader) -> PressResiduals:
+def press_residuals(press: PreparedPress, found: ContactCircle, frame: Step) -> PressResiduals:
     """What is read on a press that was left out, and how far off it is; its centre is free: labels are off by a pixel."""
     rows, cols = press.pixels(found, 1.0)
-    frame = reader.frame(press)
     gradients = frame.gradients[rows, cols].astype(np.float64)
     error = score_slopes(gradients, cols, rows, (found.x_px, found.y_px), press.ball_radius_px).errors
     box = (int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1, 2)

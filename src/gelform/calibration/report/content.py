@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.ball import followed_radius
 from gelform.calibration.coverage import DIRECTIONS, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.enough import enough
 from gelform.calibration.held_out.measure import HeldOutSample, stated_sigma
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.record import CalibrationReport, PressReport
@@ -29,7 +30,7 @@ from gelform.reconstruct import Reconstructor
 FORMAT, FORMAT_VERSION = "gelform calibration report", 2
 ERROR_COLUMNS, PLACE_COLUMNS = 16, 4
 SUGGESTIONS = 3
-GAIN_TO_SLOPE, GAIN_PRESSES, GAIN_PIXELS = 0.8, 10, 500
+GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
     ("normal_free_deg", np.mean),
@@ -116,7 +117,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
         if values.size:
             figures[name] = {
                 "value": float(middle(values)),
-                "interval": interval_of(values, middle, rng) if values.size > 2 else None,
+                "interval": interval_of(values, middle, rng) if enough("interval", values.size) else None,
                 "presses": int(values.size),
                 "statistic": middle.__name__,
             }
@@ -205,5 +206,5 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
 
 def _counts(gain: dict[str, Any]) -> bool:
     """Whether a bin of the gain curve is judged: few pixels of a few presses tell little."""
-    enough = gain["presses"] >= GAIN_PRESSES and gain["pixels"] >= GAIN_PIXELS
-    return bool(enough and gain["slope_to"] <= GAIN_TO_SLOPE)
+    known = enough("judged gain", gain["presses"]) and gain["pixels"] >= GAIN_PIXELS
+    return bool(known and gain["slope_to"] <= GAIN_TO_SLOPE)

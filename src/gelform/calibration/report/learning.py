@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 
 from gelform.calibration.candidates import (
     Candidate,
+    FittedSlopes,
     SlopeReader,
     candidates_for,
     candidates_from,
@@ -19,10 +20,11 @@ from gelform.calibration.candidates import (
     training_samples,
 )
 from gelform.calibration.circles.find import ContactCircle
+from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.prepare import find_contacts, prepare, prepared_by_offset
-from gelform.calibration.circles.refine import refine
 from gelform.calibration.circles.samples import PreparedPress
-from gelform.calibration.held_out.folds import groups_alike
+from gelform.calibration.enough import enough
+from gelform.calibration.held_out.folds import near_duplicates
 from gelform.calibration.held_out.scores import SAMPLES_OF_FOLD, score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
@@ -32,9 +34,7 @@ from gelform.progress import Progress, no_progress
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)
 DRAWS = 3
 HELD_OUT_SHARE = 0.25
-MIN_ACCEPTED = 8
 MORE = 10
-MANY = 30
 WORTH_IT = 0.03
 
 
@@ -65,7 +65,7 @@ def learning_curve(
         None with fewer than 8 accepted presses: there is nothing to hold out.
     """
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
-    if len(accepted) < MIN_ACCEPTED:
+    if not enough("learning curve", len(accepted)):
         return None
     own = presses.subset(accepted)
     ratio = calibration.settings["contact_radius_ratio"]
@@ -74,7 +74,7 @@ def learning_curve(
     to_fit = prepared_by_offset(own, to_refine, [offset])[offset]
     found = find_contacts(to_refine)
     sizes = sizes_for(len(own.presses))
-    groups = groups_alike(to_refine, found, range(len(own.presses)))
+    groups = near_duplicates(to_refine, found, range(len(own.presses)))
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
     points = []
     for done, size in enumerate(sizes):
@@ -127,7 +127,7 @@ def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
     options = [replace(candidate, step_ridge=step) for candidate in options]
     own = tuple((key, calibration.settings.others[key]) for key, _ in options[0].settings)
     chosen = Candidate(calibration.color_model.name, own, start, step)
-    if presses >= MANY:
+    if enough("settings", presses):
         return [chosen]
     return options[: options.index(chosen) + 1] if chosen in options else [*options, chosen]
 
@@ -145,17 +145,18 @@ def _one_draw(
     start = None if candidates[0].start is None else candidates[0].start.model
     refined = refine([to_refine[i] for i in training], [found[i] for i in training], start=start)
     kept = refined.accepted
-    if len(kept) < 2:
+    if not enough("model", len(kept)):
         return None
     used, contacts = [to_fit[training[k]] for k in kept], [refined.contacts[k] for k in kept]
     degrees, samples = [], training_samples(used, contacts, total=SAMPLES_OF_FOLD)
     for candidate in candidates:
-        model, forward = candidate.fit(samples), None
+        fit = FittedSlopes(SlopeReader(candidate.fit(samples), used[0], untouched), None)
         if candidate.step_ridge is not None:
             ridges = [candidate.step_ridge]
-            (forward,) = fitted_responses(model, used, contacts, ridges, untouched, total=SAMPLES_OF_FOLD)
-        reader = SlopeReader(model, forward, used[0], untouched)
-        degrees.append(float(np.mean([score_of(to_fit[i], found[i], reader).normal_deg for i in tested])))
+            responses = fitted_responses(fit.reader, used, contacts, ridges, total=SAMPLES_OF_FOLD)
+            fit = FittedSlopes(fit.reader, responses[0])
+        scores = [score_of(to_fit[i], found[i], fit.frame(to_fit[i])) for i in tested]
+        degrees.append(float(np.mean([score.normal_deg for score in scores])))
     return degrees
 
 
@@ -190,7 +191,7 @@ def floor_and_slope(presses: Sequence[float], degrees: Sequence[float]) -> tuple
 
 def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, Any] | None:
     """The curve with what `MORE` presses are expected to bring; None where two points cannot tell."""
-    late = [p for p in points if p["presses"] >= 10]
+    late = [p for p in points if enough("learning law", p["presses"])]
     used = late if len(late) >= 3 else points
     if len(used) < 2:
         return None

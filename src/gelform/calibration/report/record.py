@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from gelform.calibration.candidates import Start
-from gelform.calibration.circles.refine import Refined
-from gelform.calibration.held_out.measure import HeldOut, HeldOutSample
+from gelform.calibration.circles.locate import Located
+from gelform.calibration.fitted import Fitted
+from gelform.calibration.held_out.measure import HeldOutSample, Judged
 from gelform.calibration.held_out.scores import Selection
-from gelform.calibration.presses.press_set import Presses
 from gelform.metrics import PressErrors
 
 
@@ -79,42 +79,35 @@ class CalibrationReport:
 
 
 def report_of_run(
-    presses: Presses,
-    refined: Refined,
-    held_out: HeldOut,
-    circle_sigmas: Mapping[int, tuple[float, float]],
-    selection: Selection,
-    *,
-    notes: Sequence[str],
-    seconds: float,
-    start: Start | None = None,
+    fitted: Fitted, judged: Judged, *, notes: Sequence[str], seconds: float
 ) -> CalibrationReport:
     """The report of a calibration run, from what its steps gave; `notes` follow its own."""
+    presses = fitted.located.presses
     return CalibrationReport(
-        presses=_press_rows(presses, refined, held_out.errors, circle_sigmas),
-        candidates=_candidate_rows(selection),
-        held_out=summary(list(held_out.errors.values())),
+        presses=_press_rows(fitted.located, judged),
+        candidates=_candidate_rows(fitted.selection),
+        held_out=summary(list(judged.errors.values())),
         seconds=seconds,
         notes=(
-            _how_held_out(len(held_out.errors), selection),
+            _how_held_out(len(judged.errors), fitted.selection),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
+            *fitted.located.notes,
+            *fitted.notes,
             *notes,
         ),
-        held_out_saved=summary(list(held_out.saved_errors.values())),
-        samples=held_out.samples,
-        start=start,
+        held_out_saved=summary(list(judged.saved_errors.values())),
+        samples=judged.samples,
+        start=fitted.located.start,
     )
 
 
-def _press_rows(
-    presses: Presses,
-    refined: Refined,
-    errors: Mapping[int, PressErrors],
-    circle_sigmas: Mapping[int, tuple[float, float]],
-) -> tuple[PressReport, ...]:
+def _press_rows(located: Located, judged: Judged) -> tuple[PressReport, ...]:
     rows = []
-    for i, (press, contact, reason) in enumerate(zip(presses.presses, refined.contacts, refined.reasons)):
-        sigmas = circle_sigmas.get(i, (None, None)) if reason is None else (None, None)
+    refined = located.refined
+    for i, (press, contact, reason) in enumerate(
+        zip(located.presses.presses, refined.contacts, refined.reasons)
+    ):
+        sigmas = judged.circle_sigmas.get(i, (None, None)) if reason is None else (None, None)
         rows.append(
             PressReport(
                 press.name,
@@ -122,7 +115,7 @@ def _press_rows(
                 *contact.circle_px,
                 accepted=reason is None,
                 reason=reason,
-                errors=asdict(errors[i]) if i in errors else None,
+                errors=asdict(judged.errors[i]) if i in judged.errors else None,
                 center_sigma_px=sigmas[0],
                 contact_radius_sigma_px=sigmas[1],
             )

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.coverage import COARSE, DIRECTIONS, direction_of, tile_of
+from gelform.calibration.enough import enough
 from gelform.calibration.held_out.measure import HeldOutSample
 from gelform.metrics import angle_deg
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
-MIN_PRESSES, MIN_PIXELS = 3, 60
+MIN_PIXELS = 60  # of a bin of slopes or places
 DRAWS = 1000
 PRIOR_PIXELS = 200
 
@@ -39,7 +40,7 @@ def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> li
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
         projected, square, pixels = sums[:, :, b]
-        if np.count_nonzero(pixels) < MIN_PRESSES or pixels.sum() < MIN_PIXELS:
+        if not enough("interval", int(np.count_nonzero(pixels))) or pixels.sum() < MIN_PIXELS:
             continue
         among = drawn @ square
         gains = (drawn @ projected)[among > 0] / among[among > 0]

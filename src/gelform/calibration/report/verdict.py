@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gelform.calibration.enough import NEEDED
+
 LEVELS = ("good", "fair", "poor")
 
 
@@ -34,8 +36,8 @@ class Limit:
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses: their reasons say what to press or to write down differently."),
-    Limit("presses_used", "presses used", "", 30, 10, True,
-          "Press the ball at more places: 30 presses or more, the places marked 1, 2, 3 first."),
+    Limit("presses_used", "presses used", "", NEEDED["good"].presses, NEEDED["fair"].presses, True,
+          f"Press the ball at more places: {NEEDED['good'].presses} presses or more, the places marked 1, 2, 3 first."),
     Limit("normal_free_deg", "normals, held out", "°", 3, 5, False,
           "Press at the places marked 1, 2, 3; check that exposure and light did not change, and look for cast shadows."),
     Limit("radius_percent", "ball's radius, held out", "%", 3, 6, False,

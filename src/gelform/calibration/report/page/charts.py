@@ -1,9 +1,9 @@
-"""The report's curves and bars as SVG: small, crisp, in the page's own colours, light or dark."""
+"""The report's curves, bars and maps of the frame as SVG: small, crisp, in the page's own colours, light or dark."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -11,9 +11,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-WIDTH, HEIGHT = 460, 270
+WIDTH, HEIGHT = 460, 270  # px of the curves, as drawn
+LEFT, RIGHT, TOP, BOTTOM = 46, 12, 30, 40  # px around the plot
+MAP_WIDTH, SHARE_MAP_WIDTH = 560, 330  # px
+LONGEST_ARROW = 50.0  # px
+SUPPORT_OPACITY = (0.0, 0.3, 0.55, 0.85)  # of a petal that no, one, two, three or more presses show
+GAIN_RIGHT = (0.95, 1.05)  # the band of the gain that is right
+SHARE_RIGHT, SHARE_FAIR = (60, 76), (45, 90)  # % within one sigma; 68 is right
 Ticks = Sequence[float] | NDArray[Any]
-LEFT, RIGHT, TOP, BOTTOM = 46, 12, 30, 40
+
+
+def svg(body: str, width: float, height: float, title: str, kind: str = "chart") -> str:
+    """An SVG that scales with the page; its title is read to who cannot see it."""
+    return (
+        f'<svg class="{kind}" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}">'
+        f"<title>{escape(title)}</title>{body}</svg>"
+    )
+
+
+def _px(value: float) -> str:
+    """A length: whole, or to a tenth of a pixel."""
+    return str(value) if isinstance(value, int) else f"{value:.1f}"
+
+
+def _rect(kind: str, x: float, y: float, width: float, height: float, more: str = "") -> str:
+    size = f'width="{_px(width)}" height="{_px(height)}"'
+    return f'<rect class="{kind}" x="{_px(x)}" y="{_px(y)}" {size}{more}/>'
+
+
+def _text(kind: str, x: float, y: float, words: str, anchor: str = "middle") -> str:
+    return f'<text class="{kind}" x="{_px(x)}" y="{_px(y)}" text-anchor="{anchor}">{words}</text>'
+
+
+def _line(kind: str, x1: float, x2: float, y1: float, y2: float) -> str:
+    return f'<line class="{kind}" x1="{_px(x1)}" x2="{_px(x2)}" y1="{_px(y1)}" y2="{_px(y2)}"/>'
+
+
+def _circle(kind: str, x: float, y: float, radius: float) -> str:
+    return f'<circle class="{kind}" cx="{_px(x)}" cy="{_px(y)}" r="{_px(radius)}"/>'
 
 
 @dataclass(frozen=True)
@@ -41,19 +76,10 @@ class Axes:
         parts = []
         for tick in y_ticks:
             y = self.y(tick)
-            parts.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-            parts.append(
-                f'<text class="tick" x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:g}{unit}</text>'
-            )
-        for tick in x_ticks:
-            x = self.x(tick)
-            parts.append(
-                f'<text class="tick" x="{x:.1f}" y="{bottom + 16}" text-anchor="middle">{tick:g}</text>'
-            )
-        middle = (LEFT + right) / 2
-        parts.append(
-            f'<text class="label" x="{middle:.1f}" y="{bottom + 34}" text-anchor="middle">{escape(x_label)}</text>'
-        )
+            parts.append(_line("grid", LEFT, right, y, y))
+            parts.append(_text("tick", LEFT - 6, y + 4, f"{tick:g}{unit}", "end"))
+        parts += [_text("tick", self.x(tick), bottom + 16, f"{tick:g}") for tick in x_ticks]
+        parts.append(_text("label", (LEFT + right) / 2, bottom + 34, escape(x_label)))
         parts.append(f'<text class="label" x="4" y="14">{escape(y_label)}</text>')
         return "".join(parts)
 
@@ -70,20 +96,13 @@ class Axes:
         points = " ".join(f"{self.x(x):.1f},{self.y(y):.1f}" for x, y in there + back)
         return f'<polygon class="{kind}" points="{points}"/>'
 
+    def level_band(self, low: float, high: float) -> str:
+        """What is right, over the whole plot."""
+        return self.band(self.x_range, (low, low), (high, high), "right")
+
     def dots(self, xs: Sequence[float], ys: Sequence[float], kind: str, radius: float = 3) -> str:
         """Points."""
-        return "".join(
-            f'<circle class="{kind}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" r="{radius:g}"/>'
-            for x, y in zip(xs, ys)
-        )
-
-
-def svg(body: str, width: float, height: float, title: str, kind: str = "chart") -> str:
-    """An SVG that scales with the page; its title is read to who cannot see it."""
-    return (
-        f'<svg class="{kind}" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}">'
-        f"<title>{escape(title)}</title>{body}</svg>"
-    )
+        return "".join(_circle(kind, self.x(x), self.y(y), radius) for x, y in zip(xs, ys))
 
 
 def gain_chart(gain: dict[str, Any]) -> str:
@@ -93,79 +112,82 @@ def gain_chart(gain: dict[str, Any]) -> str:
         return ""
     lowest = min([b["gain"] for b in both] + [0.8])
     highest = max([b["gain"] for b in both] + [1.2])
-    axes = Axes(
-        (0, max(b["slope_to"] for b in both)), (np.floor(lowest * 10) / 10, np.ceil(highest * 10) / 10)
-    )
-    parts = [axes.band(axes.x_range, (0.95, 0.95), (1.05, 1.05), "right")]
+    end = max(b["slope_to"] for b in both)
+    axes = Axes((0, end), (np.floor(lowest * 10) / 10, np.ceil(highest * 10) / 10))
     ticks = np.round(np.arange(axes.y_range[0], axes.y_range[1] + 0.01, 0.1), 1)
-    x_ticks = np.round(np.arange(0, axes.x_range[1] + 0.01, 0.2), 1)
-    parts.append(axes.frame(x_ticks, ticks, "true slope, mm/mm", "recovered / true slope"))
-    parts.append(axes.line(axes.x_range, (1, 1), "one"))
+    parts = [
+        axes.level_band(*GAIN_RIGHT),
+        axes.frame(_slope_ticks(end), ticks, "true slope, mm/mm", "recovered / true slope"),
+        axes.line(axes.x_range, (1, 1), "one"),
+    ]
     for name, kind in (("rim", "second"), ("contact", "first")):
         xs = [(b["slope_from"] + b["slope_to"]) / 2 for b in gain[name]]
-        intervals = [b["interval"] for b in gain[name]]
-        parts.append(axes.band(xs, [i[0] for i in intervals], [i[1] for i in intervals], f"fill-{kind}"))
-        parts.append(axes.line(xs, [b["gain"] for b in gain[name]], f"line-{kind}"))
-        parts.append(axes.dots(xs, [b["gain"] for b in gain[name]], f"dot-{kind}"))
+        lows, highs = ([b["interval"][side] for b in gain[name]] for side in (0, 1))
+        gains = [b["gain"] for b in gain[name]]
+        parts.append(axes.band(xs, lows, highs, f"fill-{kind}"))
+        parts.append(axes.line(xs, gains, f"line-{kind}"))
+        parts.append(axes.dots(xs, gains, f"dot-{kind}"))
     return svg("".join(parts), WIDTH, HEIGHT, "Slope gain: recovered over true slope, by true slope")
+
+
+def _slope_ticks(end: float) -> NDArray[np.float64]:
+    return np.round(np.arange(0, end + 0.01, 0.2), 1)
 
 
 def learning_chart(learning: dict[str, Any]) -> str:
     """Held-out error by number of presses: every draw, their mean, and the law that is carried on."""
     points, expected = learning["points"], learning["expected"]
-    end = expected["presses_now"] + expected["presses_more"]
+    now = expected["presses_now"]
+    end = now + expected["presses_more"]
     highest = max(max(p["draws_deg"]) for p in points)
     top = float(np.ceil(min(highest, 3 * points[-1]["mean_deg"] + 4)))
     axes = Axes((0, end * 1.04), (0, top))
     ticks = np.arange(0, top + 0.1, 1 if top <= 8 else 2)
     step = next(s for s in (5, 10, 20, 50, 100, 200, 500) if end / s <= 9)
     parts = [axes.frame(np.arange(0, end * 1.04, step), ticks, "presses that train", "normal error", "°")]
-    ns = np.linspace(min(10, expected["presses_now"]), end, 60)
+    ns = np.linspace(min(10, now), end, 60)
     law = np.sqrt(expected["floor_deg"] ** 2 + expected["square_slope_deg2"] / ns)
     shown = law <= top
     parts.append(axes.line(ns[shown].tolist(), law[shown].tolist(), "law"))
     for p in points:
         draws = [min(value, top) for value in p["draws_deg"]]
         parts.append(axes.dots([p["presses"]] * len(draws), draws, "draw", 2.5))
-    means = [min(p["mean_deg"], top) for p in points]
-    parts.append(axes.line([p["presses"] for p in points], means, "line-first"))
-    parts.append(axes.dots([p["presses"] for p in points], means, "dot-first", 3.5))
-    now = expected["presses_now"]
-    parts.append(
-        f'<line class="now" x1="{axes.x(now):.1f}" x2="{axes.x(now):.1f}" y1="{TOP}" y2="{axes.y(0):.1f}"/>'
-    )
-    parts.append(
-        f'<text class="tick" x="{axes.x(now) - 4:.1f}" y="{TOP + 10}" text-anchor="end">now: {now}</text>'
-    )
+    sizes, means = [p["presses"] for p in points], [min(p["mean_deg"], top) for p in points]
+    parts.append(axes.line(sizes, means, "line-first"))
+    parts.append(axes.dots(sizes, means, "dot-first", 3.5))
+    parts.append(_line("now", axes.x(now), axes.x(now), TOP, axes.y(0)))
+    parts.append(_text("tick", axes.x(now) - 4, TOP + 10, f"now: {now}", "end"))
     parts.append(axes.dots([now, end], [expected["now_deg"], expected["more_deg"]], "expected", 4))
     return svg("".join(parts), WIDTH, HEIGHT, "Learning curve: " + learning["sentence"])
 
 
 def sigma_chart(sigma: dict[str, Any]) -> str:
-    """Share of held-out slopes within one stated standard deviation, by slope; 68 % is right."""
+    """Fraction of held-out slopes within one stated standard deviation, by slope; 68 % is right."""
     bins = sigma["by_slope"]
     if not bins:
         return ""
     axes = Axes((0, bins[-1]["slope_to"]), (0, 100))
-    parts = [axes.band(axes.x_range, (60, 60), (76, 76), "right")]
-    ticks = np.round(np.arange(0, axes.x_range[1] + 0.01, 0.2), 1)
-    parts.append(axes.frame(ticks, (0, 20, 40, 60, 80, 100), "slope, mm/mm", "within one σ", " %"))
+    ticks = (0, 20, 40, 60, 80, 100)
+    parts = [
+        axes.level_band(*SHARE_RIGHT),
+        axes.frame(_slope_ticks(axes.x_range[1]), ticks, "slope, mm/mm", "within one σ", " %"),
+    ]
     for one in bins:
-        left, right, share = axes.x(one["slope_from"]) + 2, axes.x(one["slope_to"]) - 2, 100 * one["share"]
-        kind = "bar" if 60 <= share <= 76 else "bar off" if 45 <= share <= 90 else "bar far"
-        y = axes.y(share)
-        label = y + 15 if share > 10 else y - 4
-        parts.append(
-            f'<rect class="{kind}" x="{left:.1f}" y="{y:.1f}" width="{right - left:.1f}" '
-            f'height="{axes.y(0) - y:.1f}" rx="2"/>'
-        )
-        parts.append(
-            f'<text class="on-bar" x="{(left + right) / 2:.1f}" y="{label:.1f}" text-anchor="middle">{share:.0f}</text>'
-        )
+        left, right, percent = axes.x(one["slope_from"]) + 2, axes.x(one["slope_to"]) - 2, 100 * one["share"]
+        y = axes.y(percent)
+        parts.append(_rect(_bar_of(percent), left, y, right - left, axes.y(0) - y, ' rx="2"'))
+        label = y + 15 if percent > 10 else y - 4
+        parts.append(_text("on-bar", (left + right) / 2, label, f"{percent:.0f}"))
     parts.append(axes.line(axes.x_range, (68, 68), "one"))
-    return svg(
-        "".join(parts), WIDTH, HEIGHT, "Share of held-out slopes within one standard deviation, by slope"
-    )
+    title = "Share of held-out slopes within one standard deviation, by slope"
+    return svg("".join(parts), WIDTH, HEIGHT, title)
+
+
+def _bar_of(percent: float) -> str:
+    """CSS class of a fraction within one sigma."""
+    if SHARE_RIGHT[0] <= percent <= SHARE_RIGHT[1]:
+        return "bar"
+    return "bar off" if SHARE_FAIR[0] <= percent <= SHARE_FAIR[1] else "bar far"
 
 
 def limit_bar(value: float, interval: Sequence[float] | None, good: float, fair: float) -> str:
@@ -173,20 +195,15 @@ def limit_bar(value: float, interval: Sequence[float] | None, good: float, fair:
     end = max(1.5 * fair, 1.05 * value, 1.05 * (interval or [0, 0])[1])
     scale = 200 / end
     parts = [
-        f'<rect class="zone-good" x="0" y="8" width="{good * scale:.1f}" height="6"/>',
-        f'<rect class="zone-fair" x="{good * scale:.1f}" y="8" width="{(fair - good) * scale:.1f}" height="6"/>',
-        f'<rect class="zone-poor" x="{fair * scale:.1f}" y="8" width="{200 - fair * scale:.1f}" height="6"/>',
+        _rect("zone-good", 0, 8, good * scale, 6),
+        _rect("zone-fair", good * scale, 8, (fair - good) * scale, 6),
+        _rect("zone-poor", fair * scale, 8, 200 - fair * scale, 6),
     ]
     if interval:
         low, high = (v * scale for v in interval)
-        parts.append(
-            f'<rect class="whisker" x="{low:.1f}" y="9.5" width="{max(high - low, 1):.1f}" height="3"/>'
-        )
-    parts.append(f'<circle class="marker" cx="{value * scale:.1f}" cy="11" r="5.5"/>')
-    for limit in (good, fair):
-        parts.append(
-            f'<text class="tick" x="{limit * scale:.1f}" y="28" text-anchor="middle">{limit:g}</text>'
-        )
+        parts.append(_rect("whisker", low, 9.5, max(high - low, 1.0), 3))
+    parts.append(_circle("marker", value * scale, 11, 5.5))
+    parts += [_text("tick", limit * scale, 28, f"{limit:g}") for limit in (good, fair)]
     return svg("".join(parts), 206, 32, f"{value:.3g}: good up to {good:g}, fair up to {fair:g}", "limits")
 
 
@@ -194,46 +211,41 @@ def range_bar(row: dict[str, Any], end: float) -> str:
     """A candidate's normal error with its standard error, from 0 to `end` degrees."""
     value, error = row["normal_free_deg"], row.get("standard_error_deg", 0.0)
     low, high, middle = (160 * v / end for v in (value - error, value + error, value))
-    body = (
-        '<line class="grid" x1="0" x2="160" y1="7" y2="7"/>'
-        f'<line class="line-first" x1="{low:.1f}" x2="{high:.1f}" y1="7" y2="7"/>'
-        f'<circle class="dot-first" cx="{middle:.1f}" cy="7" r="{5 if row["chosen"] else 3.5:g}"/>'
+    body = _line("grid", 0, 160, 7, 7) + _line("line-first", low, high, 7, 7)
+    return svg(
+        body + _circle("dot-first", middle, 7, 5 if row["chosen"] else 3.5), 166, 14, f"{value:.3g}°", "range"
     )
-    return svg(body, 166, 14, f"{value:.3g}°", "range")
-
-
-MAP_WIDTH = 560
-LONGEST_ARROW = 50.0
-SUPPORT_OPACITY = (0.0, 0.3, 0.55, 0.85)
 
 
 def coverage_map(coverage: dict[str, Any], shape: Sequence[int]) -> str:
     """A rose in every cell: one petal for each slope direction, filled by how many presses have shown it."""
     scale = MAP_WIDTH / shape[1]
-    height = shape[0] * scale
-    rows, columns = coverage["rows"], coverage["columns"]
-    cell_width, cell_height = MAP_WIDTH / columns, height / rows
-    radius = 0.44 * min(cell_width, cell_height)
-    parts = [f'<rect class="ground" width="{MAP_WIDTH}" height="{height:.1f}" rx="3"/>']
-    for index, counts in enumerate(coverage["presses"]):
-        x, y = (index % columns + 0.5) * cell_width, (index // columns + 0.5) * cell_height
+    parts, cells = _cells(coverage, shape, MAP_WIDTH)
+    for (left, top, width, height), counts in zip(cells, coverage["presses"]):
+        x, y, radius = left + width / 2, top + height / 2, 0.44 * min(width, height)
         parts += [_petal(x, y, radius, k, len(counts), count) for k, count in enumerate(counts)]
     for number, place in enumerate(coverage["next"], start=1):
         x, y = (place["x_px"] + 0.5) * scale, (place["y_px"] + 0.5) * scale
-        parts.append(
-            f'<circle class="next" cx="{x:.1f}" cy="{y:.1f}" r="{place["contact_radius_px"] * scale:.1f}"/>'
-        )
-        parts.append(f'<circle class="next-mark" cx="{x:.1f}" cy="{y:.1f}" r="12"/>')
-        parts.append(
-            f'<text class="next-text" x="{x:.1f}" y="{y + 5:.1f}" text-anchor="middle">{number}</text>'
-        )
-    return svg(
-        "".join(parts),
-        MAP_WIDTH,
-        height,
-        "Slope directions seen at each place, and where to press next",
-        "map",
+        parts.append(_circle("next", x, y, place["contact_radius_px"] * scale))
+        parts.append(_circle("next-mark", x, y, 12))
+        parts.append(_text("next-text", x, y + 5, f"{number}"))
+    return _map(parts, shape, MAP_WIDTH, "Slope directions seen at each place, and where to press next")
+
+
+def _cells(
+    grid: dict[str, Any], shape: Sequence[int], width: int
+) -> tuple[list[str], Iterator[tuple[float, float, float, float]]]:
+    """The ground of a map of the frame, and left, top, width, height of its cells, row by row."""
+    height, rows, columns = shape[0] * width / shape[1], grid["rows"], grid["columns"]
+    ground = f'<rect class="ground" width="{width}" height="{height:.1f}" rx="3"/>'
+    across, down = width / columns, height / rows
+    return [ground], (
+        (k % columns * across, k // columns * down, across, down) for k in range(rows * columns)
     )
+
+
+def _map(parts: Sequence[str], shape: Sequence[int], width: int, title: str) -> str:
+    return svg("".join(parts), width, shape[0] * width / shape[1], title, "map")
 
 
 def _petal(x: float, y: float, radius: float, k: int, directions: int, count: int) -> str:
@@ -247,23 +259,18 @@ def _petal(x: float, y: float, radius: float, k: int, directions: int, count: in
 
 def slope_error_map(errors: dict[str, Any], shape: Sequence[int]) -> str:
     """RMS length of the held-out slope error as shade, its mean as an arrow, by place."""
-    height = shape[0] * MAP_WIDTH / shape[1]
-    rows, columns = errors["rows"], errors["columns"]
-    width, tall = MAP_WIDTH / columns, height / rows
     limit = scale_of_errors(errors)
-    parts = [f'<rect class="ground" width="{MAP_WIDTH}" height="{height:.1f}" rx="3"/>']
+    parts, cells = _cells(errors, shape, MAP_WIDTH)
     arrows = []
-    for index, (rms, mean) in enumerate(zip(errors["rms"], errors["mean"])):
+    for (left, top, width, height), rms, mean in zip(cells, errors["rms"], errors["mean"]):
         if rms is None:
             continue
-        left, top = index % columns * width, index // columns * tall
-        shade = min(rms / limit, 1) * 0.9 + 0.04
-        parts.append(
-            f'<rect class="heat" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{tall:.1f}" '
-            f'fill-opacity="{shade:.2f}"><title>RMS {rms:.3f}, mean ({mean[0]:+.3f}, {mean[1]:+.3f})</title></rect>'
-        )
-        arrows.append(_arrow(left + width / 2, top + tall / 2, mean, 0.9 * min(width, tall) / limit))
-    return svg("".join(parts + arrows), MAP_WIDTH, height, "Held-out slope error over the frame", "map")
+        shade = f' fill-opacity="{min(rms / limit, 1) * 0.9 + 0.04:.2f}"'
+        title = f"<title>RMS {rms:.3f}, mean ({mean[0]:+.3f}, {mean[1]:+.3f})</title>"
+        cell = _rect("heat", left, top, width, height, shade)
+        parts.append(f"{cell.removesuffix('/>')}>{title}</rect>")
+        arrows.append(_arrow(left + width / 2, top + height / 2, mean, 0.9 * min(width, height) / limit))
+    return _map(parts + arrows, shape, MAP_WIDTH, "Held-out slope error over the frame")
 
 
 def scale_of_errors(errors: dict[str, Any]) -> float:
@@ -276,36 +283,18 @@ def _arrow(x: float, y: float, mean: Sequence[float], scale: float) -> str:
     """A line from the cell's middle in the direction of the mean error, with a dot at its tail."""
     shrink = min(1.0, LONGEST_ARROW / max(math.hypot(*mean) * scale, 1e-9))
     dx, dy = mean[0] * scale * shrink, mean[1] * scale * shrink
-    return (
-        f'<circle class="tail" cx="{x:.1f}" cy="{y:.1f}" r="1.6"/>'
-        f'<line class="arrow" x1="{x:.1f}" y1="{y:.1f}" x2="{x + dx:.1f}" y2="{y + dy:.1f}"/>'
-    )
+    end = f'<line class="arrow" x1="{x:.1f}" y1="{y:.1f}" x2="{x + dx:.1f}" y2="{y + dy:.1f}"/>'
+    return _circle("tail", x, y, 1.6) + end
 
 
 def share_map(sigma: dict[str, Any], shape: Sequence[int]) -> str:
-    """Share within one standard deviation by place, as numbers on shades."""
-    width = 330
-    height = shape[0] * width / shape[1]
-    rows, columns = sigma["rows"], sigma["columns"]
-    cell_width, cell_height = width / columns, height / rows
-    parts = [f'<rect class="ground" width="{width}" height="{height:.1f}" rx="3"/>']
-    for index, share in enumerate(sigma["by_place"]):
-        left, top = index % columns * cell_width, index // columns * cell_height
-        text = "–"
+    """Fraction within one standard deviation by place, as numbers on shades."""
+    parts, cells = _cells(sigma, shape, SHARE_MAP_WIDTH)
+    for (left, top, width, height), share in zip(cells, sigma["by_place"]):
+        words = "–"
         if share is not None:
-            percent = 100 * share
-            kind = "bar" if 60 <= percent <= 76 else "bar off" if 45 <= percent <= 90 else "bar far"
-            parts.append(
-                f'<rect class="{kind}" x="{left + 1:.1f}" y="{top + 1:.1f}" width="{cell_width - 2:.1f}" '
-                f'height="{cell_height - 2:.1f}" rx="2"/>'
-            )
-            text = f"{percent:.0f} %"
-        x, y = left + cell_width / 2, top + cell_height / 2 + 5
-        parts.append(f'<text class="cell" x="{x:.1f}" y="{y:.1f}" text-anchor="middle">{text}</text>')
-    return svg(
-        "".join(parts),
-        width,
-        height,
-        "Share of held-out slopes within one standard deviation, by place",
-        "map",
-    )
+            words = f"{100 * share:.0f} %"
+            parts.append(_rect(_bar_of(100 * share), left + 1, top + 1, width - 2, height - 2, ' rx="2"'))
+        parts.append(_text("cell", left + width / 2, top + height / 2 + 5, words))
+    title = "Share of held-out slopes within one standard deviation, by place"
+    return _map(parts, shape, SHARE_MAP_WIDTH, title)

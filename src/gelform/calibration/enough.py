@@ -1,0 +1,53 @@
+"""How many presses each thing needs: every such number of a calibration stands here, with its reason.
+
+Presses are counted that are accepted (`circles.locate`), where a row does not say otherwise. docs/press-folder.md shows
+the same table. A color model says itself what its settings need (`variants`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from gelform.color_models import DEFAULT_MODEL, PLAIN_MODEL
+
+
+class Need(NamedTuple):
+    """So many presses, what they are enough for, and why no fewer are."""
+
+    presses: int
+    what: str
+    why: str
+
+
+NEEDED = {
+    "model": Need(2, "a color model that circles are moved with", "one press agrees with itself, wherever its circle is"),
+    "places": Need(3, "a calibration; presses at different places", "each fold is held out from two others at least"),
+    "interval": Need(3, "a figure's interval, a bin of the gain curve", "two drawn with replacement say nothing of others"),
+    "spread": Need(3, "the note that all presses lie in one part of the image", "two lie in one part by chance"),
+    "median": Need(5, "the check for a contact in the background (images)", "the median of the presses is untouched then"),
+    "whole": Need(6, "circles moved by presses alone that the border does not cut", "fewer leave the model without places"),
+    "learning curve": Need(8, "a learning curve", "with fewer nothing is left to hold out"),
+    "learning law": Need(10, "a point of the curve that its law is fitted to", "fewer follow no law: circles are uncertain"),
+    "judged gain": Need(10, "a bin of the gain curve that counts for the verdict", "the chance of few presses is no fault"),
+    "fair": Need(10, "the verdict fair on presses used", "fewer leave whole parts of the gel unseen"),
+    "edge": Need(12, "the contact's edge, measured", "fewer do not know the light at every place: 0.85 is taken"),
+    "advised": Need(20, "no note that more presses are advised", "10 read normals within 2.8 degrees, 20 within 2.4"),
+    "good": Need(30, "the verdict good on presses used", "normals hardly improve with more"),
+    "settings": Need(30, "a learning curve of the chosen settings alone", "up to there simpler settings may be better"),
+}  # fmt: skip
+
+# From so many presses on: the polynomial's position degrees that circles are moved with while they are uncertain.
+REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
+
+# From so many presses on: what "auto" tries, a color model with its settings, or with all its variants (None). Of 5 presses
+# a polynomial of few terms errs by 7.6 degrees, `hierarchical` by 10.5; from 12 on it is the better one.
+AUTO_MODELS = (
+    (0, PLAIN_MODEL, (("position_degrees", (1,)),)),
+    (6, PLAIN_MODEL, (("position_degrees", (2, 1)),)),
+    (12, DEFAULT_MODEL, None),
+)
+
+
+def enough(what: str, presses: int) -> bool:
+    """Whether so many presses are enough for a row of the table."""
+    return presses >= NEEDED[what].presses
