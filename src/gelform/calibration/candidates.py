@@ -33,7 +33,7 @@ from gelform.color_models import (
     Samples,
     StartableModel,
 )
-from gelform.color_models.forward_response import Step
+from gelform.color_models.forward_response import PreparedStep, Step
 from gelform.color_models.stepped import FrameDepth
 from gelform.errors import CalibrationError
 
@@ -169,7 +169,7 @@ class SlopeReader:
         return [
             Step(slopes, ones, zeros)
             if depth is None or one is None or one.step_sigma is None
-            else one.prepare()(change, slopes, depth)
+            else PreparedStep(one)(change, slopes, depth)
             for one in responses
         ]
 
