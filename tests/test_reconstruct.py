@@ -59,15 +59,6 @@ def test_a_sigma_that_is_needed(calibration, asked):
         gelform.Reconstructor(calibration, slope_sigma=False, **asked)
 
 
-def test_zero_is_the_untouched_gel(calibration, press):
-    """Not the frame's mean, which a press lifts: the median of the pixels that nothing touched."""
-    depth = gelform.Reconstructor(calibration)(press.image).depth_mm
-    untouched = press.depth_mm < 1e-3
-    assert untouched.mean() > 0.5
-    assert abs(np.median(depth[untouched])) < 0.002
-    assert depth.mean() > 0.005
-
-
 def test_pure_function_of_the_image(calibration, press, simulated):
     reconstruct = gelform.Reconstructor(calibration)
     first = reconstruct(press.image)
@@ -126,14 +117,6 @@ def test_background_is_flat(calibration, simulated):
     assert not result.contact.any()
 
 
-def test_drift_of_all_light_is_no_slope(calibration, press):
-    """3 % brighter: the bias of the untouched pixels is taken out, and the depth stays."""
-    reconstruct = gelform.Reconstructor(calibration)
-    plain = reconstruct(press.image).depth_mm
-    brighter = reconstruct(np.clip(press.image * 1.03, 0, 255)).depth_mm
-    assert np.sqrt(np.mean((plain - brighter) ** 2)) < 0.03
-
-
 def test_new_background_takes_a_larger_drift(calibration, press, simulated):
     today = np.clip(simulated.background * 1.08, 0, 255)
     image = np.clip(press.image * 1.08, 0, 255)
@@ -146,15 +129,6 @@ def test_drift_is_a_named_finding(calibration, press):
     result = gelform.Reconstructor(calibration)(np.clip(press.image * 0.85, 0, 255))
     assert [finding.name for finding in result.health] == ["background_ratio"]
     assert result.health[0].figure == pytest.approx(0.85, abs=0.02)
-
-
-def test_saturated_pixels_lose_confidence(calibration, press):
-    image = press.image.copy()
-    image[5:15, 5:15] = 255
-    result = gelform.Reconstructor(calibration)(image)
-    assert result.confidence[10, 10] < 0.1
-    assert result.gradients_sigma[10, 10].min() >= 0.999
-    assert result.confidence[-10, 10] == 1
 
 
 def test_frame_times_pass_through(calibration, press):
@@ -212,14 +186,6 @@ def test_the_flat_face_of_a_punch_keeps_its_depth(calibration, sensor):
     assert depth[face].mean() == pytest.approx(plain[face].mean(), abs=0.015)
     far = punch.depth_mm < 1e-3
     assert np.sqrt(np.mean(depth[far] ** 2)) < np.sqrt(np.mean(plain[far] ** 2))
-
-
-def test_solvers_without_weights_get_none(calibration, press):
-    assert gelform.Reconstructor(calibration)(press.image).solver == "multigrid"
-    assert gelform.Reconstructor(calibration, solver="dct")(press.image).solver == "dct"
-    robust = gelform.Reconstructor(calibration, solver="robust")(press.image)
-    error = robust.depth_mm - press.depth_mm
-    assert np.sqrt(np.mean(error**2)) < 0.03
 
 
 def test_wrong_slopes_that_are_known_to_be_wrong_do_no_harm(calibration, press):
@@ -295,14 +261,10 @@ def mounted(folder, tmp_path_factory):
     return few, gelform.read_presses(mirror).subset(range(8))
 
 
-@pytest.fixture(scope="module")
-def calibrations(mounted):
-    return [gelform.calibrate(one, color_model="polynomial") for one in mounted]
-
-
 @pytest.mark.slow
-def test_turned_frames_calibrate_as_mounted_ones_do(mounted, calibrations):
+def test_turned_frames_calibrate_as_mounted_ones_do(mounted):
     """One size for frames and images: whoever guesses from the shape turns the presses once more."""
+    calibrations = [gelform.calibrate(one, color_model="polynomial") for one in mounted]
     straight, turned = calibrations
     np.testing.assert_array_equal(mounted[0].presses[0].image, mounted[1].presses[0].image)
     assert turned.view == View(flip="x")
@@ -312,14 +274,13 @@ def test_turned_frames_calibrate_as_mounted_ones_do(mounted, calibrations):
     assert one == other
 
 
-def test_a_frame_is_always_turned_and_an_image_never(mounted, calibrations):
-    image = mounted[0].presses[0].image
-    reconstruct = gelform.Reconstructor(calibrations[1])
-    expected = gelform.Reconstructor(calibrations[0])(image).depth_mm
-    np.testing.assert_array_equal(reconstruct(image[:, ::-1]).depth_mm, expected)
-    np.testing.assert_array_equal(reconstruct.from_image(image).depth_mm, expected)
+def test_a_frame_is_always_turned_and_an_image_never(calibration, press):
+    reconstruct = gelform.Reconstructor(replace(calibration, view=View(flip="x")))
+    expected = gelform.Reconstructor(calibration)(press.image).depth_mm
+    np.testing.assert_array_equal(reconstruct(press.image[:, ::-1]).depth_mm, expected)
+    np.testing.assert_array_equal(reconstruct.from_image(press.image).depth_mm, expected)
     with pytest.raises(gelform.CalibrationError, match="background is not of this image"):
-        reconstruct(image)
+        reconstruct(press.image)
 
 
 def test_each_door_names_the_other(calibration, simulated):
