@@ -26,7 +26,7 @@ LONGEST = (
     "robustness/",
     "live/page/",
     "calibration/",
-    "design/",
+    "test_design.py",
     "cli/",
     "streams/",
 )

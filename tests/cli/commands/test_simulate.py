@@ -175,7 +175,7 @@ def test_a_misspelt_sensor_is_one_line(fails, tmp_path):
 
 @pytest.mark.slow
 def test_the_designs_are_compared(run_json, tmp_path, monkeypatch):
-    from gelform.design import study as design
+    from gelform import design
 
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(design.compare_designs, "__defaults__", (design.VARIATIONS[:1],))

@@ -259,7 +259,7 @@ def design(
     """
     import numpy as np
 
-    from gelform.design.study import compare_designs
+    from gelform.design import compare_designs
 
     chosen = sensor_of(sensor)
     if output is not None:
@@ -268,7 +268,7 @@ def design(
     with shown.progress() as progress:
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
-        from gelform.design.picture import design_picture
+        from gelform.design import design_picture
         from gelform.plots.canvas import save_picture
 
         save_picture(output, design_picture(results), overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""Which sensor is better, before it is built: each design is simulated, calibrated and reconstructed."""
+"""LED layouts compared before they are built: each design is simulated, calibrated and reconstructed, and drawn."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.checks import check_positive
 from gelform.metrics import angle_deg
+from gelform.plots.canvas import canvas, draw_map, pixels_of
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import (
@@ -27,6 +28,15 @@ from gelform.simulate import (
 from gelform.simulate.gel.gel import Surface
 from gelform.simulate.light import irradiance_from_surface, spread_in_gel
 from gelform.simulate.sensor.camera import levels_from_irradiance
+
+__all__ = [
+    "DesignResult",
+    "VARIATIONS",
+    "Variation",
+    "compare_designs",
+    "design_picture",
+    "light_quality",
+]
 
 CELLS = (6, 8)  # rows and columns of the map of depth errors: a cell holds some presses
 
@@ -218,3 +228,57 @@ def _summed(
     squares = [np.mean(one**2) for _, one, _ in errors]
     scatter = float(np.std(squares) / np.sqrt(len(squares)) / (2 * rmse))  # of the root of their mean
     return 1000 * rmse, 1000 * scatter, 1000 * np.sqrt(mean).reshape(CELLS), float(angle.mean())
+
+
+def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
+    """One column per design, one row per map, each with its median and one colour scale; white: no test press was there.
+
+    The last row shows the gel among its LEDs, dots in their colours; the others the gel alone.
+
+    Returns
+    -------
+    picture : (h, w, 3) uint8, RGB
+
+    Raises
+    ------
+    GelformError
+        matplotlib is not installed.
+    """
+    rows = (
+        ("depth error, um", [r.depth_map_um for r in results]),
+        ("slope noise of a pixel", [r.slope_sigma for r in results]),
+        ("condition of the lights", [r.condition for r in results]),
+    )
+    figure = canvas(2.3 * len(results) + 0.8, 6.2)
+    axes = figure.subplots(len(rows), len(results), squeeze=False)
+    for row, (label, values) in enumerate(rows):
+        low = np.nanmin([np.nanmin(v) for v in values])
+        high = np.nanmax([np.nanquantile(v, 0.98) for v in values])
+        for column, (value, result) in enumerate(zip(values, results)):
+            drawn = _draw(axes[row, column], value, result, low, high)
+            if row == len(rows) - 1:
+                _draw_leds(axes[row, column], result)
+            axes[row, column].set_xlabel(f"median {np.nanmedian(value):.3g}", fontsize=8)
+        figure.colorbar(drawn, ax=list(axes[row]), label=label, shrink=0.85)
+    for column, result in enumerate(results):
+        title = f"{result.name}\n{result.depth_rmse_um:.0f} ± {result.depth_rmse_se_um:.0f} um, {result.normal_deg:.1f}°"
+        axes[0, column].set_title(title, fontsize=9)
+    return pixels_of(figure)
+
+
+def _draw(axes: Any, values: NDArray[Any], result: DesignResult, low: float, high: float) -> Any:
+    height, width = (n * result.sensor.mm_per_px / 2 for n in result.sensor.shape)
+    extent = (-width, width, height, -height)
+    return draw_map(axes, values, "", cmap="viridis", vmin=low, vmax=high, extent=extent)
+
+
+def _draw_leds(axes: Any, result: DesignResult) -> None:
+    """The LEDs around the gel, to scale."""
+    height, width = (n * result.sensor.mm_per_px / 2 for n in result.sensor.shape)
+    for led in result.sensor.leds:
+        x, y, _ = led.position_mm
+        color = np.asarray(led.color) / max(led.color)
+        axes.plot(x, y, "o", color=tuple(color), markersize=4, markeredgecolor="black", markeredgewidth=0.5)
+    places = np.abs([led.position_mm for led in result.sensor.leds])
+    x, y = 1.1 * max(width, places[:, 0].max()), 1.1 * max(height, places[:, 1].max())
+    axes.set(xlim=(-x, x), ylim=(y, -y))

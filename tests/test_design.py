@@ -1,13 +1,30 @@
 """The design study: light quality against analysis, and designs that are plainly worse."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gelform.design.study import Variation, _summed, compare_designs, light_quality
+from gelform.design import Variation, _summed, compare_designs, design_picture, light_quality
 from gelform.simulate import LAYOUTS, Led, SimulatedSensor, simulate_background
 
 FAR = 1e6
 TILT = np.deg2rad(40)
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Results of a sensor as given and with eight times the noise, and the progress that was reported."""
+    calls = []
+    results = compare_designs(
+        replace(LAYOUTS["ring-120"], shape=(60, 80), mm_per_px=0.25),
+        [Variation("as given"), Variation("eight times the noise", noise=8)],
+        presses=6,
+        tests=4,
+        halved=False,
+        progress=lambda *call: calls.append(call[:2]),
+    )
+    return results, calls
 
 
 def far_lights(angles_deg, noise_sd=1.0):
@@ -84,16 +101,23 @@ def test_much_noise_is_found_to_be_worse(study):
     assert calls == [(0, 2), (1, 2), (2, 2)]
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
+def test_a_study_can_be_drawn(study):
+    pytest.importorskip("matplotlib")
+    results, _ = study
+    picture = design_picture(results)
+    assert picture.dtype == np.uint8
+    assert picture.shape[2] == 3
+    assert picture.std() > 20
+    assert design_picture(results[:1]).shape[1] < picture.shape[1]
+
+
+def test_bad_studies_are_refused():
+    for make, message in (
         (lambda: Variation("x", led_height=0), "led_height"),
         (lambda: Variation("x", noise=-1), "noise"),
         (lambda: Variation("x", whiteness=2), "whiteness in 0-1"),
         (lambda: compare_designs(LAYOUTS["ring-120"], [], presses=8), "a variation"),
         (lambda: compare_designs(LAYOUTS["ring-120"], presses=2), "presses >= 4"),
-    ],
-)
-def test_bad_studies_are_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
