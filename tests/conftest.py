@@ -12,7 +12,15 @@ import pytest
 
 import gelform
 from gelform.exporters.press_folder import save_press_folder
-from gelform.simulate import LAYOUTS, SimulatedPresses, SimulatedSensor, simulate_ball_presses
+from gelform.simulate import (
+    LAYOUTS,
+    Ball,
+    SimulatedPress,
+    SimulatedPresses,
+    SimulatedSensor,
+    simulate_ball_presses,
+    simulate_press,
+)
 from kernel_agreement import usable_isas
 from made_once import MadeOnce
 
@@ -22,13 +30,15 @@ DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" 
 # Files and folders that take longest: begun first, so that no worker is left with one of them while the others are done.
 LONGEST = (
     "test_examples.py",
-    "cli/commands/test_demo.py",
-    "robustness/",
+    "calibration/test_fit.py",
+    "exporters/test_taxim.py",
+    "cli/test_process.py",
     "live/page/",
+    "robustness/",
     "calibration/",
-    "test_design.py",
     "cli/",
     "streams/",
+    "live/",
 )
 
 
@@ -115,6 +125,15 @@ def _written(path: Path, simulated: SimulatedPresses) -> Path:
         ball_diameters_mm=[press.ball_diameter_mm for press in simulated.presses],
         mm_per_px=simulated.sensor.mm_per_px,
         name="simulated",
+    )
+
+
+@pytest.fixture(scope="session")
+def press(sensor, made_once) -> SimulatedPress:
+    """Another ball, pressed right of the middle and above it, with its truth."""
+    rng = np.random.default_rng(2)
+    return made_once(
+        "press", lambda _: simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=(2.0, -1.5), rng=rng)
     )
 
 

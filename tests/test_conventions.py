@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.simulate import Ball, simulate_press
 
 MM_PER_PX = 0.06
 RADIUS_MM, CONTACT_MM = 3.0, 1.8
@@ -72,10 +71,8 @@ def test_a_light_brightens_the_side_that_faces_it(sphere):
     assert image[CENTER[1] + 15, CENTER[0], 1] > image[CENTER[1] - 15, CENTER[0], 1]
 
 
-def test_the_whole_path_keeps_them(calibration, sensor):
+def test_the_whole_path_keeps_them(calibration, sensor, press):
     """An image in, and the pressed place is where, as deep and on the side that the truth says."""
-    center = (2.0, -1.5)  # mm: right of the middle and above it
-    press = simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=center, rng=np.random.default_rng(2))
     result = gelform.Reconstructor(calibration)(press.image)
     row, col = np.unravel_index(result.depth_mm.argmax(), result.depth_mm.shape)
     assert col > sensor.shape[1] / 2 + 10

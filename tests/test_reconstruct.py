@@ -19,13 +19,6 @@ from gelform.view import View
 FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'
 
 
-@pytest.fixture(scope="module")
-def press(sensor):
-    return simulate_press(
-        sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.0, -0.5), rng=np.random.default_rng(5)
-    )
-
-
 def test_depth_in_millimetres(calibration, press):
     result = gelform.Reconstructor(calibration)(press.image)
     error = result.depth_mm - press.depth_mm

@@ -21,27 +21,18 @@ from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated.source import SimulatedSource
-from gelform.simulate import Ball, simulate_press
 from live_waiting import until
 
 
 @pytest.fixture(scope="session")
-def pressed(sensor):
-    """A ball pressed off the middle, with its truth."""
-    return simulate_press(
-        sensor, Ball(3.0), depth_mm=0.6, center_mm=(2.0, -1.5), rng=np.random.default_rng(2)
-    )
-
-
-@pytest.fixture(scope="session")
-def result(calibration, pressed):
-    return Reconstructor(calibration).from_image(pressed.image)
+def result(calibration, press):
+    return Reconstructor(calibration).from_image(press.image)
 
 
 @pytest.fixture
-def shown(pressed, result):
-    frame = Frame(pressed.image, 12.5, 10**18, 7)
-    return Shown(3, frame, pressed.image, result, measures=measures_of(result))
+def shown(press, result):
+    frame = Frame(press.image, 12.5, 10**18, 7)
+    return Shown(3, frame, press.image, result, measures=measures_of(result))
 
 
 @pytest.fixture

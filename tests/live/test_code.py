@@ -24,32 +24,32 @@ FRAME = 1  # of two
 
 
 @pytest.fixture
-def situation(calibration, polynomial_calibration, pressed, simulated, tmp_path, monkeypatch):
+def situation(calibration, polynomial_calibration, press, simulated, tmp_path, monkeypatch):
     """A folder of two images as the recording, the second one shown, compared; background and zero were set."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "frames").mkdir()
     save_picture("frames/0.png", simulated.presses[0].image)
-    save_picture("frames/1.png", pressed.image)
+    save_picture("frames/1.png", press.image)
     calibration.save("mine.npz")
     polynomial_calibration.save("other.npz")
     return Situation("frames", MINE, OTHER, True, True, "multigrid", FRAME, (120, 60))
 
 
 @pytest.fixture
-def page(situation, calibration, polynomial_calibration, pressed, simulated):
+def page(situation, calibration, polynomial_calibration, press, simulated):
     """What a station shows in that situation; a snapshot of it lies in the folder."""
-    frame = ReplayedFrame(pressed.image, 0.0, 0, 0, None, FRAME, 0.0)
+    frame = ReplayedFrame(press.image, 0.0, 0, 0, None, FRAME, 0.0)
     setup = Setup(solver="multigrid").with_calibration(calibration, "mine")
     setup = setup.with_background(np.rint(simulated.background).astype(np.float32)).with_other(
         polynomial_calibration, "other"
     )
-    first = setup.result_of(frame, pressed.image, alone=True)
+    first = setup.result_of(frame, press.image, alone=True)
     setup = replace(setup, zero_mm=(0.25 * first.depth_mm).astype(np.float32))
     result = setup.against_zero(first)
     shown = Shown(
         1,
         frame,
-        pressed.image,
+        press.image,
         result,
         setup.other_of(frame),
         background=setup.background,

@@ -13,8 +13,8 @@ from gelform.simulate import simulate_background
 
 
 @pytest.fixture
-def frame(pressed):
-    return Frame(pressed.image, 1.0, 2, 3)
+def frame(press):
+    return Frame(press.image, 1.0, 2, 3)
 
 
 def test_without_a_calibration_there_is_no_result(frame):
@@ -59,11 +59,11 @@ def test_the_other_calibration_sees_the_same_frame(frame, calibration, result):
     assert setup.with_other(None, "").other_of(frame) is None
 
 
-def test_anew_it_has_forgotten_what_the_sequence_taught(calibration, pressed):
-    frame = Frame(pressed.image, 0.0, 0, 0)
+def test_anew_it_has_forgotten_what_the_sequence_taught(calibration, press):
+    frame = Frame(press.image, 0.0, 0, 0)
     setup = Setup().with_calibration(calibration, "mine")
     setup.memory.reconstruct = setup.memory.reconstruct.with_background(calibration.background + 3)
     fresh = setup.anew()
     wanted = Reconstructor(calibration)(frame).depth_mm
-    np.testing.assert_array_equal(fresh.result_of(frame, pressed.image).depth_mm, wanted)
+    np.testing.assert_array_equal(fresh.result_of(frame, press.image).depth_mm, wanted)
     assert Setup().anew() == Setup()

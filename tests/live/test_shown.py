@@ -11,11 +11,11 @@ import pytest
 from gelform.live.shown import CONTACT, KNOWN, PLANES, Shown, measures_of, outlines_of
 
 
-def test_numbers_are_those_of_the_depth(result, pressed):
+def test_numbers_are_those_of_the_depth(result, press):
     found = measures_of(result)
     assert found.peak == result.depth_mm.max()
     assert result.depth_mm[found.y_px, found.x_px] == found.peak
-    np.testing.assert_allclose((found.x_px, found.y_px), pressed.center_px, atol=4)
+    np.testing.assert_allclose((found.x_px, found.y_px), press.center_px, atol=4)
     assert found.area == pytest.approx(result.contact.sum() * result.mm_per_px**2)
     assert found.volume == pytest.approx(
         result.depth_mm[result.contact].sum() * result.mm_per_px**2, rel=1e-5
@@ -55,7 +55,7 @@ def test_a_plane_is_encoded_once(shown):
     assert first is second
 
 
-def test_the_header_says_what_the_result_says(shown, result, pressed):
+def test_the_header_says_what_the_result_says(shown, result, press):
     header = shown.header()
     assert header["peak"] == result.peak_mm
     assert header["mm_per_px"] == [result.mm_per_px] * 2

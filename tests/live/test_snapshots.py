@@ -28,8 +28,8 @@ def test_the_result_loads(saved, result):
     np.testing.assert_array_equal(gelform.load_result(saved("result.npz")).depth_mm, result.depth_mm)
 
 
-def test_the_frame_is_the_cameras_in_rgb(saved, pressed):
-    np.testing.assert_array_equal(gelform.read_image(saved("frame.png")), pressed.image)
+def test_the_frame_is_the_cameras_in_rgb(saved, press):
+    np.testing.assert_array_equal(gelform.read_image(saved("frame.png")), press.image)
 
 
 def test_depth_has_16_bits(saved, result):
