@@ -239,7 +239,8 @@ class Station:
                 shown = pipeline.results.newest(after, WAIT_S)
                 if shown is not None:
                     after = shown.frame.index
-                    self._show(shown)
+                    if not self.paused:  # what was on its way when it was held is not shown
+                        self._show(shown)
                 elif pipeline.results.ended:
                     self._switched.wait(WAIT_S)
         finally:

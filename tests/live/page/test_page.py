@@ -43,7 +43,7 @@ def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
     for y, x in ((row, column + 12), (row - 9, column), (0, 0)):
         found = page.evaluate(script.replace("panes[0]", "panes[2]"), [int(x), int(y)])
         np.testing.assert_allclose(found[:3], 127.5 + 127.5 * normals[y, x], atol=2)
-    script = """([x, y]) => import('/js/maps/profile.js').then((module) => {
+    script = """([x, y]) => import('/js/maps/charts.js').then((module) => {
         const { alongX, alongY } = module.profilesThrough(gelform.frame, [x, y]);
         return [[...alongX], [...alongY]];
     })"""

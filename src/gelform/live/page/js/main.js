@@ -1,27 +1,17 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
-import { Connection, signIn } from "./server/connection.js";
-import { Frame } from "./server/frame.js";
-import { SPAN_S } from "./server/series.js";
-import { Cadence } from "./page/cadence.js";
-import { showCode } from "./page/dialogs.js";
-import { byId, element, setText } from "./page/dom.js";
-import { showKeys, startKeys } from "./page/keys.js";
-import { startTabs } from "./page/tabs.js";
-import { startTheme } from "./page/theme.js";
-import { toast } from "./page/toasts.js";
-import { drawChart } from "./maps/charts.js";
-import { drawContacts } from "./maps/contacts.js";
-import { drawMarkers } from "./maps/markers.js";
-import { drawNumbers, NUMBERS, startNumbers } from "./maps/numbers.js";
-import { Pane } from "./maps/pane.js";
-import { drawProfile, Pointer } from "./maps/profile.js";
+import { drawChart, drawNumbers, drawProfile, NUMBERS, Pointer, startNumbers } from "./maps/charts.js";
+import { drawMarkers, Pane } from "./maps/pane.js";
 import { VIEWS } from "./maps/views.js";
+import { byId, element, setText } from "./page/dom.js";
+import { Cadence, showCode, showKeys, startKeys, startTabs, startTheme, toast } from "./page/page.js";
 import { drawControls, startControls } from "./panels/controls.js";
 import { drawCamera, drawDevices } from "./panels/devices.js";
 import { drawGuide, drawGuideCircles } from "./panels/guide.js";
 import { drawFiles, drawReplay, startReplay } from "./panels/replay.js";
-import { drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
+import { drawContacts, drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
+import { Connection, signIn } from "./server/connection.js";
+import { Frame, SPAN_S } from "./server/frame.js";
 import { Stage } from "./surface/stage.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];

@@ -1,6 +1,6 @@
-// Small line charts on canvases: a profile, a number against time, a line behind a number.
+// Line charts on canvases: profiles, a number against time, a line behind a number.
 
-import { fit, sizeOf } from "../page/sizes.js";
+import { byId, element, fit, setText, sizeOf } from "../page/dom.js";
 
 const LEFT = 58, BOTTOM = 24, TOP = 10, RIGHT = 12;
 
@@ -16,7 +16,7 @@ function prepared(canvas) {
 }
 
 /** Round numbers between low and high, about `count` of them. */
-export function ticks(low, high, count = 4) {
+function ticks(low, high, count = 4) {
   const rough = (high - low) / count || 1, decade = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((k) => k * decade).find((s) => s >= rough);
   const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
@@ -73,7 +73,7 @@ function legend(context, lines, width, ink) {
 }
 
 /** A line without axes. */
-export function drawSpark(canvas, values, least) {
+function drawSpark(canvas, values, least) {
   const { context, width, height } = prepared(canvas);
   if (!width || values.length < 2) return;
   const high = Math.max(least, ...values), low = Math.min(0, ...values);
@@ -85,3 +85,73 @@ export function drawSpark(canvas, values, least) {
 }
 
 function line(context, x1, y1, x2, y2) { context.beginPath(); context.moveTo(x1, y1); context.lineTo(x2, y2); context.stroke(); }
+
+/** Which point the profile goes through. */
+export class Pointer {
+  constructor(changed) {
+    this.changed = changed;
+    this.pinned = this.hover = null;
+  }
+
+  get following() { return !this.pinned && !this.hover; }
+
+  follow() { this.pinned = this.hover = null; this.changed(); }
+
+  pointed(x, y, kind) {
+    if (kind === "leave") this.hover = null;
+    else if (kind === "click") this.pinned = this.pinned ? null : [x, y];
+    else this.hover = [x, y];
+    this.changed();
+  }
+
+  /** The point (x, y) in px of the image; the middle where nothing touches. */
+  at(frame) {
+    if (!frame.has("depth")) return null;
+    const touched = frame.header.outlines?.length, middle = [frame.width / 2, frame.height / 2];
+    const point = this.hover ?? this.pinned ?? (touched ? frame.header.peak_px : middle);
+    return [Math.round(Math.max(0, Math.min(frame.width - 1, point[0]))), Math.round(Math.max(0, Math.min(frame.height - 1, point[1])))];
+  }
+}
+
+/** The depth of a row and a column, and where they cross: {x, alongX, y, alongY, depth}, places in the unit of the depth from the image's left and top. */
+export function profilesThrough(frame, [column, row]) {
+  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height, values, zero, step } = map, depth = (number) => (number - zero) * step;
+  const c = Math.min(width - 1, Math.round(column / map.scale)), r = Math.min(height - 1, Math.round((row * height) / frame.height));
+  return {
+    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: Array.from(values.subarray(r * width, (r + 1) * width), depth),
+    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: Array.from({ length: height }, (_, k) => depth(values[k * width + c])),
+    depth: depth(values[r * width + c]),
+  };
+}
+
+export function drawProfile(canvas, label, frame, point) {
+  if (!point) return;
+  const { x, alongX, y, alongY, depth } = profilesThrough(frame, point);
+  setText(label, `at (${point[0]}, ${point[1]}) px: ${depth.toFixed(3)} ${frame.unit}`);
+  drawChart(canvas, [{ x, y: alongX, color: "series-a", name: "along x" }, { x: y, y: alongY, color: "series-b", name: "along y" }],
+    { xUnit: frame.unit, yUnit: frame.unit, xRange: [0, Math.max(x.at(-1), y.at(-1))], yLeast: 0.05 });
+}
+
+export const NUMBERS = {
+  peak: { name: "Deepest point", power: "", digits: 3, least: 0.05 },
+  area: { name: "Contact area", power: "²", digits: 1, least: 1 },
+  volume: { name: "Volume", power: "³", digits: 2, least: 0.2 },
+};
+const tiles = {};
+
+export function startNumbers() {
+  for (const [key, { name }] of Object.entries(NUMBERS)) {
+    const value = element("span"), unit = element("small"), line = element("canvas", { "aria-hidden": "true" });
+    tiles[key] = { value, unit, line };
+    byId("numbers").append(element("div", { class: "card number", id: `number-${key}` }, element("div", { class: "name", text: name }), element("div", { class: "value" }, value, unit), line));
+  }
+}
+
+export function drawNumbers(frame, series) {
+  for (const [key, { power, digits, least }] of Object.entries(NUMBERS)) {
+    const number = frame?.header[key], tile = tiles[key];
+    setText(tile.value, number === undefined ? "–" : number.toFixed(digits));
+    setText(tile.unit, number === undefined ? "" : `${frame.unit}${power}`);
+    if (number !== undefined) drawSpark(tile.line, series[key], least);
+  }
+}

@@ -1,7 +1,49 @@
 // The maps that a pane can show: which planes they need, how a pixel gets its colour, what the legend says.
 
-import { packedRamp, rgb } from "./colors.js";
-import { eachNormal } from "./normals.js";
+// viridis and cividis grow evenly in lightness, so they read the same to the colour-blind and in grey.
+const ANCHORS = {
+  viridis: "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e 89d548 b0dd2f d8e219 fde725",
+  cividis: "00224e 002d68 163770 2e416d 3f4c6c 4e566c 5c616e 696b71 767676 838179 928c78 a09875 afa471 bfb06b cfbd62 dfca57 f0d846 fee838",
+  grey: "101010 f4f4f4",
+};
+export const MAP_NAMES = Object.keys(ANCHORS);
+
+function channels(hex) { return [0, 2, 4].map((k) => parseInt(hex.slice(k, k + 2), 16)); }
+
+/** 256 colours [r, g, b] of a map. */
+export function ramp(name) {
+  const anchors = ANCHORS[name].split(" ").map(channels);
+  return Array.from({ length: 256 }, (_, k) => {
+    const at = (k / 255) * (anchors.length - 1), low = Math.min(Math.floor(at), anchors.length - 2);
+    return anchors[low].map((from, c) => Math.round(from + (anchors[low + 1][c] - from) * (at - low)));
+  });
+}
+
+/** The same as pixels of an ImageData, in the machine's byte order (alpha last in memory). */
+export const packedRamp = (name) => (packed[name] ??= new Uint32Array(new Uint8Array(ramp(name).flatMap((rgb) => [...rgb, 255])).buffer));
+const packed = {};
+
+/** [r, g, b] of "#rrggbb". */
+const rgb = (color) => channels(color.slice(1));
+
+/**
+ * Calls back(index, nx, ny, nz) with the unit normal of every pixel, as `gelform.normals_from_gradients(gelform.gradients_from_depth(...))`
+ * gives it: (-dz/dx, -dz/dy, 1) / norm, z towards the camera; differences of neighbours, one-sided at the border.
+ */
+export function eachNormal(map, pitchX, pitchY, back) {
+  const { width, height, values, step } = map, inside = step / (2 * pitchX), border = step / pitchX;
+  for (let row = 0; row < height; row++) {
+    const up = row > 0 ? width : 0, down = row < height - 1 ? width : 0;
+    const dy = step / (pitchY * ((up > 0) + (down > 0)));
+    for (let column = 0; column < width; column++) {
+      const at = row * width + column, left = column > 0 ? 1 : 0, right = column < width - 1 ? 1 : 0;
+      const p = (values[at + right] - values[at - left]) * (left & right ? inside : border);
+      const q = (values[at + down] - values[at - up]) * dy;
+      const norm = 1 / Math.sqrt(p * p + q * q + 1);
+      back(at, -p * norm, -q * norm, norm);
+    }
+  }
+}
 
 const OPAQUE = 0xff000000; // of an ImageData seen as 32 bits, little end first
 const pack = (r, g, b) => OPAQUE | (b << 16) | (g << 8) | r;
@@ -9,7 +51,7 @@ const pack = (r, g, b) => OPAQUE | (b << 16) | (g << 8) | r;
 /** Paints values from low to high with the colours of a map. */
 function ramped(name, low, high) {
   return (frame, pixels, settings) => {
-    const map = frame.map(name), colors = packedRamp.cached(settings.colors), [from, to] = [low(settings), high(settings)];
+    const map = frame.map(name), colors = packedRamp(settings.colors), [from, to] = [low(settings), high(settings)];
     const { values, step } = map, scale = (255 * step) / (to - from || 1), least = map.zero + from / step;
     for (let k = 0; k < pixels.length; k++) {
       const level = (values[k] - least) * scale;
@@ -17,9 +59,6 @@ function ramped(name, low, high) {
     }
   };
 }
-
-const kept = {};
-packedRamp.cached = (name) => (kept[name] ??= packedRamp(name));
 
 function paintImage(frame, pixels) {
   const { values, kind } = frame.planes.image;

@@ -1,6 +1,6 @@
 // Buttons and choices of one sensor.
 
-import { MAP_NAMES } from "../maps/colors.js";
+import { MAP_NAMES } from "../maps/views.js";
 import { byId, element, setOptions } from "../page/dom.js";
 
 /** `does`: {send(do, fields), chosen() -> station, recording() -> facts or undefined, settings, redraw()}. */

@@ -1,6 +1,6 @@
 // The guided calibration: what to do now, where to press, what is covered, the fit, the report.
 
-import { drawRing } from "../maps/marks.js";
+import { drawRing } from "../maps/pane.js";
 import { byId, element, setText } from "../page/dom.js";
 
 const STEPS = [["start", "Ball"], ["background", "Background"], ["press", "Press"], ["fit", "Fit"], ["report", "Report"]];

@@ -1,4 +1,4 @@
-// How the sensor is doing: the line at the top, the banner, the empty states with what to do, the list of facts.
+// How the sensor is doing: the line at the top, the banner, empty states with what to do, lists of facts, findings, contacts.
 
 import { byId, element, setText } from "../page/dom.js";
 
@@ -68,3 +68,14 @@ export function drawFindings(frame) {
 }
 
 const fact = (name, value) => element("span", {}, name ? `${name} ` : "", element("b", { text: value }));
+
+const MOST_CONTACTS = 5;
+
+/** The contacts of a frame, the largest first. */
+export function drawContacts({ header }) {
+  const contacts = (header.contacts ?? []).slice(0, MOST_CONTACTS), card = byId("contacts-card");
+  card.hidden = contacts.length < 2; // of one contact the numbers above say it all
+  if (card.hidden) return;
+  const rows = contacts.map(({ deepest_mm, area_mm2, deepest_px, cut }) => element("tr", {}, ...[`${deepest_px[0]}, ${deepest_px[1]}`, deepest_mm?.toFixed(3) ?? "–", area_mm2?.toFixed(1) ?? "–", cut ? "at the border" : ""].map((text) => element("td", { text }))));
+  byId("contacts").replaceChildren(...rows);
+}

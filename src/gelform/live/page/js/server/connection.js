@@ -1,6 +1,6 @@
 // The websocket: comes back by itself, gives credit for each picture drawn, keeps the server's clock.
 
-import { readMessage } from "./wire.js";
+import { readMessage } from "./frame.js";
 
 const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 4000, PING_EVERY_MS = 2000, SILENT_MS = 5000, AHEAD = 2;
 

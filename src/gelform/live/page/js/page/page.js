@@ -1,0 +1,118 @@
+// What is around the pages: dialog, keyboard shortcuts, tabs, light or dark, short messages, paces.
+
+import { byId, element } from "./dom.js";
+
+byId("dialog-close").addEventListener("click", () => byId("dialog").close());
+
+function openDialog(title, ...content) {
+  byId("dialog-title").textContent = title;
+  byId("dialog-body").replaceChildren(...content);
+  if (!byId("dialog").open) byId("dialog").showModal();
+}
+
+/** What reproduces a view: [{language, text}] under their names, each with a button that copies it. */
+export function showCode(title, parts) {
+  openDialog(`How to get it: ${title}`, ...parts.map(({ language, text }) => element("div", {},
+    element("div", { class: "copy" }, element("h3", { text: language }), element("button", { class: "quiet", text: "Copy", onclick: () => copy(text) })),
+    element("pre", { tabindex: 0 }, text))));
+}
+
+async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+    toast("Copied.");
+  } catch {
+    toast("The browser does not allow copying here. Select the text.", "warning");
+  }
+}
+
+/** `table`: [[key, what it does, action]]; not heard while somebody types or chooses. */
+export function startKeys(table) {
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
+    if (event.key === " " && event.target.tagName === "BUTTON") return;
+    const found = table.find(([key]) => key.toLowerCase() === event.key.toLowerCase());
+    if (!found) return;
+    event.preventDefault();
+    found[2]();
+  });
+}
+
+export function showKeys(table) {
+  const rows = [...table.map(([key, what]) => [key === " " ? "Space" : key.toUpperCase(), what]), ["← ↑ → ↓", "turn the surface, where it has the focus"], ["+ −", "nearer, farther"]];
+  openDialog("Keyboard", element("div", { class: "keys" }, ...rows.flatMap(([key, what]) => [element("span", {}, element("kbd", { text: key })), element("span", { text: what })])));
+}
+
+/** Arrow keys move between tabs, as screen readers expect. */
+export function startTabs(changed) {
+  const tabs = [...document.querySelectorAll("[role=tab]")];
+  const choose = (chosen) => {
+    for (const tab of tabs) {
+      const on = tab === chosen;
+      tab.setAttribute("aria-selected", String(on));
+      tab.tabIndex = on ? 0 : -1;
+      document.getElementById(tab.getAttribute("aria-controls")).hidden = !on;
+    }
+    changed(chosen.id.replace("tab-", ""));
+  };
+  tabs.forEach((tab, k) => {
+    tab.addEventListener("click", () => choose(tab));
+    tab.addEventListener("keydown", (event) => {
+      const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+      if (!step) return;
+      const next = tabs[(k + step + tabs.length) % tabs.length];
+      next.focus();
+      choose(next);
+    });
+  });
+  return (name) => choose(document.getElementById(`tab-${name}`));
+}
+
+const THEME_KEY = "gelform-theme", system = matchMedia("(prefers-color-scheme: dark)");
+
+/** As the system has it until somebody chooses. */
+export function startTheme(changed) {
+  const apply = () => {
+    document.documentElement.dataset.theme = localStorage.getItem(THEME_KEY) ?? (system.matches ? "dark" : "light");
+    changed();
+  };
+  system.addEventListener("change", apply);
+  apply();
+  return () => {
+    localStorage.setItem(THEME_KEY, document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+    apply();
+  };
+}
+
+const TOAST_MS = 5000, MOST_TOASTS = 4;
+
+/** A message that goes away by itself; errors and what is to be fetched stay until they are clicked. */
+export function toast(content, level = "info") {
+  const box = byId("toasts"), made = element("div", { class: `toast ${level}`, onclick: () => made.remove() }, content);
+  if ([...box.children].some((one) => one.textContent === made.textContent)) return;
+  box.append(made);
+  while (box.children.length > MOST_TOASTS) box.firstChild.remove();
+  if (level !== "error" && level !== "kept") setTimeout(() => made.remove(), TOAST_MS);
+}
+
+/** A pace for what need not be drawn each time. */
+export class Cadence {
+  /** At most every `everyMs`; what is passed over is drawn later: `redraw` is called then. */
+  constructor(everyMs, redraw) {
+    this.everyMs = everyMs;
+    this.redraw = redraw;
+    this.at = -Infinity;
+    this.timer = 0;
+  }
+
+  /** Whether its time has come. */
+  due(now) {
+    const wait = this.at + this.everyMs - now;
+    if (wait <= 0) this.at = now;
+    else this.timer ||= setTimeout(() => { this.timer = 0; this.redraw(); }, wait);
+    return wait <= 0;
+  }
+
+  /** Draw it the next time in any case. */
+  hurry() { this.at = -Infinity; }
+}
