@@ -30,7 +30,7 @@ from gelform.color_models._shared.least_squares import (
 )
 from gelform.color_models.seam import PendingChange, Samples, check_image_shape
 
-RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # what calibration tries, the stiffest first
+RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
 
 _hierarchical_gradients = Kernel(
     "hierarchical_gradients",
@@ -132,9 +132,8 @@ class HierarchicalModel:
         return cls(arrays["nodes"], settings["degree"], (height, width))
 
 
-_last: tuple[
-    Any, ...
-] = ()  # the last regression, and what it is of: calibration tries one ridge after the other
+# The last regression, and what it is of: calibration tries one ridge after the other.
+_last: tuple[Any, ...] = ()
 
 
 def _regression(

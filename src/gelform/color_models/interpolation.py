@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.seam import Samples, check_image_shape
+from gelform.resample import pixel_positions
 
-NEIGHBOURS = 16
-POINTS = 4000
-CHUNK = 20_000
-PRIOR = 0.3
+NEIGHBOURS = 16  # of a pixel: five times the unknowns of its line
+POINTS = 4000  # samples that are kept: more are neighbours in a press, and slower
+CHUNK = 20_000  # pixels at a time: what they need stays under 100 MB
+PRIOR = 0.3  # of the color change's size: how large changes are from which neighbours count more than the line of all
+ARRAYS, SCALES = ("color", "x_px", "y_px", "gradients", "line"), ("color_scale", "place_scale", "spacing")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,25 +108,15 @@ class InterpolationModel:
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """The samples and the scales."""
-        names = ("color", "x_px", "y_px", "gradients", "line")
-        settings = {name: getattr(self, name) for name in ("color_scale", "place_scale", "spacing")}
-        return {name: getattr(self, name) for name in names}, {**settings, "shape": list(self.shape)}
+        settings = {name: getattr(self, name) for name in SCALES}
+        return {name: getattr(self, name) for name in ARRAYS}, {**settings, "shape": list(self.shape)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> InterpolationModel:
         """The model of `to_arrays`."""
         height, width = settings["shape"]
-        return cls(
-            arrays["color"],
-            arrays["x_px"],
-            arrays["y_px"],
-            arrays["gradients"],
-            arrays["line"],
-            settings["color_scale"],
-            settings["place_scale"],
-            settings["spacing"],
-            (height, width),
-        )
+        named = {**{name: arrays[name] for name in ARRAYS}, **{name: settings[name] for name in SCALES}}
+        return cls(**named, shape=(height, width))
 
     @cached_property
     def _tree(self) -> Any:
@@ -150,8 +142,8 @@ class InterpolationModel:
         change = np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ rest)
         gradients = color @ self.line + np.einsum("nc,nck->nk", color, change)
         spread = np.einsum("nm,nmk->nk", weight, (rest - c @ change) ** 2)
-        beyond = np.maximum(distance[:, NEIGHBOURS // 4] / self.spacing - 1, 0)[:, None]
-        doubt = 0.1 * beyond * np.linalg.norm(gradients, axis=1, keepdims=True)
+        extra = np.maximum(distance[:, NEIGHBOURS // 4] / self.spacing - 1, 0)[:, None]
+        doubt = 0.1 * extra * np.linalg.norm(gradients, axis=1, keepdims=True)
         return gradients, np.sqrt(spread + doubt**2)
 
 
@@ -165,8 +157,7 @@ class PreparedInterpolation:
         self, color_change: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation."""
-        height, width = color_change.shape[:2]
-        y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-        found = self.model.gradients_and_sigma_at(color_change.reshape(-1, 3), x, y)
-        gradients, sigma = (part.reshape(height, width, 2).astype(np.float32) for part in found)
+        shape = color_change.shape[:2]
+        found = self.model.gradients_and_sigma_at(color_change.reshape(-1, 3), *pixel_positions(shape).T)
+        gradients, sigma = (part.reshape(*shape, 2).astype(np.float32) for part in found)
         return gradients, sigma

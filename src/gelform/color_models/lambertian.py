@@ -19,10 +19,10 @@ from gelform.checks import LARGEST, check_values, check_within
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples
 
-MAX_CONDITION = 1e4
-MAX_SLOPE = 5.0
-DARKEST_RATIO = 0.02
-RESPONSES = (0.3, 1.6)
+MAX_CONDITION = 1e4  # of a light matrix: beyond it noise of a grey level makes slopes of any size
+MAX_SLOPE = 5.0  # mm/mm: pixels in shadow get at most that; no gel is as steep
+DARKEST_RATIO = 0.02  # of the light at rest: a darker channel is in shadow, where the law does not hold
+RESPONSES = (0.3, 1.6)  # exponents of cameras, raw to strongly gamma-corrected
 POSSIBLE_RESPONSES = (0.05, 20.0)  # that a file may say
 
 
@@ -74,10 +74,8 @@ class LambertianModel:
         if response is None:
             tried = scipy.optimize.minimize_scalar(
                 lambda exponent: _misfit(samples, _fitted_lights(samples, exponent), exponent),
-                bounds=RESPONSES,
-                method="bounded",
-                options={"xatol": 1e-4},
-            )
+                bounds=RESPONSES, method="bounded", options={"xatol": 1e-4},
+            )  # fmt: skip
             response = float(tried.x)
         lights = _fitted_lights(samples, response)
         inverse_lights(lights)
@@ -161,9 +159,9 @@ def _fitted_lights(samples: Samples, response: float) -> NDArray[np.float64]:
 
 
 def _misfit(samples: Samples, lights: NDArray[np.float64], response: float) -> float:
-    """Mean over the channels of the median |predicted - seen| color change where the gel is pressed."""
+    """Mean over the channels of the median |predicted - measured| color change where the gel is pressed."""
     pressed = np.any(samples.gradients != 0, axis=1)
     normals = np.concatenate([-samples.gradients, np.ones((len(samples.gradients), 1))], axis=1)[pressed]
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    seen = np.maximum(normals @ lights.T, 0) ** response - 1
-    return float(np.median(np.abs(seen - samples.color_change[pressed]), axis=0).mean())
+    predicted = np.maximum(normals @ lights.T, 0) ** response - 1
+    return float(np.median(np.abs(predicted - samples.color_change[pressed]), axis=0).mean())

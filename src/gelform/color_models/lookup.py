@@ -19,9 +19,9 @@ from gelform.color_models._shared.layers import blocks_of
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
 from gelform.color_models.seam import Samples, check_image_shape
 
-ROUNDS = 2
+HUBER_ROUNDS = 2  # of reweighting: a third changes slopes by less than their deviation
 FOLDS, STRETCHES = 2, 24  # stretches of the samples, about a press or two each, are dealt into folds
-TOLERANCE = 1e-3
+CG_TOLERANCE = 1e-3  # of the residual over the right side
 
 
 def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
@@ -35,10 +35,9 @@ def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...
     count = len(coordinates[0])
     low, part = [], []
     for at, size in zip(coordinates, sizes):
-        clipped = np.clip(at, 0, size - 1)
-        index = np.minimum(clipped.astype(int), max(size - 2, 0))
+        index, between = _node_and_fraction(at, size)
         low.append(index)
-        part.append(clipped - index)
+        part.append(between)
     columns, values = [], []
     for corner in product(*[(0, 1) if size > 1 else (0,) for size in sizes]):
         node = np.zeros(count, dtype=int)
@@ -88,12 +87,12 @@ class Lattice:
         scale = self.smoothness * float(weight.sum()) / len(self.free)
         part = corners[:, self.free]
         stiff = self.roughness[self.free][:, self.free] * scale
-        for _ in range(ROUNDS):
+        for _ in range(HUBER_ROUNDS):
             normal = (part.T @ scipy.sparse.diags(current) @ part + stiff).tocsr()
             precondition = scipy.sparse.diags(1 / (normal.diagonal() + 1e-12))
             right = part.T @ (current[:, None] * target)
             for c in (0, 1):
-                enough = TOLERANCE * float(np.linalg.norm(right[:, c]))
+                enough = CG_TOLERANCE * float(np.linalg.norm(right[:, c]))
                 start = slopes[self.free, c]
                 slopes[self.free, c] = scipy.sparse.linalg.cg(
                     normal, right[:, c], x0=start, atol=enough, maxiter=500, M=precondition
@@ -134,11 +133,11 @@ def held_out_residuals(
     return residual
 
 
-OFF_GAMUT_SIGMA = 1.0
-NODES = 11  # per channel
+OFF_GAMUT_SIGMA = 1.0  # mm/mm, of colours that no press has shown: as good as nothing is known
+NODES = 11  # per channel: about a node for each tenth of the range
 RANGE = (0.2, 99.8)  # percentiles of the samples' colour change that the table spans
 MIN_SAMPLES = 1.0  # corners with less weight of samples about them are off the gamut
-PRIOR_SAMPLES = 20.0
+PRIOR_SAMPLES = 20.0  # that count for the typical deviation: fewer at a node do not tell their own
 
 
 @dataclass(frozen=True)
@@ -265,8 +264,8 @@ class PreparedLookup:
         self._measured = bool(model.table[..., 2].any())
         self._low, self._step = model.low.astype(np.float32), model.step.astype(np.float32)
         self._colors, self._columns = np.array(colors), columns
-        top, down = _node_and_share(np.linspace(0, rows - 1, model.shape[0], dtype=np.float32), rows)
-        left, self._right = _node_and_share(
+        top, down = _node_and_fraction(np.linspace(0, rows - 1, model.shape[0], dtype=np.float32), rows)
+        left, self._right = _node_and_fraction(
             np.linspace(0, columns - 1, model.shape[1], dtype=np.float32), columns
         )
         below = model.table[np.minimum(top + 1, rows - 1)]
@@ -290,28 +289,28 @@ class PreparedLookup:
 
     def _read(self, change: NDArray[np.float32], first: NDArray[np.intp]) -> NDArray[np.float32]:
         """Multilinear values (h, w, 3): of each pixel 8 corners of colour in the one or two columns of nodes beside it."""
-        node, share = _node_and_share((change - self._low) / self._step, self._colors)
+        node, fraction = _node_and_fraction((change - self._low) / self._step, self._colors)
         _, greens, blues = self._colors
         strides = np.array([greens * blues, blues, 1])
         lowest = first + node @ strides
-        shares = [(1 - up, up) for up in np.moveaxis(share, -1, 0)]
+        fractions = [(1 - up, up) for up in np.moveaxis(fraction, -1, 0)]
         total = np.zeros((*change.shape[:2], 3), dtype=np.float32)
         for right in (0, 1) if self._columns > 1 else (0,):
-            beside = self._right if right else 1 - self._right
+            column = self._right if right else 1 - self._right
             for r, g, b in product((0, 1), repeat=3):
-                weight = beside * shares[0][r] * shares[1][g] * shares[2][b]
+                weight = column * fractions[0][r] * fractions[1][g] * fractions[2][b]
                 at = lowest + right * int(np.prod(self._colors)) + int(strides @ (r, g, b))
                 total += weight[..., None] * self._values.take(at, axis=0)
         return total
 
 
-def _node_and_share(
-    at: NDArray[np.float32], sizes: int | NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """The node below a position in nodes, and the share of the one above, 0-1; inside the grid."""
-    clipped = np.clip(at, 0, np.asarray(sizes - 1, dtype=np.float32))
+def _node_and_fraction(
+    at: NDArray[Any], sizes: int | NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[Any]]:
+    """The node below a position in nodes, and the fraction of the one above, 0-1; inside the grid."""
+    clipped = np.clip(at, 0, np.asarray(sizes - 1, dtype=at.dtype))
     node = np.minimum(clipped.astype(np.intp), np.maximum(sizes - 2, 0))
-    return node, (clipped - node).astype(np.float32)
+    return node, (clipped - node).astype(at.dtype)
 
 
 def _gain(background: NDArray[np.float32]) -> NDArray[np.float32]:

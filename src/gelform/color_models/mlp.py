@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gelform.color_models._shared.layers import Layers, RestedNetwork
 from gelform.color_models._shared.least_squares import unit_position
 from gelform.color_models.seam import Samples, check_image_shape
+from gelform.resample import pixel_positions
 
 
 @dataclass(frozen=True)
@@ -64,16 +65,13 @@ class MlpModel:
         total = max(float(samples.weight.sum()), 1e-12)
         scale = np.sqrt(samples.weight @ change**2 / total) + 1e-6
         place = np.stack(unit_position(samples.x_px, samples.y_px, samples.shape), axis=-1)
-        layers = train(
-            change / scale,
-            place,
-            samples.gradients,
-            samples.weight,
-            hidden=hidden,
-            steps=steps,
-            weight_decay=weight_decay,
-            seed=seed,
-        )
+        settings: dict[str, Any] = {
+            "hidden": hidden,
+            "steps": steps,
+            "weight_decay": weight_decay,
+            "seed": seed,
+        }
+        layers = train(change / scale, place, samples.gradients, samples.weight, **settings)
         return cls(layers, scale, samples.shape)
 
     @classmethod
@@ -91,8 +89,7 @@ class MlpModel:
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedMlp:
         """The inputs at rest of a frame, and the network's answer to them."""
         check_image_shape(shape, self.shape)
-        y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
-        return PreparedMlp(self, x, y)
+        return PreparedMlp(self, *pixel_positions(shape).T)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Layers and scale."""

@@ -21,14 +21,16 @@ from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.lambertian import (
     DARKEST_RATIO,
+    MAX_CONDITION,
     MAX_SLOPE,
     RESPONSES,
     gradients_from_scaled,
     linear_change,
 )
 from gelform.color_models.seam import Samples, check_image_shape
+from gelform.resample import pixel_positions
 
-LEAST_RATIO = 1e-3  # where a channel sees less light than this part of that at rest, it is held there
+LEAST_RATIO = 1e-3  # of the light at rest: a channel with less is held there
 OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 
 
@@ -106,11 +108,11 @@ def light_ratio_derivatives(
     lit = np.maximum(lit, 0)
     whole = rest @ mixture.T
     ratio = lit @ mixture.T / whole
-    seen = (ratio > LEAST_RATIO)[..., None] / whole[..., None]
+    above = (ratio > LEAST_RATIO)[..., None] / whole[..., None]
     by_position = by_lit[:, None] - ratio[..., None, None] * by_rest[:, None]
-    by_position *= (mixture * seen)[..., None]
+    by_position *= (mixture * above)[..., None]
     by_mixture = np.zeros((len(x), 3, 3, 3))
-    by_mixture[:, range(3), range(3)] = (lit[:, None] - ratio[..., None] * rest[:, None]) * seen
+    by_mixture[:, range(3), range(3)] = (lit[:, None] - ratio[..., None] * rest[:, None]) * above
     return (
         np.maximum(ratio, LEAST_RATIO),
         by_position.reshape(-1, 3, 9),
@@ -118,10 +120,10 @@ def light_ratio_derivatives(
     )
 
 
-FITTED_SAMPLES = 4000
-HEIGHTS = (0.05, 20.0)
-FARTHEST = 20.0
-MAX_CONDITION = 1e4
+FITTED_SAMPLES = 4000  # of a hundred thousand: neighbours in a press say the same
+LEAST_PRESSED = 30  # samples, twice the numbers that are fitted
+# Of the lights, in half the image's larger side: heights above the gel and distances beside it.
+HEIGHTS, FARTHEST = (0.05, 20.0), 20.0
 
 
 _near_light_gradients = Kernel(
@@ -174,16 +176,8 @@ class NearLightModel:
         if not response:
             low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
         residuals, jacobian = _problem(used, crosstalk, response, falloff)
-        fit = scipy.optimize.least_squares(
-            residuals,
-            free,
-            jacobian,
-            bounds=(low, high),
-            loss="soft_l1",
-            f_scale=0.05,
-            x_scale="jac",
-            max_nfev=60,
-        )
+        limits = {"bounds": (low, high), "x_scale": "jac", "max_nfev": 60}
+        fit = scipy.optimize.least_squares(residuals, free, jacobian, loss="soft_l1", f_scale=0.05, **limits)
         positions, mixture, exponent = _unpacked(fit.x, crosstalk, response)
         return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
 
@@ -194,7 +188,9 @@ class NearLightModel:
     def lights_at(self, x_px: NDArray[Any], y_px: NDArray[Any]) -> NDArray[np.float64]:
         """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, as fixed lights would have them at each pixel."""
         x, y = unit_position(x_px, y_px, self.shape)
-        return _scaled_lights(x, y, 2 * self.positions_px / max(self.shape), self.mixture, self.falloff)
+        toward = Toward.of(x, y, 2 * self.positions_px / max(self.shape), self.falloff)
+        lights = np.einsum("cl,nlk->nck", self.mixture, toward.light)
+        return np.asarray(lights / lights[..., 2:], dtype=np.float64)
 
     @classmethod
     def variants(cls, presses: int) -> list[dict[str, Any]]:
@@ -211,8 +207,7 @@ class NearLightModel:
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedNearLight:
         """The inverse light matrix of every pixel."""
         check_image_shape(shape, self.shape)
-        y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
-        inverse = _inverted(self.lights_at(x, y)).reshape(-1, 9).T.reshape(3, 3, *shape)
+        inverse = _inverted(self.lights_at(*pixel_positions(shape).T)).reshape(-1, 9).T.reshape(3, 3, *shape)
         return PreparedNearLight(np.ascontiguousarray(inverse, dtype=np.float32), self.response)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -247,17 +242,12 @@ def _pressed(samples: Samples) -> Samples:
     """Some 4000 samples that are pressed and lit: at rest every light gives the ratio 1."""
     known = np.any(samples.gradients != 0, axis=1) & np.all(samples.color_change > DARKEST_RATIO - 1, axis=1)
     chosen = np.flatnonzero(known)
-    if len(chosen) < 30:
-        raise ValueError(f"Expected at least 30 pressed and lit samples, got {len(chosen)}.")
+    if len(chosen) < LEAST_PRESSED:
+        raise ValueError(f"Expected at least {LEAST_PRESSED} pressed and lit samples, got {len(chosen)}.")
     chosen = chosen[:: max(1, len(chosen) // FITTED_SAMPLES)]
-    return Samples(
-        np.asarray(samples.color_change, dtype=np.float64)[chosen],
-        samples.x_px[chosen],
-        samples.y_px[chosen],
-        samples.gradients[chosen],
-        samples.weight[chosen],
-        samples.shape,
-    )
+    change = np.asarray(samples.color_change, dtype=np.float64)[chosen]
+    x_px, y_px = samples.x_px[chosen], samples.y_px[chosen]
+    return Samples(change, x_px, y_px, samples.gradients[chosen], samples.weight[chosen], samples.shape)
 
 
 def _start(samples: Samples, channel: int, response: float) -> list[float]:
@@ -269,10 +259,7 @@ def _start(samples: Samples, channel: int, response: float) -> list[float]:
     design = np.stack([-p, -q, p * x + q * y], axis=1)
     a, b, inverse_height = robust_ridge(design, target, samples.weight, ridge=1e-6, huber=HUBER_SLOPE)[:, 0]
     height = 1 / np.clip(inverse_height, 0.2, 5.0)
-    return [
-        *np.clip([a * height, b * height], -0.9 * FARTHEST, 0.9 * FARTHEST),
-        float(height),
-    ]
+    return [*np.clip([a * height, b * height], -0.9 * FARTHEST, 0.9 * FARTHEST), float(height)]
 
 
 def _problem(
@@ -288,8 +275,8 @@ def _problem(
 
     def residuals(values: NDArray[np.float64]) -> NDArray[np.float64]:
         positions, mixture, exponent = _unpacked(values, crosstalk, response)
-        seen = light_ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
-        return ((seen - samples.color_change) * weight).ravel()
+        predicted = light_ratio(normals, x, y, positions, mixture, falloff) ** exponent - 1
+        return ((predicted - samples.color_change) * weight).ravel()
 
     def jacobian(values: NDArray[np.float64]) -> NDArray[np.float64]:
         positions, mixture, exponent = _unpacked(values, crosstalk, response)
@@ -312,18 +299,6 @@ def _unpacked(
     if crosstalk:
         mixture[OFF_DIAGONAL] = values[9:15]
     return values[:9].reshape(3, 3), mixture, response or float(values[-1])
-
-
-def _scaled_lights(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    mixture: NDArray[np.float64],
-    falloff: float,
-) -> NDArray[np.float64]:
-    lights = np.einsum("cl,nlk->nck", mixture, Toward.of(x, y, positions, falloff).light)
-    scaled: NDArray[np.float64] = lights / lights[..., 2:]
-    return scaled
 
 
 def _inverted(lights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.layers import Layers, RestedNetwork
+from gelform.color_models.lambertian import MAX_SLOPE
 from gelform.color_models.seam import check_image_shape
-
-MAX_SLOPE = 5.0
+from gelform.resample import pixel_positions
 
 Position = Literal["xy", "yx", "zeros"]
 Answer = Literal["angles", "normals"]
@@ -64,8 +64,8 @@ class NetworkModel:
         """The inputs at rest, and the network's answer to them, of a frame of the imported size."""
         height, width = self.background.shape[:2]
         check_image_shape(shape, (height, width), made="imported")
-        y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
-        return self._prepared(np.asarray(background, dtype=np.float32).reshape(-1, 3), x, y)
+        rest = np.asarray(background, dtype=np.float32).reshape(-1, 3)
+        return self._prepared(rest, *pixel_positions(shape).T)
 
     def _prepared(self, rest: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> PreparedNetwork:
         height, width = self.background.shape[:2]

@@ -25,11 +25,11 @@ from gelform.color_models._shared.least_squares import (
 )
 from gelform.color_models.seam import Samples, check_image_shape
 
-MAX_POSITION_DEGREE = 5
+MAX_POSITION_DEGREE = 5  # 21 functions of the place: more need more presses than anybody takes
 # Position degrees that calibration tries, and the accepted presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
 
-PIXELS = 16  # of a row, that the kernel takes at a time
+PIXELS = 16  # of a row at a time, in native/color_models/polynomial.c
 _polynomial_gradients = Kernel(
     "polynomial_gradients",
     "f32[h,w,3] change, f32[w] x, f32[h,2,t,c] table, i32[t] degrees, i32[t,2] parents, out f32[n] work, "
@@ -92,18 +92,13 @@ class PolynomialModel:
         """Coefficients (N, terms, 2) of each monomial of the color change at pixels."""
         x, y = unit_position(x_px, y_px, self.shape)
         place = position_terms(x, y, max(self.position_degrees))
-        terms = monomials(3, self.degree)
-        own = np.split(
-            self.coefficients, np.cumsum([len(position_powers(d)) for d in self._degrees(terms)])[:-1]
-        )
+        degrees = [self.position_degrees[len(term) - 1] for term in monomials(3, self.degree)]
+        own = np.split(self.coefficients, np.cumsum([len(position_powers(d)) for d in degrees])[:-1])
         maps = [
             np.stack([place[power] for power in position_powers(degree)], axis=1) @ part
-            for degree, part in zip(self._degrees(terms), own)
+            for degree, part in zip(degrees, own)
         ]
         return np.stack(maps, axis=1)
-
-    def _degrees(self, terms: list[tuple[int, ...]]) -> list[int]:
-        return [self.position_degrees[len(term) - 1] for term in terms]
 
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedPolynomial:
         """Coefficients of each row as polynomials in x, so that a frame is a few products per pixel."""
@@ -146,7 +141,6 @@ class PreparedPolynomial:
         height, width, _ = color_change.shape
         gradients = np.empty((height, width, 2), dtype=np.float32)
         work = np.empty(6 * (width + PIXELS), dtype=np.float32)
-        _polynomial_gradients(
-            color_change, self._x, self._table, self._degrees, self._parents, work, gradients
-        )
+        prepared = self._x, self._table, self._degrees, self._parents
+        _polynomial_gradients(color_change, *prepared, work, gradients)
         return gradients, None

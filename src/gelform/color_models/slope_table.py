@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.color_models.seam import check_image_shape
+from gelform.resample import pixel_positions
 
 FADED_DEG = 10.0  # the table's own answer at slope 0 is subtracted there, and less and less up to this angle
-SMOOTHED_BINS = 1.0
-STEEPEST_DEG = 60.0
-SEARCHED = (12, 24)  # slope angles, directions
+SMOOTHED_BINS = 1.0  # standard deviation: bins were fitted apart from their neighbours
+STEEPEST_SEARCHED_DEG = 60.0  # slope angle, beyond what a gel shows
+SEARCHED = (12, 24)  # slope angles and directions: Gauss-Newton meets the truth from the nearest of them
 
 _slope_table_color = Kernel(
     "slope_table_color",
@@ -80,8 +81,7 @@ class SlopeTableModel:
     def prepare(self, background: NDArray[Any], shape: tuple[int, int]) -> PreparedSlopeTable:
         """The table and each pixel's place in it."""
         check_image_shape(shape, self.shape, made="imported")
-        y, x = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
-        return PreparedSlopeTable(self._faded(), *self._place(x, y))
+        return PreparedSlopeTable(self._faded(), *self._place(*pixel_positions(shape).T))
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """The table as it was imported."""
@@ -118,7 +118,7 @@ class PreparedSlopeTable:
     def __init__(self, table: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> None:
         self._table, self._u, self._v = table, u, v
         angles, directions = SEARCHED
-        steep = np.deg2rad(STEEPEST_DEG) * (np.arange(angles) + 1) / angles
+        steep = np.deg2rad(STEEPEST_SEARCHED_DEG) * (np.arange(angles) + 1) / angles
         turn = 2 * np.pi * np.arange(directions) / directions
         slopes = np.tan(steep)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
         self._starts = np.concatenate([np.zeros((1, 2)), slopes.reshape(-1, 2)]).astype(np.float32)

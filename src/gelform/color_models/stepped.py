@@ -13,8 +13,8 @@ from gelform.filters import medians_where
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
 
-COARSER = 4  # depth is smooth: a sixteenth of the pixels says it
-LEAST_UNTOUCHED = 0.02  # part of the frame, as `background.untouched` has it
+COARSER = 4  # times fewer rows and columns: depth is smooth, a sixteenth of the pixels says it
+LEAST_UNTOUCHED = 0.02  # fraction of the frame, as `MIN_UNTOUCHED` of background/untouched
 
 
 def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, float]]:

@@ -15,6 +15,7 @@ from gelform.color_models.forward_response import (
     PLACE_DEGREES,
 )
 from gelform.color_models.stepped import LEAST_UNTOUCHED, coarse_grid
+from gelform.resample import pixel_positions
 from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medians_where
 
 
@@ -75,8 +76,9 @@ class ForwardStep(nn.Module):
         super().__init__()
         assert forward.step_sigma is not None
         height, width = forward.shape
-        y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-        maps = at_pixels(forward.nodes @ forward.roots[0], *interpolation(x, y, forward.shape))
+        x, y = pixel_positions(forward.shape).T
+        places = interpolation(x, y, forward.shape)
+        maps = at_pixels(forward.nodes @ forward.roots[0], *places)
         maps = np.moveaxis(maps.reshape(height, width, -1, 3), (2, 3), (0, 1))
         self.register_buffer("coefficients", torch.from_numpy(np.ascontiguousarray(maps, dtype=np.float32)))
         self.register_buffer("root", torch.from_numpy(forward.roots[0]))

@@ -19,8 +19,9 @@ from gelform.color_models import (
 from gelform.color_models._shared.least_squares import monomial_parents, monomials
 from gelform.color_models.lambertian import MAX_SLOPE, inverse_lights
 from gelform.errors import CalibrationError
+from gelform.resample import pixel_positions
 
-LEAST_NORMAL_Z = 1e-6
+LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 
 
 def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
@@ -37,8 +38,7 @@ def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
     if isinstance(model, LambertianModel):
         return LitGradients(inverse_lights(model.lights)[None, None], model.response)
     if isinstance(model, NearLightModel):
-        x_px, y_px = _pixels(shape)
-        inverse = np.linalg.inv(model.lights_at(x_px, y_px)).reshape(*shape, 3, 3)
+        inverse = np.linalg.inv(model.lights_at(*pixel_positions(shape).T)).reshape(*shape, 3, 3)
         return LitGradients(inverse, model.response)
     raise CalibrationError(
         "Expected a calibration with the color model hierarchical, polynomial, lambertian or near_light, "
@@ -51,7 +51,7 @@ class PolynomialGradients(nn.Module):
 
     def __init__(self, model: HierarchicalModel | PolynomialModel, shape: tuple[int, int]) -> None:
         super().__init__()
-        maps = model.coefficients_at(*_pixels(shape)).reshape(*shape, -1, 2)
+        maps = model.coefficients_at(*pixel_positions(shape).T).reshape(*shape, -1, 2)
         self.register_buffer("coefficients", _tensor(np.moveaxis(maps, (2, 3), (0, 1))))  # (terms, 2, H, W)
         self.parents = monomial_parents(monomials(3, model.degree)).tolist()
 
@@ -84,12 +84,6 @@ class LitGradients(nn.Module):
         g = torch.stack([(row * ratio).sum(1) for row in self.inverse], dim=1)
         steepest = g[:, :2].norm(dim=1) / MAX_SLOPE
         return -g[:, :2] / torch.maximum(g[:, 2], steepest).clamp(min=LEAST_NORMAL_Z)[:, None]
-
-
-def _pixels(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Columns and rows of all pixels, row by row."""
-    y_px, x_px = (axis.ravel() for axis in np.mgrid[: shape[0], : shape[1]])
-    return x_px, y_px
 
 
 def _tensor(values: NDArray[Any]) -> Tensor:

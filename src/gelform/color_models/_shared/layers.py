@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK_PX = 8192
+BLOCK_PX = 8192  # at a time: the units of a layer stay in the processor's cache
 
 
 def blocks_of(count: int, each_px: int = 1) -> Iterator[slice]:
@@ -23,8 +23,7 @@ def blocks_of(count: int, each_px: int = 1) -> Iterator[slice]:
         yield slice(start, min(start + rows, count))
 
 
-MAX_UNITS = 4096
-MAX_LAYERS = 16
+MAX_UNITS, MAX_LAYERS = 4096, 16  # of a file: more would take a second for a frame
 
 
 @dataclass(frozen=True)

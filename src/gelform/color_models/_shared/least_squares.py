@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gelform.color_models.seam import Samples
 
-HUBER_SLOPE = 0.05
+HUBER_SLOPE = 0.05  # mm/mm, about the usual error of a slope: from there on a sample counts less
 Normal = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -177,14 +177,16 @@ def normal_equations(
     return normal, weighted.T @ (root * target)
 
 
-NODE_PX = 16
-LIGHT_BLUR_PX = 8.0  # of the untouched image: lamps are broad
-PLACE_GROWTH = 4.0  # of the ridge, per degree in place
-ORDER_GROWTH = 3.0  # of the ridge, per degree of the term
-LIGHT_RIDGE = 4.0  # of the untouched image's logarithm, which only terms of the first two orders vary with
-LIGHT_ORDERS = 2
-DARKEST = 1.0  # grey level
-MAX_SAMPLES = 20_000
+NODE_PX = 16  # between nodes, of native/color_models/nodes.h
+LIGHT_BLUR_PX = 8.0  # standard deviation, of the untouched image: lamps are broad
+PLACE_GROWTH, ORDER_GROWTH = (
+    4.0,
+    3.0,
+)  # of the ridge, per degree in place and of the term: chosen on held-out presses
+# Of the untouched image's logarithm: its ridge, as of a degree in place, and the orders of the terms that vary with it.
+LIGHT_RIDGE, LIGHT_ORDERS = 4.0, 2
+DARKEST = 1.0  # grey level: the logarithm of less is noise
+MAX_SAMPLES = 20_000  # of a regression: neighbours in a press are copies
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,14 +269,8 @@ class VaryingRegression:
 
     def coefficients(self, ridge: float) -> NDArray[np.float64]:
         """Coefficients (columns, K) that a ridge finds."""
-        return penalised_huber(
-            self.columns,
-            self.target,
-            self.weight,
-            ridge * self.penalties,
-            huber=self.huber,
-            whole=self._normal,
-        )
+        known: dict[str, Any] = {"huber": self.huber, "whole": self._normal}
+        return penalised_huber(self.columns, self.target, self.weight, ridge * self.penalties, **known)
 
     def nodes(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         """The terms' coefficients at the nodes, (rows, columns, terms, K)."""
