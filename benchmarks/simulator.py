@@ -26,7 +26,7 @@ from scipy.fft import dctn, idctn
 import gelform
 from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
 from gelform.gradients import gradients_from_normals
-from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
+from gelform.importers.tables import TaximLook, read_taxim_forward
 from gelform.normals import normals_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import (

@@ -200,6 +200,30 @@ def read_npz(
     return arrays, meta
 
 
+def read_npy(path: str | os.PathLike[str], what: str, *, max_bytes: int) -> NDArray[Any]:
+    """The one array of a `.npy` file, which holds `what`; nothing is unpickled.
+
+    Raises
+    ------
+    DataError
+        The file is missing, larger than `max_bytes`, damaged, an archive, or holds no numbers.
+    """
+    path = check_path(path)
+    if not path.is_file():
+        raise DataError(f"No file {path}: expected {what} (.npy).")
+    if path.stat().st_size > max_bytes:
+        raise DataError(f"Expected {what} of at most {max_bytes >> 20} MB, got {path}. Reduce it first.")
+    content = path.read_bytes()
+    if content.startswith(b"PK"):
+        raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save {what} alone.")
+    try:
+        return _array(content)
+    except ValueError as problem:
+        raise DataError(
+            f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
+        ) from problem
+
+
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
     """What a file says it is (its `format`), or None where it is no such file; nothing else is read."""
     if not check_path(path).is_file():  # opening a pipe would wait for ever

@@ -5,7 +5,7 @@ import pytest
 
 import gelform
 from gelform.color_models import SlopeTableModel, slope_table
-from gelform.importers.taxim import read_taxim
+from gelform.importers.tables import read_taxim
 from kernel_agreement import assert_kernel_agrees
 from made.taxim_tables import law, taxim_arrays
 

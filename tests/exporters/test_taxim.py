@@ -11,7 +11,7 @@ from gelform.background.change import image_from_color_change
 from gelform.ball import ball_gradients
 from gelform.errors import CalibrationError, DataError
 from gelform.exporters.taxim import BINS, save_taxim
-from gelform.importers.taxim_forward import read_taxim_forward
+from gelform.importers.tables import read_taxim_forward
 from gelform.simulate import Ball, simulate_press
 from made.networks import network_arrays, torch_file
 

@@ -1,4 +1,8 @@
-"""Imported look-up tables: they answer as they say, with their own gain and blur; other files are refused."""
+"""Taxim's tables and look-up tables: what they say, and what is refused."""
+
+import io
+import re
+import zipfile
 
 import cv2
 import numpy as np
@@ -6,8 +10,19 @@ import pytest
 
 import gelform
 from gelform.color_models.lookup import LookupModel
-from gelform.importers.tables import read_lut
+from gelform.errors import DataError
+from gelform.importers.tables import (
+    TaximLook,
+    TaximTables,
+    is_taxim_forward,
+    read_lut,
+    read_taxim,
+    read_taxim_forward,
+)
+from gelform.simulate import Ball, Pose
+from gelform.simulate.twin import Twin
 from made.color_samples import SHAPE
+from made.taxim_tables import taxim_arrays
 
 FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
 
@@ -75,3 +90,141 @@ def test_other_tables_are_refused(tmp_path):
             read_lut(path, FLAT)
     with pytest.raises(ValueError, match="depth_sign"):
         read_lut(path, FLAT, depth_sign=2)
+
+
+TAXIM_SHAPE = (24, 32)
+
+
+def test_other_files_are_refused(tmp_path):
+    background, path = np.zeros((*TAXIM_SHAPE, 3), dtype=np.float32), tmp_path / "polycalib.npz"
+    with pytest.raises(gelform.DataError, match="No file"):
+        read_taxim(path, background)
+    good = taxim_arrays(bins=20)
+    for spoilt, why in (
+        ({k: v for k, v in good.items() if k != "bins"}, "lacks bins"),
+        ({**good, "grad_r": good["grad_r"][:-1]}, "three tables"),
+        ({**good, "bins": np.array(21)}, "three tables"),
+        ({**good, "grad_g": good["grad_g"] * np.nan}, "finite"),
+        ({**good, "bins": np.array([object()])}, "damaged"),
+    ):
+        np.savez(path, **spoilt)
+        with pytest.raises(gelform.DataError, match=why):
+            read_taxim(path, background)
+    np.savez(path, **good)
+    with pytest.raises(gelform.DataError, match="proportions"):
+        read_taxim(path, np.zeros((32, 24, 3), dtype=np.float32))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(gelform.DataError, match="damaged"):
+        read_taxim(path, background)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (2**27,)})
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("bins.npy", "w") as member:
+        member.write(header.getvalue())
+        for _ in range(257):
+            member.write(bytes(2**20))
+    with pytest.raises(gelform.DataError, match="declares 269 MB"):
+        read_taxim(path, background)
+
+
+BINS = 181  # angles of half a degree, directions of two
+
+
+def tables():
+    """Red follows the slope angle, green the direction, blue the place: x/1000 + y/100."""
+    table = np.zeros((BINS, BINS, 3, 6))
+    table[..., 0, 5] = 0.5 * np.arange(BINS)[:, None]
+    table[..., 1, 5] = 2 * np.arange(BINS)[None, :] - 180
+    table[..., 2, 3], table[..., 2, 4] = 1e-3, 1e-2
+    return table
+
+
+def save(path, **changes):
+    table = tables()
+    members = {"bins": BINS, "grad_b": table[:, :, 0], "grad_g": table[:, :, 1], "grad_r": table[:, :, 2]}
+    np.savez(path, **{k: v for k, v in (members | changes).items() if v is not None})
+    return path
+
+
+def test_the_bins_are_those_of_angle_direction_and_place():
+    gradients = np.zeros((4, 5, 2))
+    gradients[1, 3] = np.tan(np.deg2rad(30.2)) * np.array([np.cos(1.0), np.sin(1.0)])
+    change = TaximTables(tables()).level_change(gradients)
+    assert change[1, 3, 0] == pytest.approx(30.0)
+    assert change[1, 3, 1] == pytest.approx(np.rad2deg(1.0), abs=2.0)
+    x, y = 3.5 * 640 / 5 - 0.5, 1.5 * 480 / 4 - 0.5
+    assert change[1, 3, 2] == pytest.approx(1e-3 * x + 1e-2 * y)
+    assert np.all(change[0, :, 0] == 0)
+
+
+def test_the_direction_is_uphill_towards_the_middle_of_a_ball():
+    """Right of a ball's middle the slope is negative in x: Taxim's atan2(-y, -x) is 180 degrees there."""
+    gradients = np.zeros((3, 4, 2))
+    gradients[..., 0] = -0.5
+    right = TaximTables(tables()).level_change(gradients)
+    gradients[..., 0], gradients[..., 1] = 0, -0.5
+    below = TaximTables(tables()).level_change(gradients)
+    assert abs(right[0, 0, 1]) == pytest.approx(180, abs=2)
+    assert below[0, 0, 1] == pytest.approx(-90, abs=2)
+
+
+def test_members_are_read_blue_first(tmp_path):
+    path = save(tmp_path / "polycalib.npz")
+    np.testing.assert_array_equal(read_taxim_forward(path).table, tables())
+    assert is_taxim_forward(path)
+
+
+def test_an_untouched_look_is_its_background_and_a_pressed_one_is_the_tables(tmp_path):
+    rng = np.random.default_rng(0)
+    background = rng.integers(60, 120, (48, 64, 3)).astype(np.float32)
+    look = TaximLook(TaximTables(tables()), background, 0.2, np.zeros(3))
+    twin = Twin(look)
+    np.testing.assert_array_equal(twin.press(Ball(3), Pose(0.0), rng=None).image, background)
+    press = twin.press(Ball(3), Pose(0.8), rng=None)
+    deep = press.depth_mm > 0.1
+    expected = np.clip(background + look.tables.level_change(press.gradients), 0, 255)
+    np.testing.assert_allclose(press.image[deep], expected[deep], atol=0.5 + 1e-3)
+    far = np.zeros_like(deep)
+    far[:4, :4] = True
+    assert np.abs(press.image.astype(float) - background)[far].mean() < 2.5
+
+
+def test_a_background_of_another_form_is_refused():
+    with pytest.raises(ValueError, match=re.escape("np.rot90(image, -1)")):
+        TaximLook(TaximTables(tables()), np.zeros((64, 48, 3), np.float32), 0.1, np.zeros(3))
+    with pytest.raises(ValueError, match="mm_per_px"):
+        TaximLook(TaximTables(tables()), np.zeros((48, 64, 3), np.float32), 0.0, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"grad_g": None}, "lacks grad_g"),
+        ({"bins": 7}, r"shape \(bins, bins, 6\)"),
+        ({"grad_r": np.zeros((BINS, BINS, 5))}, r"shape \(bins, bins, 6\)"),
+        ({"grad_r": np.full((BINS, BINS, 6), np.nan)}, "finite tables"),
+        ({"bins": np.array("many")}, "damaged"),
+    ],
+)
+def test_bad_tables_are_refused(tmp_path, changes, message):
+    with pytest.raises(DataError, match=message):
+        read_taxim_forward(save(tmp_path / "bad.npz", **changes))
+
+
+def test_what_is_no_table_is_said(tmp_path):
+    (tmp_path / "text.npz").write_text("hello")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(DataError, match="No file"):
+        read_taxim_forward(tmp_path / "none.npz")
+    for name in ("text.npz", "array.npy"):
+        assert not is_taxim_forward(tmp_path / name)
+        with pytest.raises(DataError, match="damaged"):
+            read_taxim_forward(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["taxim-digit-polycalib.npz", "taxim-gelsight-r15-polycalib.npz"])
+def test_published_tables_make_a_picture(data, name):
+    tables = read_taxim_forward(data / "peer-calibrations" / name)
+    look = TaximLook(tables, np.full((240, 320, 3), 110, np.float32), 0.05, np.ones(3))
+    press = Twin(look).press(Ball(3), Pose(0.6), rng=None)
+    change = press.image[press.contact].astype(float) - 110
+    assert np.all(change.std(axis=0) > 10)

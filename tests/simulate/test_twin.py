@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.background.change import color_change_from_image
-from gelform.importers.taxim import read_taxim
+from gelform.importers.tables import read_taxim
 from gelform.simulate import Ball, Pose
 from gelform.simulate.twin import CalibratedLook, Twin
 from made.taxim_tables import taxim_arrays

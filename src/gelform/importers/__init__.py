@@ -2,7 +2,7 @@
 
 from gelform.importers.calibrations import PACKAGES, import_calibration
 from gelform.importers.relief import read_height_image, read_mesh
-from gelform.importers.taxim_forward import TaximLook, is_taxim_forward, read_taxim_forward
+from gelform.importers.tables import TaximLook, is_taxim_forward, read_taxim_forward
 
 __all__ = [
     "PACKAGES",

@@ -18,8 +18,7 @@ from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.checks import check_image, check_is, check_path, check_sensor_pitch
 from gelform.color_models import ColorModel
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
-from gelform.importers.tables import read_lut
-from gelform.importers.taxim import read_taxim
+from gelform.importers.tables import read_lut, read_taxim
 from gelform.view import View
 
 # Untouched pixels of a Mini differ from its background by up to this, noise and drift together, grey levels / 255.

@@ -1,21 +1,34 @@
-"""Look-up tables of gradients by colour difference, `table_smooth.npy`, in the tradition of Dong and Yuan."""
+"""Other packages' tables: look-up tables of gradients by colour difference, and Taxim's forward model.
+
+The look-up tables (`table_smooth.npy`) are in the tradition of Dong and Yuan. Taxim's tables (`polycalib.npz`) say for bins
+of the slope's angle and direction a quadratic polynomial in the pixel's place for each channel's change in grey levels
+(Z. Si and W. Yuan, Taxim: an example-based simulation model for GelSight tactile sensors, RA-L 2022).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
-from tokenize import TokenError
+from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_path
+from gelform.checks import check_path, check_positive
 from gelform.color_models.lookup import LookupModel
+from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError
+from gelform.npz_files import DAMAGED_ARCHIVE, read_npy
 
-MAX_BYTES = 256 * 2**20
-MAX_BINS = 200
-RANGE_LEVELS = 180.0  # the table spans -90 to 90 grey levels of difference in each channel
+MAX_BYTES = 2**28  # of a file of tables
+MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000
+RANGE_LEVELS = 180.0  # a look-up table spans -90 to 90 grey levels of difference in each channel
+HEIGHT, WIDTH = 480, 640  # px, of the images that Taxim's polynomials count the place in
+MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # the file's "r" is channel 0 of an OpenCV image: blue
+FADED_IN_MM = 0.1  # depth over which a contact's own level colour replaces that of untouched gel
+ASPECT_TOLERANCE = 0.02  # of an image's proportions against those of the tables
+_DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
 
 def read_lut(
@@ -38,7 +51,7 @@ def read_lut(
     """
     if depth_sign not in (1, -1):
         raise ValueError(f"Expected depth_sign 1 or -1, got {depth_sign}.")
-    slopes = depth_sign * _array(check_path(path)).transpose(2, 1, 0, 3)  # to red, green, blue
+    slopes = depth_sign * _lut(path).transpose(2, 1, 0, 3)  # to red, green, blue
     unknown = np.zeros((*slopes.shape[:3], 1))
     bins = slopes.shape[0]
     step = np.full(3, RANGE_LEVELS / bins)
@@ -48,20 +61,158 @@ def read_lut(
     return LookupModel(table, low, step, (height, width), "mean_over_background", background)
 
 
-def _array(path: Path) -> NDArray[np.float64]:
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected a look-up table (.npy).")
-    if path.stat().st_size > MAX_BYTES:
-        raise DataError(f"Expected a table of at most {MAX_BYTES >> 20} MB, got {path}.")
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError, TokenError) as problem:
-        raise DataError(
-            f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
-        ) from problem
-    shape: tuple[int, ...] = getattr(array, "shape", ())
-    if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= MAX_BINS:
+def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
+    array = read_npy(path, "a look-up table", max_bytes=MAX_BYTES)
+    shape = array.shape
+    if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= MAX_LUT_BINS:
         raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
     if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
         raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
     return np.asarray(array, dtype=np.float64)
+
+
+def read_taxim(path: str | PathLike[str], background: NDArray[np.float32]) -> SlopeTableModel:
+    """Taxim's table; `grad_r` is channel 0 of an image as OpenCV holds it, which is blue.
+
+    Parameters
+    ----------
+    background : (H, W, 3), of the table's 480x640 px or of its proportions
+
+    Raises
+    ------
+    DataError
+        No such file, another one, a damaged one, or a background of other proportions.
+    """
+    table = read_taxim_forward(path).table
+    height, width = background.shape[:2]
+    if not _is_of_tables_aspect(height, width):
+        raise DataError(
+            f"Expected a background of 480x640 px or its proportions, as Taxim's tables have them, got {height}x{width}. "
+            "Turn or crop the images as Taxim does."
+        )
+    units = np.array([WIDTH**2, HEIGHT**2, WIDTH * HEIGHT, WIDTH, HEIGHT, 1]) / 255  # places 0-1, change /255
+    try:
+        return SlopeTableModel((table * units).astype(np.float32), (height, width))
+    except ValueError as problem:
+        raise DataError(f"{path}: {problem}") from problem
+
+
+@dataclass(frozen=True, eq=False)
+class TaximTables:
+    """A forward model in Taxim's form.
+
+    Attributes
+    ----------
+    table : (bins, bins, 3, 6) float64
+        By slope angle (0 to 90 degrees) and direction (-180 to 180), for red, green and blue: the factors of
+        x^2, y^2, x y, x, y, 1 in pixels of an image of 480x640.
+    name : whose
+    """
+
+    table: NDArray[np.float64]
+    name: str = "Taxim tables"
+
+    def level_change(self, gradients: NDArray[Any], *, as_level: bool = False) -> NDArray[np.float64]:
+        """Change in grey levels (H, W, 3) of slopes (H, W, 2) of an image of the whole gel, in the tables' bins.
+
+        `as_level`: as if each slope were 0 in its own direction.
+        """
+        height, width = gradients.shape[:2]
+        last = len(self.table) - 1
+        p, q = np.moveaxis(np.asarray(gradients, dtype=np.float64), -1, 0)
+        angle = np.zeros((height, width)) if as_level else np.arctan(np.hypot(p, q))
+        steepness = np.floor(angle / (np.pi / 2 / last)).astype(np.intp)
+        direction = np.floor((np.arctan2(q, p) + np.pi) / (2 * np.pi / last)).astype(np.intp)
+        x = np.broadcast_to((np.arange(width) + 0.5) * (WIDTH / width) - 0.5, (height, width))
+        y = np.broadcast_to(((np.arange(height) + 0.5) * (HEIGHT / height) - 0.5)[:, None], (height, width))
+        place = np.stack([x**2, y**2, x * y, x, y, np.ones_like(x)], axis=-1)
+        change = np.einsum("hwck,hwk->hwc", self.table[steepness, direction], place)
+        return np.asarray(change, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class TaximLook:
+    """Taxim's tables over an untouched image: a look for `gelform.simulate.twin.Twin`.
+
+    The tables were fitted inside contacts, where level gel has another colour than untouched gel; so what they
+    say of level gel is faded in over the first 0.1 mm of depth. Untouched gel keeps its background.
+
+    Attributes
+    ----------
+    tables : TaximTables
+    background : (H, W, 3) float32, 4:3 as the tables are, turned as the images that they were made from
+    mm_per_px : of this image; the tables hold no scale
+    noise : (3,) grey levels
+    """
+
+    tables: TaximTables
+    background: NDArray[np.float32]
+    mm_per_px: float
+    noise: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        check_positive(self.mm_per_px, "mm_per_px")
+        shape = np.shape(self.background)
+        if len(shape) != 3 or shape[2] != 3 or not _is_of_tables_aspect(*shape[:2]):
+            raise ValueError(
+                f"Expected a background of shape (H, W, 3) with W/H = 4/3 as the tables', got {shape}. "
+                "Turn an upright one by 90 degrees, as Taxim's images of that sensor are: np.rot90(image, -1)."
+            )
+
+    @property
+    def name(self) -> str:
+        """Whose look it is."""
+        return self.tables.name
+
+    def levels(self, gradients: NDArray[Any], depth_mm: NDArray[Any]) -> NDArray[np.float32]:
+        """Grey levels (H, W, 3), 0-255, of slopes (H, W, 2) and depths (H, W)."""
+        level = self.tables.level_change(gradients, as_level=True)
+        untouched = 1 - np.clip(depth_mm / FADED_IN_MM, 0, 1)[..., None]
+        levels = self.background + self.tables.level_change(gradients) - untouched * level
+        return np.asarray(np.clip(levels, 0, 255), dtype=np.float32)
+
+
+def _is_of_tables_aspect(height: int, width: int) -> bool:
+    return abs(width / height * HEIGHT / WIDTH - 1) <= ASPECT_TOLERANCE
+
+
+def is_taxim_forward(path: str | PathLike[str]) -> bool:
+    """Whether a file is an archive with Taxim's members; what else it is, `load_calibration` says."""
+    try:
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
+            return set(MEMBERS) <= set(file.files)
+    except _DAMAGED:  # no archive: an array, or nothing
+        return False
+
+
+def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
+    """Read Taxim's `polycalib.npz`.
+
+    Raises
+    ------
+    DataError
+        No such file, one without its tables, damaged, too large, or of another form.
+    """
+    path = check_path(path)
+    if not path.is_file():
+        raise DataError(f"No file {path}: expected Taxim's tables (polycalib.npz).")
+    try:
+        with ZipFile(path) as archive:
+            declared = sum(member.file_size for member in archive.infolist())
+        if declared > MAX_BYTES:
+            raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
+            missing = [name for name in MEMBERS if name not in file.files]
+            if missing:
+                raise DataError(f"{path} lacks {', '.join(missing)}: expected Taxim's {', '.join(MEMBERS)}.")
+            bins, *channels = (np.asarray(file[name], dtype=np.float64) for name in MEMBERS)
+    except _DAMAGED as problem:
+        raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {problem}.") from problem
+    count = int(bins) if bins.ndim == 0 and np.isfinite(bins) else 0
+    if not 2 <= count <= MAX_TAXIM_BINS or any(one.shape != (count, count, 6) for one in channels):
+        shapes = ", ".join(str(one.shape) for one in channels)
+        raise DataError(f"{path}: expected three tables of shape (bins, bins, 6), got {shapes}, bins {bins}.")
+    table = np.stack(channels, axis=2)
+    if not np.all(np.isfinite(table)):
+        raise DataError(f"{path}: expected finite tables, got NaN or infinity.")
+    return TaximTables(table, path.stem)

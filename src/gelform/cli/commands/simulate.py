@@ -170,7 +170,7 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
 def _twin_of(look: Look) -> Twin | None:
     """A twin of a calibration or of Taxim's tables; None without either."""
     from gelform.calibration_file import load_calibration
-    from gelform.importers.taxim_forward import is_taxim_forward
+    from gelform.importers.tables import is_taxim_forward
     from gelform.simulate.twin import Twin
 
     if look.like is not None and look.like.is_file() and is_taxim_forward(look.like):
@@ -184,7 +184,7 @@ def _twin_of(look: Look) -> Twin | None:
 def _twin_of_tables(path: Path, look: Look) -> Twin:
     import numpy as np
 
-    from gelform.importers.taxim_forward import TaximLook, read_taxim_forward
+    from gelform.importers.tables import TaximLook, read_taxim_forward
     from gelform.sensors.files import read_image
     from gelform.simulate.twin import Twin
 
@@ -206,30 +206,19 @@ def _mesh(path: Path, mm_per_unit: float) -> Indenter:
 
 
 def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> HeightMap:
-    import numpy as np
-
     from gelform.importers.relief import read_height_image
+    from gelform.npz_files import read_npy
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:
         raise typer.BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
     if path.suffix.lower() != ".npy" and range_mm is not None:
         return read_height_image(path, mm_per_px=mm_per_px, height_mm=range_mm)
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected heights in mm as .npy.")
-    if path.stat().st_size > MAX_MAP_BYTES:
-        raise DataError(
-            f"Expected a height map of at most {MAX_MAP_BYTES >> 20} MB, got {path}. Reduce it first."
-        )
     try:
-        heights = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as problem:
-        raise DataError(
-            f"{path} is no array file (.npy) of numbers, or a damaged one. Is it a grey "
-            "image? Say --height-map-range-mm."
-        ) from problem
-    if not isinstance(heights, np.ndarray):
-        raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save the heights alone.")
+        heights = read_npy(path, "heights in mm", max_bytes=MAX_MAP_BYTES)
+    except DataError as problem:
+        remedy = "" if path.suffix.lower() == ".npy" else " Is it a grey image? Say --height-map-range-mm."
+        raise DataError(f"{problem}{remedy}") from problem
     with mistakes_in(path):
         return HeightMap(heights, mm_per_px)
 
