@@ -37,12 +37,14 @@ SEEDS = (0, 1)
 REST_FRAMES = 12  # of the video, before anything touches
 
 
-def marked(pitch_mm: float, radius_mm: float, seed: int, friction: float, **how: float) -> SimulatedSensor:
+def marked(
+    pitch_mm: float, radius_mm: float, seed: int, friction: float, **arguments: float
+) -> SimulatedSensor:
     """A GelSight Mini with dots, 6 % missing and 10 % broken."""
     sensor = SENSORS["gelsight-mini"].simulated()
     coating = replace(
         sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=radius_mm, marker_missing=0.06,
-        marker_broken=0.1, seed=seed, **how,
+        marker_broken=0.1, seed=seed, **arguments,
     )  # fmt: skip
     return replace(sensor, coating=coating, gel=Gel(thickness_mm=5.0, friction=friction))
 
@@ -138,8 +140,8 @@ def dent(seed: int) -> dict[str, float]:
     plain = SENSORS["gelsight-mini"].simulated()
     sensor = marked(1.9, 0.36, seed, 0.8)
     rng = np.random.default_rng(seed)
-    how = {"ball_diameters_mm": [6.0, 8.0], "count": 12, "rng": rng, "oversample": 1}
-    simulated = simulate_ball_presses(plain, **how)
+    arguments = {"ball_diameters_mm": [6.0, 8.0], "count": 12, "rng": rng, "oversample": 1}
+    simulated = simulate_ball_presses(plain, **arguments)
     calibration = gelform.calibrate(unlabelled(presses_of(simulated)), color_model="hierarchical")
     background = np.mean([simulate_background(sensor, rng) for _ in range(8)], axis=0).astype(np.float32)
     reconstruct = gelform.Reconstructor(replace(calibration, background=background))

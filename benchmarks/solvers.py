@@ -13,7 +13,6 @@ import argparse
 import json
 import platform
 import resource
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.solvers import SOLVERS, MultigridSolver, RobustSolver, SparseSolver
+from gelform.solvers import SOLVERS, MultigridSolver, SparseSolver
 from gelform.solvers.multigrid import Grid
 from gelform.solvers.system import problem_from_gradients
 from presses import DATA
@@ -41,7 +40,7 @@ from scenes import (
     with_outliers,
     with_patches,
 )
-from solvers.start import start_and_memory
+from solvers.times import ratio, start_and_memory
 
 NOISE = 0.05
 SIZES = [(240, 320), (480, 640), (960, 1280), (2048, 2048)]
@@ -111,20 +110,6 @@ def lies(repeats: int) -> Table:
             for name, errors in sums.items():
                 table.setdefault(name, {})[f"{kind}, {title}"] = float(np.sqrt(np.mean(np.square(errors))))
     return table
-
-
-def ratio(work: Callable[[], Any], bare: Callable[[], Any], repeats: int) -> tuple[float, float]:
-    """Time of work over that of bare, and in ms: 10 % quantiles of CPU times taken in turn."""
-    work(), bare()
-    times = []
-    for _ in range(repeats):
-        start = time.thread_time()
-        bare()
-        middle = time.thread_time()
-        work()
-        times.append((middle - start, time.thread_time() - middle))
-    low = np.quantile(times, 0.1, axis=0)
-    return float(low[1] / low[0]), float(1e3 * low[1])
 
 
 def frame_with_outliers(shape: tuple[int, int], kind: str) -> tuple[Any, Any, tuple[float, float], Any]:
@@ -319,48 +304,15 @@ def groove() -> Table:
     return table
 
 
-def draw(results: dict[str, Table], path: Path) -> None:
-    """Error against time at 240x320: 15 % specks and slope noise 0.05 on the ball."""
+def pictures() -> Any:
+    """The module that draws, where matplotlib is installed."""
     try:
-        import matplotlib
+        from solvers import pictures
     except ImportError as error:
         raise SystemExit(
             "Expected matplotlib for the picture. Install the extra: pip install gelform[plots]."
         ) from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    rng = np.random.default_rng(0)
-    sample = scene(BALL)
-    corrupt = with_outliers(with_noise(sample.gradients, NOISE, rng), 0.15, rng)
-    gradients = corrupt.gradients.astype(np.float32)
-    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
-    runs: dict[str, Callable[[], Any]] = {
-        name: lambda name=name: depth_of(name, gradients)
-        for name in SOLVERS
-        if name not in ("multigrid", "sparse")
-    }
-    weights = corrupt.valid.astype(np.float32)
-    runs["multigrid, known confidence"] = lambda: depth_of("multigrid", gradients, weights=weights)
-    runs["sparse, known confidence"] = lambda: depth_of("sparse", gradients, weights=weights)
-    for rounds in (1, 5):
-        solver = RobustSolver(SHAPE, (MM_PER_PX, MM_PER_PX), rounds=rounds)
-        runs[f"robust, {rounds} rounds"] = lambda solver=solver: solver(gradients).depth_mm
-    picture = gradients[..., 0].copy()
-    for name, work in runs.items():
-        cost = ratio(work, lambda: idctn(dctn(picture)), 5)[0]
-        error = rmse_um(work(), sample.depth_mm)
-        axes.loglog(cost, error, "o", color="tab:orange" if "known" in name else "tab:blue")
-        axes.annotate(name, (cost, error), xytext=(5, 3), textcoords="offset points", fontsize=8)
-    axes.set(
-        xlabel="time / time of a bare DCT pair (240x320)",
-        ylabel="RMSE of depth (um)",
-        title="Ball, slope noise 0.05, 15 % of the pixels lie (orange: it is known which)",
-    )
-    axes.grid(True, which="both", alpha=0.25)
-    axes.set_xlim(right=8e3)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    return pictures
 
 
 def shown(title: str, table: Table) -> None:
@@ -385,9 +337,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     if options.pictures:
-        from solvers.pictures import draw_failures
-
-        draw_failures(options.pictures)
+        pictures().draw_failures(options.pictures)
         return
     few = 2 if options.quick else 5
     results: dict[str, Table] = {}
@@ -413,7 +363,7 @@ def main() -> None:
     about = {"machine": platform.machine(), "python": platform.python_version(), "numpy": np.__version__}
     path.write_text(json.dumps({"about": about, "tables": results}, indent=1) + "\n")
     if not options.only:
-        draw(results, options.output / "solvers.png")
+        pictures().draw_errors_and_times(options.output / "solvers.png")
     print(f"\npeak memory of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 

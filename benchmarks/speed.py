@@ -102,15 +102,15 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
     unbiased = reference._replace(bias=np.zeros(2, dtype=np.float32))  # gradients have lost theirs above
     anchor = RestAnchor(calibration.image_shape, pitch, calibration.slope_sigma.clean)
     hold = anchor(gradients, untouched, confidence)
-    how = {"weights": confidence, "anchor": hold}
-    depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **how)
+    arguments = {"weights": confidence, "anchor": hold}
+    depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, **arguments)
     both = np.broadcast_to(deviation[..., None], gradients.shape)
     depth_sigma = DepthSigma(
         calibration.image_shape,
         mm_per_px=pitch,
         **calibration.slope_sigma.correlation,
     )
-    known = depth_sigma(both, **how, rest=untouched)
+    known = depth_sigma(both, **arguments, rest=untouched)
     touched = contact_from_depth(depth, mm_per_px=pitch, depth_sigma_mm=known)
     return {
         "exposure, background check": lambda: prepared.compare(image),
@@ -127,9 +127,9 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
             gelform.integrate(gradients, mm_per_px=pitch, zero=untouched, solver="dct").curl_rms
         ),
         "depth (weighted, anchored), curl": lambda: (
-            gelform.integrate(gradients, mm_per_px=pitch, **how).curl_rms
+            gelform.integrate(gradients, mm_per_px=pitch, **arguments).curl_rms
         ),
-        "sigma of depth": lambda: depth_sigma(both, **how, rest=untouched),
+        "sigma of depth": lambda: depth_sigma(both, **arguments, rest=untouched),
         "slopes of the depth and their sigma": lambda: solved(
             both, slopes_of_solution(depth, (pitch, pitch))
         ),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from accuracy.real import MIN_PIXELS, SLOPES, shares_within
+from accuracy.real import MIN_PIXELS, SLOPES, fractions_within
 from gelform.calibration.coverage import COARSE, tile_of
 from gelform.depth import integrate
 from gelform.metrics import angle_deg
@@ -112,12 +112,12 @@ def walls(quick: bool, sensors: dict[str, SimulatedSensor] | None = None) -> dic
         read = rows[rows[:, 3] > LEAST_SLOPE]
         within, bins = read[:, 2], np.digitize(read[:, 3], SLOPES)
         tile = tile_of(read[:, 0], read[:, 1], sensor.shape, COARSE)
-        shares = shares_within(within, bins * 100 + tile)
+        fractions = fractions_within(within, bins * 100 + tile)
         figures[name] = {
             "all": float(100 * within.mean()),
-            "by slope": [min(shares_within(within, bins)), max(shares_within(within, bins))],
-            "by slope and place": [min(shares), max(shares)],
-            "bins outside 45-90": f"{sum(not 45 <= one <= 90 for one in shares)} of {len(shares)}",
+            "by slope": [min(fractions_within(within, bins)), max(fractions_within(within, bins))],
+            "by slope and place": [min(fractions), max(fractions)],
+            "bins outside 45-90": f"{sum(not 45 <= one <= 90 for one in fractions)} of {len(fractions)}",
             **{
                 f"true slope {low:g}-{high:g}": float(100 * rows[at, 2].mean())
                 for low, high in STEEP

@@ -80,8 +80,8 @@ def scored(press_and_result: tuple[Any, Any], circle: Any, mm_per_px: float, edg
     """Errors of one press."""
     press, result = press_and_result
     ball_mm = press.ball_diameter_mm / 2
-    how: dict[str, Any] = {"circle_px": circle, "ball_radius_mm": ball_mm, "mm_per_px": mm_per_px}
-    errors = press_errors(result.depth_mm, result.gradients, **how)
+    arguments: dict[str, Any] = {"circle_px": circle, "ball_radius_mm": ball_mm, "mm_per_px": mm_per_px}
+    errors = press_errors(result.depth_mm, result.gradients, **arguments)
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
     away, ball_px = np.hypot(x - circle[0], y - circle[1]), ball_mm / mm_per_px
 
@@ -171,13 +171,13 @@ def _within(presses: gelform.Presses, training: list[int], test: list[int]) -> d
     rows = np.concatenate(slopes)
     within, bins = rows[:, 2:4].mean(axis=1), np.digitize(rows[:, 4], SLOPES)
     tile = tile_of(rows[:, 0], rows[:, 1], calibration.image_shape, COARSE)
-    shares = shares_within(within, bins * 100 + tile)
+    fractions = fractions_within(within, bins * 100 + tile)
     return {
         "slopes within 1 sigma, %": float(100 * within.mean()),
         "by slope, least and most, %": _range(within, bins),
         "by place, least and most, %": _range(within, tile),
-        "by slope and place, least and most, %": [min(shares), max(shares)],
-        "bins of slope and place outside 45-90": f"{sum(not 45 <= one <= 90 for one in shares)} of {len(shares)}",
+        "by slope and place, least and most, %": [min(fractions), max(fractions)],
+        "bins of slope and place outside 45-90": f"{sum(not 45 <= one <= 90 for one in fractions)} of {len(fractions)}",
         "depth against its mean, within 1 and 2 of the difference's sigma, %": _mean(shapes, 0, 2),
         "the same against depth_sigma_mm, %": _mean(shapes, 2, 4),
         "normals, deg, plain and smoothed, of the contact, then within 0.8": np.mean(
@@ -226,15 +226,15 @@ def _from_center(result: Any, label: Any) -> tuple[np.ndarray, np.ndarray, np.nd
     return y, x, np.hypot(x - label[0], y - label[1])
 
 
-def shares_within(within: np.ndarray, bins: np.ndarray) -> list[float]:
+def fractions_within(within: np.ndarray, bins: np.ndarray) -> list[float]:
     """Share within sigma, per cent, of each bin that has pixels enough."""
     counted = [bins == b for b in np.unique(bins)]
     return [float(100 * within[one].mean()) for one in counted if np.count_nonzero(one) >= MIN_PIXELS]
 
 
 def _range(within: np.ndarray, bins: np.ndarray) -> list[float]:
-    shares = shares_within(within, bins)
-    return [min(shares), max(shares)]
+    fractions = fractions_within(within, bins)
+    return [min(fractions), max(fractions)]
 
 
 def _mean(rows: list[list[float]], start: int, stop: int) -> list[float]:
