@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.simulate import LAYOUTS, Ball, SimulatedSensor, exposed
-from gelform.simulate.gel.gel import Surface, flat_surface, surface_from_ball
+from gelform.simulate.gel.gel import Surface, flat_surface, surface_from_indenter
 from gelform.simulate.render import render
 
 SHAPE = 132, 176  # of drawn sensors: what takes minutes has many frames
@@ -110,7 +110,7 @@ class SlowGel:
         for touch in self.touches:
             depth = touch.depth_at(time_s)
             if depth > 1e-6:
-                return surface_from_ball(
+                return surface_from_indenter(
                     Ball(touch.radius_mm),
                     *grid,
                     center_mm=touch.center_mm,

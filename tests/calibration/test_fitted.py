@@ -22,7 +22,7 @@ from gelform.calibration.fitted import (
 from gelform.color_models.forward_response import RIDGES
 from gelform.simulate import LAYOUTS, Ball
 from gelform.simulate.gel.ball_press import ball_press
-from gelform.simulate.gel.gel import surface_from_ball
+from gelform.simulate.gel.gel import surface_from_indenter
 
 
 class Change:
@@ -144,7 +144,7 @@ def presses(length, noise=0.02, tilt=0.0, centers=((0, 0), (-2, 1), (3, -2))):
     x_mm, y_mm = LAYOUTS["three-edges"].grid_mm()
     rng, made, circles = np.random.default_rng(0), [], []
     for center, radius, depth in zip(centers, (2.5, 4.0, 2.5), (0.3, 0.4, 0.5)):
-        surface = surface_from_ball(
+        surface = surface_from_indenter(
             Ball(radius), x_mm, y_mm, center_mm=center, depth_mm=depth, relaxation_mm=length
         )
         change = rng.normal(tilt, noise, REST.shape).astype(np.float32)

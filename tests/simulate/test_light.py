@@ -19,7 +19,7 @@ from gelform.simulate import (
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.gel.gel import Surface, surface_from_ball
+from gelform.simulate.gel.gel import Surface, surface_from_indenter
 from gelform.simulate.light import (
     irradiance_from_surface,
     shadowed_from_surface,
@@ -257,7 +257,7 @@ def test_a_far_low_light_casts_the_shadow_that_geometry_says():
 
 def test_larger_lights_cast_softer_shadows():
     grid = PLAIN.grid_mm()
-    surface = surface_from_ball(Ball(1), *grid, center_mm=(0, 0), depth_mm=0.8, relaxation_mm=0.3)
+    surface = surface_from_indenter(Ball(1), *grid, center_mm=(0, 0), depth_mm=0.8, relaxation_mm=0.3)
     small, large = (
         visible_from_surface(surface, (Led((-15, 0, 7), (1, 1, 1), size_mm=s),))[0] for s in (0.5, 5.0)
     )
@@ -278,8 +278,8 @@ def test_shadows_take_light_and_never_give():
 def test_turning_light_and_surface_turns_the_shadow():
     sensor = replace(PLAIN, shape=(61, 61))
     settings = {"depth_mm": 0.8, "relaxation_mm": 0.3}
-    first = surface_from_ball(Ball(1), *sensor.grid_mm(), center_mm=(0.7, 0.3), **settings)
-    turned = surface_from_ball(Ball(1), *sensor.grid_mm(), center_mm=(-0.3, 0.7), **settings)
+    first = surface_from_indenter(Ball(1), *sensor.grid_mm(), center_mm=(0.7, 0.3), **settings)
+    turned = surface_from_indenter(Ball(1), *sensor.grid_mm(), center_mm=(-0.3, 0.7), **settings)
     for x, y in ((-15.0, 2.0), (15.0, 2.0), (3.0, -15.0), (3.0, 15.0)):
         seen = visible_from_surface(first, (Led((x, y, 6.0), (1, 1, 1)),))[0]
         again = visible_from_surface(turned, (Led((-y, x, 6.0), (1, 1, 1)),))[0]
@@ -292,7 +292,7 @@ def test_turning_light_and_surface_turns_the_shadow():
 @pytest.mark.parametrize("place", [(-9.0, 2.0, 4.0), (0.5, 8.0, 4.0), (7.0, -7.0, 5.0)])
 def test_attached_shadows_are_where_the_light_lies_behind_the_surface(place):
     grid = PLAIN.grid_mm()
-    surface = surface_from_ball(Ball(1), *grid, center_mm=(0.5, -1), depth_mm=0.8, relaxation_mm=0.3)
+    surface = surface_from_indenter(Ball(1), *grid, center_mm=(0.5, -1), depth_mm=0.8, relaxation_mm=0.3)
     lost = shadowed_from_surface(surface, (Led(place, (1, 1, 1)),), None)
     to_light = np.stack(
         np.broadcast_arrays(place[0] - grid[0], place[1] - grid[1], place[2] - surface.depth_mm)
@@ -338,7 +338,9 @@ def test_the_kernel_finds_what_every_ray_meets(size):
 
 
 def test_a_gentle_bump_hides_nothing():
-    surface = surface_from_ball(Ball(8), *PLAIN.grid_mm(), center_mm=(0, 0), depth_mm=0.2, relaxation_mm=0.5)
+    surface = surface_from_indenter(
+        Ball(8), *PLAIN.grid_mm(), center_mm=(0, 0), depth_mm=0.2, relaxation_mm=0.5
+    )
     assert visible_from_surface(surface, (Led((-8.0, 2.0, 9.0), (1, 1, 1)),)) is None
 
 

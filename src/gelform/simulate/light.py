@@ -79,8 +79,8 @@ def irradiance_from_surface(
         fine = slice(first * oversample, (first + rows) * oversample)
         gradients = surface.gradients[fine] if texture is None else surface.gradients[fine] + texture[fine]
         part = Surface(surface.x_mm, surface.y_mm[fine], surface.depth_mm[fine], gradients, surface.contact)
-        seen = None if visible is None else visible[:, at]
-        out[at] = exact_irradiance(part, table, seen, oversample, specular, doublings)
+        lit = None if visible is None else visible[:, at]
+        out[at] = exact_irradiance(part, table, lit, oversample, specular, doublings)
     return out
 
 

@@ -15,18 +15,17 @@ from gelform.simulate.gel.gel import (
     Surface,
     displacement_at,
     flat_surface,
-    surface_from_ball,
     surface_from_indenter,
 )
 from gelform.simulate.indenters.faces import Ball, Indenter
 from gelform.simulate.indenters.pose import Pose, Posed
-from gelform.simulate.render import render
+from gelform.simulate.render import Rendered, render
 from gelform.simulate.sensor.camera import px_seen
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
 
 @dataclass(frozen=True)
-class SimulatedPress:
+class SimulatedPress(Rendered):
     """An image and the truth behind it, on the image's grid.
 
     Attributes
@@ -51,19 +50,11 @@ class SimulatedPress:
     time_s : float, since the LEDs were switched on
     """
 
-    image: NDArray[Any]
-    depth_mm: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    contact: NDArray[np.bool_]
     indenter: Indenter
     center_mm: tuple[float, float]
     center_px: tuple[float, float]
     press_depth_mm: float
     contact_radius_px: float | None
-    albedo: NDArray[np.float32]
-    shadowed: NDArray[np.bool_]
-    saturated: NDArray[np.bool_]
-    markers_px: NDArray[np.float64]
     markers_shift_mm: NDArray[np.float64]
     pose: Pose
     time_s: float = 0.0
@@ -188,19 +179,15 @@ def _pressed(sensor: SimulatedSensor, indenter: Indenter, pose: Pose, oversample
     """The gel's surface on the subpixel grid; any face but a ball's is solved on a wider one."""
     if pose.depth_mm <= 0:
         return flat_surface(*sensor.grid_mm(oversample))
-    how: dict[str, Any] = {
-        "center_mm": pose.center_mm,
-        "depth_mm": pose.depth_mm,
-        "relaxation_mm": sensor.relaxation_mm,
-        "gel": sensor.gel,
-    }
+    press: dict[str, Any] = {"center_mm": pose.center_mm, "depth_mm": pose.depth_mm}
+    press |= {"relaxation_mm": sensor.relaxation_mm, "gel": sensor.gel}
     if isinstance(indenter, Ball):
-        return surface_from_ball(indenter, *sensor.grid_mm(oversample), **how)
+        return surface_from_indenter(indenter, *sensor.grid_mm(oversample), **press)
     # The gel reaches four relaxation lengths beyond the image: e^-4 = 2 % is left there.
     margin = int(np.ceil(4 * sensor.relaxation_mm / sensor.mm_per_px * oversample))
     turned = pose.spin_deg != 0 or pose.tilt_deg != (0, 0)
     posed = Posed(indenter, pose.spin_deg, pose.tilt_deg) if turned else indenter
-    wide = surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **how)
+    wide = surface_from_indenter(posed, *sensor.grid_mm(oversample, margin), **press)
     return wide.sampled(slice(margin, -margin or None))
 
 

@@ -104,11 +104,11 @@ def _truth(
         return surface.depth_mm, surface.gradients, albedo, surface.contact, shadowed
     numbers = [surface.depth_mm, surface.gradients[..., 0], surface.gradients[..., 1], albedo]
     packed = cv2.merge([np.asarray(number, dtype=np.float32) for number in numbers])
-    seen = cv2.remap(packed, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    looked_at = cv2.remap(packed, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
     flags = surface.contact.astype(np.uint8) + 2 * shadowed.astype(np.uint8)
     flags = cv2.remap(flags, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REFLECT_101)
-    depth, bright = seen[..., 0].astype(np.float64), seen[..., 3].copy()
-    return depth, seen[..., 1:3].astype(np.float64), bright, (flags & 1) > 0, flags > 1
+    depth, bright = looked_at[..., 0].astype(np.float64), looked_at[..., 3].copy()
+    return depth, looked_at[..., 1:3].astype(np.float64), bright, (flags & 1) > 0, flags > 1
 
 
 def _albedo(sensor: SimulatedSensor, markers_mm: NDArray[np.float64]) -> NDArray[np.float32]:

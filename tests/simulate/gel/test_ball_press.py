@@ -9,13 +9,13 @@ from gelform.simulate import Ball, Gel
 from gelform.simulate.gel import ball_press
 from gelform.simulate.gel.ball_press import ball_press as press_of_ball
 from gelform.simulate.gel.ball_press import depth_of_ball
-from gelform.simulate.gel.gel import surface_from_ball
+from gelform.simulate.gel.gel import surface_from_indenter
 from kernel_agreement import assert_kernel_agrees
 from made.sensors import LENGTH, grid
 
 
 def ball_surface(pitch, depth_mm=0.7, center=(0.13, -0.21), radius=2.0):
-    return surface_from_ball(
+    return surface_from_indenter(
         Ball(radius), *grid(3, pitch), center_mm=center, depth_mm=depth_mm, relaxation_mm=LENGTH
     )
 
@@ -44,7 +44,7 @@ def test_beside_the_contact_the_surface_obeys_its_equation():
 def test_the_slope_is_continuous_at_the_rim():
     a = press_of_ball(2.0, 0.7, LENGTH).contact_radius_mm
     x = np.array([[a - 1e-7, a + 1e-7]])
-    surface = surface_from_ball(
+    surface = surface_from_indenter(
         Ball(2.0), x, np.zeros((1, 1)), center_mm=(0, 0), depth_mm=0.7, relaxation_mm=LENGTH
     )
     assert surface.contact.tolist() == [[True, False]]
@@ -67,7 +67,7 @@ def test_truth_slopes_are_those_of_the_truth_depth_to_second_order():
 
 def test_slopes_of_the_closed_form_are_those_of_its_depth():
     x, y = grid(5, 0.01)
-    surface = surface_from_ball(
+    surface = surface_from_indenter(
         Ball(2.0), x, y[498:503], center_mm=(0.1, 0), depth_mm=0.5, relaxation_mm=LENGTH, gel=Gel(1.5, 0.7)
     )
     slope = np.gradient(surface.depth_mm[2], 0.01)

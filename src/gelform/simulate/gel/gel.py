@@ -111,24 +111,6 @@ def flat_surface(x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> Surfac
     return Surface(x_mm, y_mm, np.zeros(shape), np.zeros((*shape, 2)), np.zeros(shape, dtype=bool))
 
 
-def surface_from_ball(
-    ball: Ball,
-    x_mm: NDArray[np.float64],
-    y_mm: NDArray[np.float64],
-    *,
-    center_mm: tuple[float, float],
-    depth_mm: float,
-    relaxation_mm: float,
-    gel: Gel | None = None,
-) -> Surface:
-    """The pressed gel under a ball: a cap, then Bessel functions K0 of r over the gel's lengths."""
-    gel = gel or Gel()
-    press = ball_press(
-        ball.radius_mm, depth_mm, relaxation_mm, thickness_mm=gel.thickness_mm, bulge=gel.bulge
-    )
-    return Surface(x_mm, y_mm, *ball_on_grid(press, x_mm, y_mm, center_mm))
-
-
 def surface_from_indenter(
     indenter: Indenter,
     x_mm: NDArray[np.float64],
@@ -139,11 +121,16 @@ def surface_from_indenter(
     relaxation_mm: float,
     gel: Gel | None = None,
 ) -> Surface:
-    """The pressed gel under any indenter: the membrane solved on the grid, its slopes by central differences.
+    """The pressed gel under an indenter: the membrane solved on the grid, its slopes by central differences.
 
-    The grid must reach some relaxation lengths beyond what is looked at: no force acts across its border.
+    The grid must reach some relaxation lengths beyond what is looked at: no force acts across its border. Under a
+    ball the surface is known in closed form: a cap, then Bessel functions K0 of r over the gel's lengths.
     """
     gel = gel or Gel()
+    if isinstance(indenter, Ball):
+        lengths = {"thickness_mm": gel.thickness_mm, "bulge": gel.bulge}
+        press = ball_press(indenter.radius_mm, depth_mm, relaxation_mm, **lengths)
+        return Surface(x_mm, y_mm, *ball_on_grid(press, x_mm, y_mm, center_mm))
     face = depth_mm + indenter.face_mm(x_mm - center_mm[0], y_mm - center_mm[1])
     pitch = float(x_mm[0, 1] - x_mm[0, 0])
     obstacle = np.maximum(face, -depth_mm if gel.bulge else 0)  # the gel never rises that far

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -140,20 +139,14 @@ def _tilted(posed: Posed) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         vertices, triangles = np.asarray(posed.indenter.vertices_mm), np.asarray(posed.indenter.triangles)
         used = np.unique(triangles)
     else:
-        hashable = _is_hashable(posed.indenter)
-        triangulated: Callable[..., Any] = _triangulated if hashable else _triangulated.__wrapped__
-        vertices, triangles, used = triangulated(posed.indenter, posed.extent_mm, posed.samples)
+        face: Any = posed.indenter, posed.extent_mm, posed.samples
+        try:
+            vertices, triangles, used = _triangulated(*face)
+        except TypeError:  # an indenter that is no key of a cache
+            vertices, triangles, used = _triangulated.__wrapped__(*face)
     turned = vertices @ rotation(posed.spin_deg, posed.tilt_deg).T
     turned[:, 2] -= turned[used, 2].max()
     return np.ascontiguousarray(turned), triangles
-
-
-def _is_hashable(indenter: Indenter) -> bool:
-    try:
-        hash(indenter)
-    except TypeError:
-        return False
-    return True
 
 
 @lru_cache(maxsize=1)  # a press tilts one face again and again; its triangles take up to 50 MB

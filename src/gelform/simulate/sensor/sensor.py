@@ -65,9 +65,9 @@ class Led:
 
 def led_row(start_mm: Triple, end_mm: Triple, color: Triple, count: int) -> tuple[Led, ...]:
     """`count` equal LEDs from one point to another; together as strong as `color`."""
-    share: Triple = (color[0] / count, color[1] / count, color[2] / count)
+    each: Triple = (color[0] / count, color[1] / count, color[2] / count)
     points = np.linspace(start_mm, end_mm, count)
-    return tuple(Led((float(x), float(y), float(z)), share) for x, y, z in points)
+    return tuple(Led((float(x), float(y), float(z)), each) for x, y, z in points)
 
 
 def led_ring(
@@ -100,8 +100,8 @@ def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, flo
     sd = width_nm / 2.3548
     centers, widths = np.array([600.0, 540.0, 465.0]), np.array([45.0, 45.0, 35.0])
     total = widths**2 + sd**2
-    seen = widths / np.sqrt(total) * np.exp(-((peak_nm - centers) ** 2) / (2 * total))
-    return float(seen[0]), float(seen[1]), float(seen[2])
+    red, green, blue = widths / np.sqrt(total) * np.exp(-((peak_nm - centers) ** 2) / (2 * total))
+    return float(red), float(green), float(blue)
 
 
 def _triple(values: Any, name: str) -> NDArray[np.float64]:
