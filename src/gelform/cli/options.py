@@ -12,7 +12,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import print_json, progress_shown, say, show_table
 from gelform.progress import Progress
@@ -59,8 +59,13 @@ def positive(text: str) -> float:
     except ValueError:
         number = math.nan
     if not (math.isfinite(number) and number > 0):
-        raise typer.BadParameter(f"expected a number > 0, got {text!r}.")
+        raise BadParameter(f"expected a number > 0, got {text!r}.")
     return number
+
+
+def number(help: str) -> Any:
+    """An option that takes a finite number > 0."""
+    return Option(metavar="F", parser=positive, help=help)
 
 
 def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
@@ -70,42 +75,38 @@ def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
     except ValueError:
         found = ()
     if len(found) != form.count(",") + 1 or not all(map(math.isfinite, found)):
-        raise typer.BadParameter(f"expected {form}, got {text!r}.", param_hint=option)
+        raise BadParameter(f"expected {form}, got {text!r}.", param_hint=option)
     return found
 
 
 def one_of(name: str, names: tuple[str, ...], option: str) -> str:
     """The name, where it is one of those known."""
     if name not in names:
-        raise typer.BadParameter(f"expected {listed(names)}, got {name!r}.", param_hint=option)
+        raise BadParameter(f"expected {listed(names)}, got {name!r}.", param_hint=option)
     return name
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show neither progress nor tables.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that are already there.")]
-Images = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of the sensor.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Show neither progress nor tables.")]
+Json = Annotated[bool, Option("--json", help="Print the numbers as JSON on standard output.")]
+Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
+Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Image files of the sensor.")]
 PictureFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
+    Path | None, Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
 ]
 NewCalibration = Annotated[
-    Path, typer.Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
+    Path, Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
 ]
 CalibrationFile = Annotated[
-    Path, typer.Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
+    Path, Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
 ]
 Sensor = Annotated[
-    str | None,
-    typer.Option(metavar="PROFILE", help=f"Sensor profile: {listed(tuple(PROFILES))}; crop and scale."),
+    str | None, Option(metavar="PROFILE", help=f"Sensor profile: {listed(tuple(PROFILES))}; crop and scale.")
 ]
-MmPerPx = Annotated[
-    float | None, typer.Option(metavar="F", parser=positive, help="Width of an image pixel on the gel, mm.")
-]
+MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.")]
 Background = Annotated[
-    Path | None,
-    typer.Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average."),
+    Path | None, Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average.")
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Of the random numbers.")]
+Seed = Annotated[int, Option(min=0, help="Of the random numbers.")]
 ALL_TOPICS = ",".join(TOPICS)
 
 
@@ -114,9 +115,7 @@ class Shown:
     """How a command reports: results on standard output, the rest on standard error."""
 
     quiet: Quiet = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON on standard output.")] = (
-        False
-    )
+    as_json: Annotated[bool, Option("--json", help="Print the numbers as JSON on standard output.")] = False
 
     @property
     def silent(self) -> bool:
@@ -149,12 +148,7 @@ class PressOptions:
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
     ball_diameter_mm: Annotated[
-        float | None,
-        typer.Option(
-            metavar="F",
-            parser=positive,
-            help="Diameter of the ball, mm, for a video or a folder without presses.csv.",
-        ),
+        float | None, number("Diameter of the ball, mm, for a video or a folder without presses.csv.")
     ] = None
     background: Background = None
 

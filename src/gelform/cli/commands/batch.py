@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
 from gelform.cli.options import CalibrationFile, Shown, one_of
@@ -28,7 +29,7 @@ LINE_EVERY_S = 30.0  # where standard error is a file
 def _shard(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
-        raise typer.BadParameter(f"expected i/N with i from 1 to N, such as 3/16, got {text!r}.")
+        raise BadParameter(f"expected i/N with i from 1 to N, such as 3/16, got {text!r}.")
     return int(number), int(count)
 
 
@@ -37,21 +38,17 @@ class Frames:
     """Where frames and untouched images are in the input."""
 
     dataset: Annotated[
-        str,
-        typer.Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name."),
+        str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
     ] = ""
     background: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="IMG|DIR|CSV",
             help="Untouched gel: an image, a folder of several, or a table of sequence,background.",
         ),
     ] = None
     background_frames: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, help="Average the first N frames of each sequence as its background."
-        ),
+        int, Option(metavar="N", min=0, help="Average the first N frames of each sequence as its background.")
     ] = 0
 
 
@@ -61,21 +58,18 @@ class Results:
 
     form: Annotated[
         str,
-        typer.Option(
+        Option(
             "--format", help="npz, png (depth in 16 bits), zarr, hdf5, ffv1, lerobot (its input with depth)."
         ),
     ] = "npz"
     dtype: Annotated[
-        str | None, typer.Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
+        str | None, Option(help="Of zarr and hdf5: float32, or uint16: depth alone, 0.1 um a step.")
     ] = None
-    table: Annotated[str, typer.Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto"
-    keep: Annotated[
-        str,
-        typer.Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results."),
-    ] = "depth,known"
-    solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto"
+    table: Annotated[str, Option(help="parquet or csv; auto: parquet where pyarrow is.")] = "auto"
+    keep: Annotated[str, Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results.")] = "depth,known"
+    solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto"
     sigma: Annotated[
-        bool, typer.Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
+        bool, Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
     ] = True
 
     def settings(self, background_frames: int) -> BatchSettings:
@@ -88,20 +82,20 @@ class Results:
                 self.form, maps, self.solver, self.sigma, background_frames, dtype=self.dtype or ""
             )
         except ValueError as problem:
-            raise typer.BadParameter(str(problem)) from problem
+            raise BadParameter(str(problem)) from problem
 
 
 @dataclass(frozen=True)
 class Machines:
     """Who does the work."""
 
-    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes; of Ray, CPUs.")] = 1
-    engine: Annotated[str, typer.Option(help="pool: processes of this machine; ray.")] = "pool"
+    workers: Annotated[int, Option(min=1, metavar="N", help="Processes; of Ray, CPUs.")] = 1
+    engine: Annotated[str, Option(help="pool: processes of this machine; ray.")] = "pool"
     address: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of a Ray cluster that runs, such as auto.")
+        str | None, Option(metavar="ADDRESS", help="Of a Ray cluster that runs, such as auto.")
     ] = None
     shard: Annotated[
-        Any, typer.Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
+        Any, Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
     ] = "1/1"
 
     def made(self) -> Engine:
@@ -111,7 +105,7 @@ class Machines:
         try:
             return Engine(self.engine, self.workers, self.address)
         except ValueError as problem:
-            raise typer.BadParameter(str(problem)) from problem
+            raise BadParameter(str(problem)) from problem
 
 
 @dataclass(frozen=True)
@@ -119,13 +113,13 @@ class Run:
     """Whether a run goes on where it was left, and what ends it."""
 
     max_errors: Annotated[
-        int, typer.Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
+        int, Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
     ] = 1000
     retry_errors: Annotated[
-        bool, typer.Option("--retry-errors", help="Do the parts again in which frames had errors.")
+        bool, Option("--retry-errors", help="Do the parts again in which frames had errors.")
     ] = False
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Delete what a batch wrote there, and begin anew.")
+        bool, Option("--overwrite", help="Delete what a batch wrote there, and begin anew.")
     ] = False
 
 
@@ -133,12 +127,12 @@ def batch(
     *,
     source: Annotated[
         str,
-        typer.Argument(
+        Argument(
             metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
         ),
     ],
     calibration: CalibrationFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     frames: Frames,
     results: Results,
     machines: Machines,
@@ -238,7 +232,7 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
 
 def verify(
     *,
-    output: Annotated[Path, typer.Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
+    output: Annotated[Path, Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
     shown: Shown,
 ) -> None:
     """Read everything that a batch wrote and say what is missing, altered or in excess.

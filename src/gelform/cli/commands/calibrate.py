@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from gelform.cli.console import figure, say, show_table
 from gelform.cli.options import (
@@ -30,31 +30,27 @@ MODELS = ("auto", *COLOR_MODELS)
 
 def calibrate(
     *,
-    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Ball presses: a folder or a video.")],
+    presses: Annotated[Path, Argument(metavar="PRESSES", help="Ball presses: a folder or a video.")],
     output: NewCalibration,
-    model: Annotated[str, typer.Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
+    model: Annotated[str, Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="CAL.npz", help="Calibration of another unit of this sensor to begin with: 5 presses do."
         ),
     ] = None,
     given: PressOptions,
     crop: Annotated[
         str | None,
-        typer.Option(
-            metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."
-        ),
+        Option(metavar="L,T,W,H", help="Part of the frame that is the image: left,top,width,height, px."),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for a page that says how good it is and what to do next."),
+        Option(metavar="DIR", help="Folder for a page that says how good it is and what to do next."),
     ] = None,
     compare: Annotated[
         bool,
-        typer.Option(
-            "--compare", help="Try every color model on the same presses too, for the report's table."
-        ),
+        Option("--compare", help="Try every color model on the same presses too, for the report's table."),
     ] = False,
     overwrite: Overwrite = False,
     shown: Shown,

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from gelform.cli.console import check_pictures, json_bytes
 from gelform.cli.options import Shown
@@ -22,7 +22,7 @@ LAYOUT, PRESSES, BALLS_MM, SEED = "three-edges", 24, (6.0, 9.0), 7
 def demo(
     *,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder for the files.")
+        Path, Option("--output", "-o", metavar="DIR", help="A new or empty folder for the files.")
     ] = Path("gelform-demo"),
     shown: Shown,
 ) -> None:

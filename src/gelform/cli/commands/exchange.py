@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import say
 from gelform.cli.options import (
@@ -29,24 +29,24 @@ FILES = ("ply", "stl", "tiff", "png", "x3p")
 
 def import_(
     *,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The package's calibration file.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="The package's calibration file.")],
     package: Annotated[
-        str, typer.Option("--from", metavar="PACKAGE", help=f"Whose file it is: {listed(PACKAGES)}.")
+        str, Option("--from", metavar="PACKAGE", help=f"Whose file it is: {listed(PACKAGES)}.")
     ],
     output: NewCalibration,
     background: Background = None,
     mm_per_px: MmPerPx = None,
     position: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="zeros|true",
             help="For gsrobotics: zeros as its program feeds its network, or the true positions.",
         ),
     ] = None,
     flip_depth: Annotated[
-        bool, typer.Option("--flip-depth", help="For lut: its surface falls where pressed.")
+        bool, Option("--flip-depth", help="For lut: its surface falls where pressed.")
     ] = False,
-    name: Annotated[str | None, typer.Option(metavar="NAME", help="Name of the sensor.")] = None,
+    name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
@@ -66,7 +66,7 @@ def import_(
     """
     one_of(package, PACKAGES, "--from")
     if background is None:
-        raise typer.BadParameter(
+        raise BadParameter(
             "needed: an image of the untouched gel; these files hold none.", param_hint="--background"
         )
     from gelform.importers.calibrations import import_calibration
@@ -94,16 +94,13 @@ def import_(
 
 def export(
     *,
-    source: Annotated[Path, typer.Argument(metavar="CAL.npz|RESULT.npz", help="A calibration or a result.")],
+    source: Annotated[Path, Argument(metavar="CAL.npz|RESULT.npz", help="A calibration or a result.")],
     to: Annotated[
-        str,
-        typer.Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result)."),
+        str, Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result).")
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", metavar="DIR|FILE", help="A new folder (calibration); a file (result)."
-        ),
+        Option("--output", "-o", metavar="DIR|FILE", help="A new folder (calibration); a file (result)."),
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -143,8 +140,6 @@ def export(
 
         target = output or source.with_suffix(f".{to}")
         if target.suffix.lower().lstrip(".") not in (to, to[:3]):
-            raise typer.BadParameter(
-                f"expected a name that ends in .{to}, got {target}.", param_hint="--output"
-            )
+            raise BadParameter(f"expected a name that ends in .{to}, got {target}.", param_hint="--output")
         written = save_surface(load_result(source), target, overwrite=overwrite)
     say(f"Wrote {written}.", quiet)

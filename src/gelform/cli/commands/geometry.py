@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
-from gelform.cli.options import Background, Sensor, Shown, numbers, positive
+from gelform.cli.options import Background, Sensor, Shown, number, numbers
 from gelform.cli.process import mistakes_in
 
 if TYPE_CHECKING:
@@ -18,23 +18,20 @@ if TYPE_CHECKING:
 def scale(
     *,
     place: Annotated[
-        Path,
-        typer.Argument(metavar="PLACE", help="Press folder, its sensor.toml, or an imported calibration."),
+        Path, Argument(metavar="PLACE", help="Press folder, its sensor.toml, or an imported calibration.")
     ],
     points: Annotated[
         str | None,
-        typer.Option(
-            metavar="X1,Y1,X2,Y2,MM", help="Two marked points of the image, px, and their distance."
-        ),
+        Option(metavar="X1,Y1,X2,Y2,MM", help="Two marked points of the image, px, and their distance."),
     ] = None,
     punch: Annotated[
-        str | None, typer.Option(metavar="IMG,MM", help="Press of a flat, round punch and its diameter.")
+        str | None, Option(metavar="IMG,MM", help="Press of a flat, round punch and its diameter.")
     ] = None,
     thread: Annotated[
-        str | None, typer.Option(metavar="IMG,MM", help="Press of a screw's thread and its pitch.")
+        str | None, Option(metavar="IMG,MM", help="Press of a screw's thread and its pitch.")
     ] = None,
     stage: Annotated[
-        str | None, typer.Option(metavar="A,B,MM", help="One thing pressed twice, a stage's step apart.")
+        str | None, Option(metavar="A,B,MM", help="One thing pressed twice, a stage's step apart.")
     ] = None,
     sensor: Sensor = None,
     background: Background = None,
@@ -53,7 +50,7 @@ def scale(
       gelform scale imported.npz --punch punch.png,5
     """
     if all(one is None for one in (points, punch, thread, stage)):
-        raise typer.BadParameter(
+        raise BadParameter(
             "expected one or more of --points, --punch, --thread, --stage.", param_hint="scale"
         )
     marked = None if points is None else numbers(points, "X1,Y1,X2,Y2,MM", "--points")
@@ -84,7 +81,7 @@ def _images_and_mm(text: str, option: str) -> tuple[list[Path], float]:
     form = "A,B,MM" if option == "--stage" else "IMG,MM"
     *paths, length = text.split(",")
     if len(paths) != form.count(","):
-        raise typer.BadParameter(f"expected {form}, got {text!r}.", param_hint=option)
+        raise BadParameter(f"expected {form}, got {text!r}.", param_hint=option)
     return [Path(path) for path in paths], numbers(length, "MM", option)[0]
 
 
@@ -114,22 +111,20 @@ def _scale_of_images(setup: Setup, option: str, paths: list[Path], mm: float) ->
 def lens(
     *,
     place: Annotated[
-        Path, typer.Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
+        Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
     ],
     images: Annotated[
         list[Path] | None,
-        typer.Option("--image", metavar="IMG", help="The grid on the gel, a whole frame; may be repeated."),
+        Option("--image", metavar="IMG", help="The grid on the gel, a whole frame; may be repeated."),
     ] = None,
     grid: Annotated[
-        str | None, typer.Option(metavar="CxR", help="Its inner corners, such as 9x6; or its dots.")
+        str | None, Option(metavar="CxR", help="Its inner corners, such as 9x6; or its dots.")
     ] = None,
-    pitch_mm: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="Its pitch, mm.")
-    ] = None,
-    dots: Annotated[bool, typer.Option("--dots", help="It is a grid of dots, not a checkerboard.")] = False,
+    pitch_mm: Annotated[float | None, number("Its pitch, mm.")] = None,
+    dots: Annotated[bool, Option("--dots", help="It is a grid of dots, not a checkerboard.")] = False,
     led_frames: Annotated[
         tuple[Path, Path, Path] | None,
-        typer.Option(
+        Option(
             metavar="R G B", help="Untouched gel with the red, green, blue LEDs alone: crosstalk is undone."
         ),
     ] = None,
@@ -148,9 +143,9 @@ def lens(
     """
     asked = [images, grid, pitch_mm]
     if any(asked) and not all(asked):
-        raise typer.BadParameter("expected all three or none.", param_hint="--image, --grid, --pitch-mm")
+        raise BadParameter("expected all three or none.", param_hint="--image, --grid, --pitch-mm")
     if not images and led_frames is None:
-        raise typer.BadParameter("expected --image or --led-frames.", param_hint="lens")
+        raise BadParameter("expected --image or --led-frames.", param_hint="lens")
     said: dict[str, Any] = {}
     if images and grid is not None and pitch_mm is not None:
         said |= _write_grid(place, images, _columns_rows(grid), pitch_mm, "dots" if dots else "checkerboard")
@@ -167,7 +162,7 @@ def _columns_rows(text: str) -> tuple[int, int]:
     try:
         columns, rows = (int(count) for count in text.split("x"))
     except ValueError:
-        raise typer.BadParameter(f"expected COLUMNSxROWS, got {text!r}.", param_hint="--grid") from None
+        raise BadParameter(f"expected COLUMNSxROWS, got {text!r}.", param_hint="--grid") from None
     return columns, rows
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument
 
 from gelform.cli.console import print_json
 from gelform.cli.options import Json
@@ -33,7 +34,7 @@ HELD_OUT = {
 def info(
     *,
     path: Annotated[
-        Path, typer.Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder.")
+        Path, Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder.")
     ],
     as_json: Json = False,
 ) -> None:
@@ -240,10 +241,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         ("sensor", str(facts["sensor_name"])),
         *[(label, str(text)) for label, text in named if text],
         ("images", f"{_size(facts['image_shape'])}, {_scale(facts)}"),
-        (
-            "view",
-            "a frame is an image as it is" if not facts.get("view") else _said(facts["view"]),
-        ),
+        ("view", "a frame is an image as it is" if not facts.get("view") else _said(facts["view"])),
         ("color model", f"{facts['color_model']} ({settings})" if settings else str(facts["color_model"])),
         (
             "made from",

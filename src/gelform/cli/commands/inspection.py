@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, say
 from gelform.cli.options import (
@@ -53,7 +53,7 @@ COMPARED = {  # {u}: the unit of depth
 
 def evaluate(
     *,
-    presses: Annotated[Path, typer.Argument(metavar="PRESSES", help="Folder of ball presses.")],
+    presses: Annotated[Path, Argument(metavar="PRESSES", help="Folder of ball presses.")],
     calibration: CalibrationFile,
     given: PressOptions,
     shown: Shown,
@@ -151,7 +151,7 @@ def compare(
     *,
     images: Images,
     calibrations: Annotated[
-        list[Path], typer.Option("--calibration", "-c", metavar="CAL.npz", help="Give it twice: A and B.")
+        list[Path], Option("--calibration", "-c", metavar="CAL.npz", help="Give it twice: A and B.")
     ],
     output: PictureFolder = None,
     background: Background = None,
@@ -170,7 +170,7 @@ def compare(
       gelform compare session/*.png -c before.npz -c after.npz --json
     """
     if len(calibrations) != 2:
-        raise typer.BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
+        raise BadParameter(f"expected two, got {len(calibrations)}.", param_hint="--calibration")
     pictures = _pictures(images, output, [*calibrations, background], overwrite)
     with shown.progress() as progress:
         progress(0, len(images), "starting")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from gelform.cli.console import say
 from gelform.cli.options import Quiet, positive
@@ -16,35 +17,32 @@ from gelform.errors import GelformError
 def live(
     sources: Annotated[
         list[str] | None,
-        typer.Argument(
+        Argument(
             metavar="[SOURCE]...",
             help="Serial, name, device, URL, video, folder, or simulated[:SENSOR]. Default: simulated.",
         ),
     ] = None,
     calibration: Annotated[
         list[Path] | None,
-        typer.Option(
+        Option(
             "--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration; one for each sensor."
         ),
     ] = None,
     folder: Annotated[
-        Path, typer.Option(metavar="DIR", help="Whose calibrations are offered, where recordings go.")
+        Path, Option(metavar="DIR", help="Whose calibrations are offered, where recordings go.")
     ] = Path("."),
     host: Annotated[
-        str, typer.Option(help="Address to listen on; beyond this machine a token is needed.")
+        str, Option(help="Address to listen on; beyond this machine a token is needed.")
     ] = "127.0.0.1",
-    port: Annotated[int | None, typer.Option(min=1, max=65535, help="8765, or the next free one.")] = None,
+    port: Annotated[int | None, Option(min=1, max=65535, help="8765, or the next free one.")] = None,
     token: Annotated[
-        bool, typer.Option("--token", help="Want a token on this machine too: others share it.")
+        bool, Option("--token", help="Want a token on this machine too: others share it.")
     ] = False,
-    rate: Annotated[
-        float, typer.Option(metavar="HZ", parser=positive, help="Of the simulated sensor.")
-    ] = 60.0,
+    rate: Annotated[float, Option(metavar="HZ", parser=positive, help="Of the simulated sensor.")] = 60.0,
     sink: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Show it in rerun or foxglove too; may be given twice."),
+        list[str] | None, Option(metavar="NAME", help="Show it in rerun or foxglove too; may be given twice.")
     ] = None,
-    browser: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Show depth in mm on a page in the browser, calibrate with a ball, record, compare.

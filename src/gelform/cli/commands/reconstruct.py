@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
 from gelform.cli.options import Background, CalibrationFile, Images, Overwrite, Shown, one_of
@@ -31,7 +32,7 @@ def _formats(text: str) -> list[str]:
     formats = [one.strip() for one in text.split(",") if one.strip()]
     unknown = [one for one in formats if one not in FORMATS]
     if unknown or not formats:
-        raise typer.BadParameter(
+        raise BadParameter(
             f"expected formats among {', '.join(FORMATS)}, got {text!r}.", param_hint="--format"
         )
     return list(dict.fromkeys(formats))
@@ -41,21 +42,19 @@ def reconstruct(
     *,
     images: Images,
     calibration: CalibrationFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     background: Background = None,
-    solver: Annotated[str, typer.Option(help="How slopes become depth; auto chooses.")] = "auto",
+    solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto",
     formats: Annotated[
         str,
-        typer.Option(
+        Option(
             "--format", help="What to write: npz, png (a picture), ply, stl, tiff, x3p; several: npz,png."
         ),
     ] = "npz",
     skip_existing: Annotated[
-        bool, typer.Option("--skip-existing", help="Leave out images whose results are there: goes on.")
+        bool, Option("--skip-existing", help="Leave out images whose results are there: goes on.")
     ] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 1 where a result has a warning.")
-    ] = False,
+    strict: Annotated[bool, Option("--strict", help="Exit with 1 where a result has a warning.")] = False,
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
-from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, positive
+from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, number
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
@@ -21,17 +21,12 @@ if TYPE_CHECKING:
 class Sent:
     """What is made of a source: its topics, the name they begin with, how long, against which untouched image."""
 
-    topics: Annotated[str, typer.Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")] = ALL_TOPICS
+    topics: Annotated[str, Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")] = ALL_TOPICS
     name: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."
-        ),
+        Option(metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."),
     ] = None
-    seconds: Annotated[
-        float | None,
-        typer.Option(metavar="F", parser=positive, help="How long; else to the end or Ctrl-C."),
-    ] = None
+    seconds: Annotated[float | None, number("How long; else to the end or Ctrl-C.")] = None
     background: Background = None
 
     def wanted(self) -> tuple[str, ...]:
@@ -39,12 +34,12 @@ class Sent:
         try:
             wanted = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
         except ValueError as problem:
-            raise typer.BadParameter(str(problem), param_hint="--topics") from problem
+            raise BadParameter(str(problem), param_hint="--topics") from problem
         try:
             if self.name is not None:
                 check_sensor_name(self.name)
         except ValueError as problem:
-            raise typer.BadParameter(str(problem), param_hint="--name") from problem
+            raise BadParameter(str(problem), param_hint="--name") from problem
         return wanted
 
     def settings(self, calibration: Calibration) -> dict[str, Any]:
@@ -57,13 +52,10 @@ class Sent:
 def bag(
     *,
     source: Annotated[
-        str,
-        typer.Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated."),
+        str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
     ],
     calibration: CalibrationFile,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")
-    ],
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: Shown,
 ) -> None:
@@ -95,14 +87,12 @@ def ros(
     *,
     calibration: CalibrationFile,
     source: Annotated[
-        str,
-        typer.Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated."),
+        str, Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
     sent: Sent,
-    router: Annotated[str, typer.Option(metavar="ADDRESS", help="Of the zenoh router.")] = ROUTER,
+    router: Annotated[str, Option(metavar="ADDRESS", help="Of the zenoh router.")] = ROUTER,
     domain: Annotated[
-        int,
-        typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="That of those who listen."),
+        int, Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="That of those who listen.")
     ] = 0,
     shown: Shown,
 ) -> None:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, positive
+from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, number
 from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
@@ -30,32 +30,24 @@ class Look:
 
     like: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="CAL.npz",
             help="Instead: answer as this calibrated sensor does, or as Taxim's tables say.",
         ),
     ] = None
     background: Annotated[
-        Path | None, typer.Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
+        Path | None, Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
     ] = None
-    mm_per_px: Annotated[
-        float | None,
-        typer.Option(
-            metavar="F", parser=positive, help="Pixel pitch of that image, mm: the tables hold none."
-        ),
-    ] = None
+    mm_per_px: Annotated[float | None, number("Pixel pitch of that image, mm: the tables hold none.")] = None
 
 
 @dataclass(frozen=True)
 class Balls:
     """A set of presses of balls."""
 
-    count: Annotated[int, typer.Option(min=1, help="How many presses of balls.")] = 40
+    count: Annotated[int, Option(min=1, help="How many presses of balls.")] = 40
     ball_diameter_mm: Annotated[
-        list[float],
-        typer.Option(
-            metavar="F", parser=positive, help="Diameter of a ball, mm; give several, they take turns."
-        ),
+        list[float], number("Diameter of a ball, mm; give several, they take turns.")
     ] = (6.0, 9.0)  # type: ignore[assignment]  # typer makes a list of it
 
 
@@ -64,25 +56,17 @@ class Face:
     """Something else to press: a height map or a mesh."""
 
     height_map: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image."),
+        Path | None, Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image.")
     ] = None
-    height_map_mm_per_px: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="Its sample pitch, mm.")
-    ] = None
+    height_map_mm_per_px: Annotated[float | None, number("Its sample pitch, mm.")] = None
     height_map_range_mm: Annotated[
-        float | None, typer.Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
+        float | None, Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
     ] = None
-    depth_mm: Annotated[
-        float,
-        typer.Option(metavar="F", parser=positive, help="How deep the height map or mesh is pressed, mm."),
-    ] = 0.5
+    depth_mm: Annotated[float, number("How deep the height map or mesh is pressed, mm.")] = 0.5
     mesh: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
+        Path | None, Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
     ] = None
-    mesh_mm_per_unit: Annotated[
-        float, typer.Option(metavar="F", parser=positive, help="Its unit: 1 for mm, 1000 for metres.")
-    ] = 1.0
+    mesh_mm_per_unit: Annotated[float, number("Its unit: 1 for mm, 1000 for metres.")] = 1.0
 
     def read(self) -> Indenter | None:
         """What is pressed; None for balls."""
@@ -95,10 +79,10 @@ class Face:
 
 def simulate(
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
     sensor: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="NAME|FILE.toml",
             help=f"{listed(LAYOUTS + SENSORS)} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
@@ -107,9 +91,7 @@ def simulate(
     balls: Balls,
     face: Face,
     seed: Seed = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Processes; the bytes are the same for any number.")
-    ] = 1,
+    workers: Annotated[int, Option(min=1, help="Processes; the bytes are the same for any number.")] = 1,
     shown: Shown,
 ) -> None:
     """Simulate a sensor: images of pressed balls, or of your own height map or mesh, with the exact truth.
@@ -133,7 +115,7 @@ def simulate(
     """
     both = None not in (sensor, look.like) or None not in (face.height_map, face.mesh)
     if both:
-        raise typer.BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
+        raise BadParameter("give one sensor and one thing to press.", param_hint="--sensor, --like")
     twin = _twin_of(look)
     made = twin.sensor if twin is not None else sensor_of(sensor or LAYOUTS[0])
     pressed = face.read()
@@ -164,7 +146,7 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
     try:
         return simulated_sensor_named(name_or_file)
     except ValueError as problem:
-        raise typer.BadParameter(str(problem), param_hint="--sensor") from problem
+        raise BadParameter(str(problem), param_hint="--sensor") from problem
 
 
 def _twin_of(look: Look) -> Twin | None:
@@ -177,7 +159,7 @@ def _twin_of(look: Look) -> Twin | None:
         return _twin_of_tables(look.like, look)
     for given, name in ((look.background, "--background"), (look.mm_per_px, "--mm-per-px")):
         if given is not None:
-            raise typer.BadParameter("is for --like with Taxim's tables only.", param_hint=name)
+            raise BadParameter("is for --like with Taxim's tables only.", param_hint=name)
     return None if look.like is None else Twin(load_calibration(look.like))
 
 
@@ -189,7 +171,7 @@ def _twin_of_tables(path: Path, look: Look) -> Twin:
     from gelform.simulate.twin import Twin
 
     if look.mm_per_px is None:
-        raise typer.BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
+        raise BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
     untouched = np.full(GREY_SHAPE, GREY_LEVEL) if look.background is None else read_image(look.background)
     noise = np.full(3, TABLES_NOISE)
     tables = read_taxim_forward(path)
@@ -211,7 +193,7 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:
-        raise typer.BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
+        raise BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
     if path.suffix.lower() != ".npy" and range_mm is not None:
         return read_height_image(path, mm_per_px=mm_per_px, height_mm=range_mm)
     try:
@@ -226,12 +208,12 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
 def design(
     *,
     sensor: Annotated[
-        str, typer.Argument(metavar="SENSOR.toml", help="A simulated sensor, or a ready one's name.")
+        str, Argument(metavar="SENSOR.toml", help="A simulated sensor, or a ready one's name.")
     ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.png", help="A picture of the study.")
+        Path | None, Option("--output", "-o", metavar="FILE.png", help="A picture of the study.")
     ] = None,
-    presses: Annotated[int, typer.Option(min=4, help="Ball presses to calibrate each design on.")] = 14,
+    presses: Annotated[int, Option(min=4, help="Ball presses to calibrate each design on.")] = 14,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     shown: Shown,

@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
-from gelform.cli.options import MmPerPx, Sensor, Shown, positive
+from gelform.cli.options import MmPerPx, Sensor, Shown, number
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
@@ -91,8 +91,7 @@ SHOWN_MODES = 4
 def cameras(
     *,
     measure: Annotated[
-        bool,
-        typer.Option("--measure/--no-measure", help="Open each camera for a second and count its frames."),
+        bool, Option("--measure/--no-measure", help="Open each camera for a second and count its frames.")
     ] = True,
     shown: Shown,
 ) -> None:
@@ -162,12 +161,9 @@ class PressesTaken:
     """Presses that are taken with the space bar, instead of a recording."""
 
     presses: Annotated[
-        bool,
-        typer.Option("--presses", help="Take a background and presses with the space bar, for calibrate."),
+        bool, Option("--presses", help="Take a background and presses with the space bar, for calibrate.")
     ] = False
-    ball_diameter_mm: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="Of the ball that presses, mm.")
-    ] = None
+    ball_diameter_mm: Annotated[float | None, number("Of the ball that presses, mm.")] = None
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
 
@@ -175,29 +171,21 @@ class PressesTaken:
 def record(
     *,
     source: Annotated[
-        str,
-        typer.Argument(metavar="[SOURCE]", help="Serial, name, path, URL, simulated; else the only camera."),
+        str, Argument(metavar="[SOURCE]", help="Serial, name, path, URL, simulated; else the only camera.")
     ] = "",
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", metavar="FILE.mcap|DIR", help="A new file, or a new folder of images."
-        ),
+        Path, Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file, or a new folder of images.")
     ],
-    seconds: Annotated[
-        float | None, typer.Option(metavar="F", parser=positive, help="How long; else until Ctrl-C.")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="How many frames.")] = None,
+    seconds: Annotated[float | None, number("How long; else until Ctrl-C.")] = None,
+    frames: Annotated[int | None, Option(metavar="N", min=1, help="How many frames.")] = None,
     taken: PressesTaken,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            "--calibration", "-c", metavar="CAL.npz", help="The calibration in use: its digest is kept."
-        ),
+        Option("--calibration", "-c", metavar="CAL.npz", help="The calibration in use: its digest is kept."),
     ] = None,
     set_: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--set",
             metavar="NAME=VALUE",
             help="Of the camera: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
@@ -230,7 +218,7 @@ def record(
         (taken.mm_per_px, "--mm-per-px"),
     ):
         if given is not None:
-            raise typer.BadParameter("is for --presses only.", param_hint=option)
+            raise BadParameter("is for --presses only.", param_hint=option)
     wanted = {"seconds": seconds, "frames": frames}
     stats, reopened = _recorded(opened, output, wanted, _digest(calibration), shown)
     if stats.frames == 0:
@@ -279,9 +267,7 @@ def _recorded(
 def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> None:
     """Background and presses, a key each."""
     if wanted.ball_diameter_mm is None:
-        raise typer.BadParameter(
-            "needed with --presses: which ball presses?", param_hint="--ball-diameter-mm"
-        )
+        raise BadParameter("needed with --presses: which ball presses?", param_hint="--ball-diameter-mm")
     from gelform.calibration.presses.taken import TakenPresses
     from gelform.sensors.grabber import Grabber
 
@@ -340,7 +326,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
-        raise typer.BadParameter(
+        raise BadParameter(
             "expected a known sensor or the width of a pixel: presses of a ball alone do not tell the scale.",
             param_hint="--sensor, --mm-per-px",
         )
@@ -364,18 +350,18 @@ def _settings(pairs: list[str]) -> dict[str, float | str]:
     for pair in pairs:
         name, separator, text = pair.partition("=")
         if not separator:
-            raise typer.BadParameter(f"expected NAME=VALUE, got {pair!r}.", param_hint="--set")
+            raise BadParameter(f"expected NAME=VALUE, got {pair!r}.", param_hint="--set")
         try:
             settings[name] = text if name == "fourcc" else float(text)
         except ValueError:
-            raise typer.BadParameter(f"expected a number in {pair!r}.", param_hint="--set") from None
+            raise BadParameter(f"expected a number in {pair!r}.", param_hint="--set") from None
     if settings:
         from gelform.sensors.cameras.settings import check_settings
 
         try:
             return check_settings(settings)
         except ValueError as problem:
-            raise typer.BadParameter(str(problem), param_hint="--set") from problem
+            raise BadParameter(str(problem), param_hint="--set") from problem
     return settings
 
 
