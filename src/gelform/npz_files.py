@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from gelform.checks import check_path
 from gelform.errors import DataError, GelformError
 
-MAX_BYTES = 1 << 30
-MAX_META_BYTES = 1 << 26
+MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # of all members of an archive, and of its settings
+MAX_ARRAY_BYTES = 2**28  # of another program's file
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
 # What zipfile, zlib and numpy's reader of arrays raise where an archive is not as it was written.
 DAMAGED_ARCHIVE = (
@@ -200,19 +200,21 @@ def read_npz(
     return arrays, meta
 
 
-def read_npy(path: str | os.PathLike[str], what: str, *, max_bytes: int) -> NDArray[Any]:
+def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
     """The one array of a `.npy` file, which holds `what`; nothing is unpickled.
 
     Raises
     ------
     DataError
-        The file is missing, larger than `max_bytes`, damaged, an archive, or holds no numbers.
+        The file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
     """
     path = check_path(path)
     if not path.is_file():
         raise DataError(f"No file {path}: expected {what} (.npy).")
-    if path.stat().st_size > max_bytes:
-        raise DataError(f"Expected {what} of at most {max_bytes >> 20} MB, got {path}. Reduce it first.")
+    if path.stat().st_size > MAX_ARRAY_BYTES:
+        raise DataError(
+            f"Expected {what} of at most {MAX_ARRAY_BYTES >> 20} MB, got {path}. Reduce it first."
+        )
     content = path.read_bytes()
     if content.startswith(b"PK"):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save {what} alone.")

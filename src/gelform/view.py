@@ -20,7 +20,7 @@ from gelform.checks import check_image, check_is
 from gelform.lens import Lens
 from gelform.resample import averaged, box_centres, maps_of_positions, pixel_maps, pixel_positions, remapped
 
-MAX_PIXELS = 200e6
+MAX_PIXELS = 200e6  # of a frame or an image
 FLIPS = ("none", "x", "y", "xy")
 
 

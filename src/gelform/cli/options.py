@@ -20,6 +20,7 @@ from gelform.robots.topics import TOPICS
 from gelform.sensors.profiles import PROFILES
 
 PACKAGE = Path(__file__).parents[1]
+ALL_TOPICS = ",".join(TOPICS)
 
 
 def names_in(file: str, table: str) -> tuple[str, ...]:
@@ -107,7 +108,6 @@ Background = Annotated[
     Path | None, Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average.")
 ]
 Seed = Annotated[int, Option(min=0, help="Of the random numbers.")]
-ALL_TOPICS = ",".join(TOPICS)
 
 
 @dataclass(frozen=True)

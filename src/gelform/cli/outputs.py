@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from gelform.calibration.presses.folder import Presses
     from gelform.calibration_file import Calibration
 
+REPORT_FILES = ("report.html", "report.json", "circles.csv")
+
 
 def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -> list[dict[str, Path]]:
     """Where each input's result goes, in each format: `folder/<path below the common folder>.<format>`.
@@ -127,10 +129,6 @@ def _check_room(folder: Path) -> None:
         raise DataError(f"Cannot write into {folder}: {problem.strerror or problem}.") from problem
 
 
-REPORT_FILES = ("report.html", "report.json", "circles.csv")
-REPORT_SEED = 0
-
-
 def check_report_folder(folder: Path, overwrite: bool) -> None:
     """Make the folder, and refuse one that holds a report (unless `overwrite`): before the work, not after it."""
     check_output(folder / REPORT_FILES[0], overwrite=True)
@@ -148,7 +146,7 @@ def content_of(
     from gelform.calibration.report.content import report_content
     from gelform.calibration.report.learning import learning_curve
 
-    rng = np.random.default_rng(REPORT_SEED)
+    rng = np.random.default_rng(0)
     learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
     return report_content(presses, calibration, rng=rng, learning=learning)
 

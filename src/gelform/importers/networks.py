@@ -16,8 +16,8 @@ from gelform.color_models._shared.layers import Layers
 from gelform.errors import DataError
 from gelform.importers.torch_files import read_tensors
 
-WEB_SIZES = (5, 64, 64, 64, 2)
-LAYERS = 4
+WEB_SIZES = (5, 64, 64, 64, 2)  # of the layers of gsrobotics' browser port
+LAYERS = 4  # of each package's network
 UNITS = {"gs_sdk": 32, "gsrobotics": 64}
 
 

@@ -13,8 +13,7 @@ from gelform.errors import DataError
 from gelform.simulate import HeightMap, Mesh
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-MAX_MESH_BYTES = 1 << 29
-MAX_IMAGE_BYTES = 1 << 28
+MAX_MESH_BYTES, MAX_IMAGE_BYTES = 2**29, 2**28  # larger ones take minutes
 
 
 def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:

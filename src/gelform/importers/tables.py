@@ -19,10 +19,9 @@ from gelform.checks import check_path, check_positive
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError
-from gelform.npz_files import DAMAGED_ARCHIVE, read_npy
+from gelform.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, read_npy
 
-MAX_BYTES = 2**28  # of a file of tables
-MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000
+MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000  # along each axis: theirs have 90 and 125
 RANGE_LEVELS = 180.0  # a look-up table spans -90 to 90 grey levels of difference in each channel
 HEIGHT, WIDTH = 480, 640  # px, of the images that Taxim's polynomials count the place in
 MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # the file's "r" is channel 0 of an OpenCV image: blue
@@ -62,7 +61,7 @@ def read_lut(
 
 
 def _lut(path: str | PathLike[str]) -> NDArray[np.float64]:
-    array = read_npy(path, "a look-up table", max_bytes=MAX_BYTES)
+    array = read_npy(path, "a look-up table")
     shape = array.shape
     if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= MAX_LUT_BINS:
         raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
@@ -199,7 +198,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     try:
         with ZipFile(path) as archive:
             declared = sum(member.file_size for member in archive.infolist())
-        if declared > MAX_BYTES:
+        if declared > MAX_ARRAY_BYTES:
             raise DataError(f"{path} declares {declared / 1e6:.3g} MB; Taxim's tables have a few.")
         with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             missing = [name for name in MEMBERS if name not in file.files]

@@ -20,9 +20,7 @@ from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.npz_files import DAMAGED_ARCHIVE
 
-MAX_BYTES = 64 * 2**20
-MAX_PICKLE_BYTES = 2**20
-MAX_NUMBERS = MAX_BYTES // 4
+MAX_BYTES, MAX_PICKLE_BYTES = 64 * 2**20, 2**20  # of a file, and of what describes its tensors
 
 _STORAGES = {
     "FloatStorage": "f4",
@@ -250,7 +248,7 @@ def _array(tensor: _Tensor, content: bytes) -> NDArray[Any]:
     inside = min((tensor.offset, *tensor.size, *tensor.stride)) >= 0 and (
         count == 0 or tensor.offset + sum(steps) < numbers.size
     )
-    if not inside or count > MAX_NUMBERS:
+    if not inside or count > MAX_BYTES // 4:
         raise ValueError(f"a tensor of shape {tensor.size} in {numbers.size} numbers")
     strides = tuple(numbers.itemsize * stride for stride in tensor.stride)
     view = np.lib.stride_tricks.as_strided(

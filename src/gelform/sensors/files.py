@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -133,18 +133,7 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
 
 
 def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
-    known = (
-        "name",
-        "mm_per_px",
-        "mm_per_px_sigma",
-        "serial",
-        "gel_id",
-        "gel_thickness_mm",
-        "response",
-        "view",
-        "measured",
-        "camera",
-    )
+    known = [field.name for field in fields(SensorSettings)]
     unknown = [key for key in settings if key not in known]
     if unknown:
         raise ValueError(f"Expected keys among {', '.join(known)}, got {', '.join(unknown)}.")

@@ -16,9 +16,9 @@ from gelform.frames import Frame
 from gelform.sensors.source import Source, open_source
 
 STALL_S = 0.5  # without a frame: robots' recorders give up then
-FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # between attempts to open a source again
+FIRST_WAIT_S, WAIT_GROWTH, LONGEST_WAIT_S = 0.02, 1.5, 0.12  # s, between attempts to open a source again
 AGAIN_S = 0.25  # for the connection to a host that answered before: one that is off swallows attempts
-MOST_KEPT = 1_000_000  # frames
+MAX_KEPT = 1_000_000  # frames
 RATE_FRAMES = 60  # the rate is measured over so many frames
 
 
@@ -70,7 +70,7 @@ class Grabber:
         keep: int = 1,
         stall_s: float = STALL_S,
     ) -> None:
-        check_within(keep, "keep", 1, MOST_KEPT)
+        check_within(keep, "keep", 1, MAX_KEPT)
         self._open = source if callable(source) else partial(open_source, source)
         self._open_again = source if callable(source) else partial(open_source, source, timeout_s=AGAIN_S)
         self._finds_serials = not callable(source)

@@ -10,6 +10,7 @@ SIGNATURE = b"\xff\xd8\xff"
 _START, _END = b"\xff\xd8", b"\xff\xd9"
 # Larger pictures need their start and end only: drivers of cameras with millions of pixels leave stray bytes in them.
 MAX_STRICT_BYTES = 100_000  # 640x480 px at good quality
+MAX_TORN = 10  # torn pictures of a camera in a row after which it is opened anew
 LEAST_SHAPE = (480, 640)  # px, of a reduced frame: twice what the path works on
 _REDUCTIONS = (1, 2, 4, 8)  # that a JPEG decoder offers
 

@@ -16,13 +16,12 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.frames import Frame
-from gelform.sensors.jpeg import image_from_jpeg, jpeg_shape, reduction_of
+from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
 
 OPEN_S = 2.0  # for the connection and the first picture
 STALL_S = 1.0  # a camera that sends nothing for so long is lost
-MAX_TORN = 10  # torn pictures in a row after which the connection is made anew
 RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**26  # of one call, and of all that is taken at a time
-MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14
+MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # more is no stream of pictures
 _LENGTH = re.compile(rb"content-length:\s*(\d+)", re.IGNORECASE)
 
 

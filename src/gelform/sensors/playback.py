@@ -13,6 +13,8 @@ from gelform.frames import Frame
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 from gelform.sensors.video_files import Video
 
+USUAL_RATE_HZ = 25.0  # of images that do not say when they were taken
+
 
 class Pace:
     """The times of evenly spaced frames, the first one now.
@@ -52,9 +54,6 @@ class Pace:
     def late_s(self, after_s: float) -> float:
         """How long ago the moment `after_s` after the start was, s; negative where it is to come."""
         return self._clock() - self._start_s - after_s
-
-
-USUAL_RATE_HZ = 25.0  # of images that do not say when they were taken
 
 
 class Playback:

@@ -18,7 +18,7 @@ from gelform._native import Kernel
 inflate: Any = import_module("isal.isal_zlib") if find_spec("isal") else zlib
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS")
-MAX_PIXEL_BYTES = 2**32
+MAX_PIXEL_BYTES = 2**32  # decompressed: a small file cannot ask for all memory
 USUAL = (8, 2, 0, 0, 0)  # bits, RGB, compression, filters, no interlace
 _png_rows = Kernel("png_rows", "u8[h,r] rows, u8[n] zeros, out u8[h,n] pixels")
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from gelform.simulate.sensor.sensor import SimulatedSensor
     from gelform.view import View
 
-MAX_ASPECT_ERROR = 0.01
+MAX_ASPECT_ERROR = 0.01  # of pixels: 1 % out of square
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from gelform.errors import DataError
 from gelform.frames import Frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
-COMPLETE_SHARE = 0.9
+COMPLETE_FRACTION = 0.9  # of the declared frames: containers count a few too many
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Video:
             capture.release()
         if index == 0:
             raise DataError(f"{self.path} has no frame that can be decoded. Record it again, as AVI or MP4.")
-        if index < COMPLETE_SHARE * self.facts.count:
+        if index < COMPLETE_FRACTION * self.facts.count:
             raise DataError(
                 f"{self.path} ends after {index} of {self.facts.count} frames: truncated or damaged. "
                 "Copy or record it again."

@@ -6,7 +6,7 @@ import pytest
 from gelform.errors import DataError
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_reader import (
-    LOOKED_AT,
+    SAMPLED_RECORDS,
     Channel,
     PictureTopic,
     Placed,
@@ -103,7 +103,7 @@ def test_the_colored_one_beside_depth(tmp_path):
 
 
 def test_pictures_that_come_late_are_waited_for(tmp_path):
-    path = image_file(tmp_path / "a.mcap", {"/image": COLOR}, before=3 * LOOKED_AT)
+    path = image_file(tmp_path / "a.mcap", {"/image": COLOR}, before=3 * SAMPLED_RECORDS)
     assert picture_topic_of(path)[1].name == "/image"
 
 

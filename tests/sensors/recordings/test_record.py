@@ -66,7 +66,7 @@ def test_images_beside_a_plain_folder_are_not_attachments(tmp_path):
 
 def test_an_attachment_of_no_size_is_refused(tmp_path, monkeypatch):
     path = written(McapRecording, tmp_path / "a.mcap", {"calibration.npz": bytes(2000)})
-    monkeypatch.setattr("gelform.sensors.recordings.record.MAX_BYTES", 1000)
+    monkeypatch.setattr("gelform.sensors.recordings.record.MAX_ATTACHMENT_BYTES", 1000)
     with pytest.raises(DataError, match="at most"):
         attached_to(path)
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from gelform.batch import BatchSettings, BatchSummary, Engine
 
 
-SHOWN_PROBLEMS = 20
-LINE_EVERY_S = 30.0  # where standard error is a file
+SHOWN_PROBLEMS = 20  # of gelform verify; --json gives all
+LINE_EVERY_S = 30.0  # of progress, where standard error is a file
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from gelform.simulate.twin import Twin
 
 
-MAX_MAP_BYTES = 1 << 28
 GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # the background of tables that come without one
-TABLES_NOISE = 1.0
+TABLES_NOISE = 1.0  # grey levels: they say none
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
     if path.suffix.lower() != ".npy" and range_mm is not None:
         return read_height_image(path, mm_per_px=mm_per_px, height_mm=range_mm)
     try:
-        heights = read_npy(path, "heights in mm", max_bytes=MAX_MAP_BYTES)
+        heights = read_npy(path, "heights in mm")
     except DataError as problem:
         remedy = "" if path.suffix.lower() == ".npy" else " Is it a grey image? Say --height-map-range-mm."
         raise DataError(f"{problem}{remedy}") from problem

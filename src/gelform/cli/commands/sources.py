@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from gelform.sensors.recordings.record import RecordStats
 
 
-POLL_S = 0.05
+POLL_S = 0.05  # between looks at the keyboard of Windows
+SHOWN_MODES = 4  # of a camera in the table
+BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # s, within which a frame has to come
 
 
 @contextmanager
@@ -83,9 +85,6 @@ def _of_windows() -> Iterator[Callable[[float], str | None]]:
         return None
 
     yield read
-
-
-SHOWN_MODES = 4
 
 
 def cameras(
@@ -151,9 +150,6 @@ def _facts(one: Survey) -> dict[str, Any]:
         "settings": one.settings,
         "problem": one.problem or None,
     }
-
-
-BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # s, within which a frame has to come
 
 
 @dataclass(frozen=True)

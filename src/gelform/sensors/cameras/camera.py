@@ -19,6 +19,9 @@ NOTHING_THERE = (
     'No camera is plugged in. Plug one in, look at its cable, or take "simulated", which needs none. A camera of another '
     "machine is reached by its address (http://...)."
 )
+CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
+VIDEO4LINUX = 81  # major number of the kernel's video devices (Documentation/admin-guide/devices.txt)
+TRIED_NUMBERS = 4  # cameras that are opened to look, where the system has no list
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,6 @@ def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Cam
     raise SensorError(f"{several}: name one by its {by}. Plugged in: {listed_cameras(cameras)}.")
 
 
-CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
-
-
 def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
     """The cameras of this machine, in the order of their numbers.
 
@@ -160,10 +160,6 @@ def _text(file: Path) -> str | None:
         return None
 
 
-VIDEO4LINUX = 81  # major number of the kernel's video devices (Documentation/admin-guide/devices.txt)
-LOOKED_AT = 4  # numbers, where the system has no list
-
-
 def cameras_there(root: Path = Path("/")) -> list[Camera]:
     """The cameras of this machine.
 
@@ -173,7 +169,7 @@ def cameras_there(root: Path = Path("/")) -> list[Camera]:
     """
     if sys.platform.startswith("linux"):
         return cameras_in_sysfs(root)
-    return [Camera(f"camera {number}", str(number)) for number in range(LOOKED_AT) if _opens(number)]
+    return [Camera(f"camera {number}", str(number)) for number in range(TRIED_NUMBERS) if _opens(number)]
 
 
 def _opens(number: int) -> bool:

@@ -20,7 +20,7 @@ CONTROLS = {
 AUTOMATIC = {"auto_exposure": cv2.CAP_PROP_AUTO_EXPOSURE, "auto_white_balance": cv2.CAP_PROP_AUTO_WB}
 OFF = {"auto_exposure": 1.0, "auto_white_balance": 0.0}  # 1: V4L2_EXPOSURE_MANUAL
 LED = cv2.CAP_PROP_ZOOM  # of a DIGIT: four bits each of red, green and blue
-LED_OF_LEVEL = 0x111
+LED_OF_LEVEL = 0x111  # one step of all three
 MODE = ("width", "height", "fps", "fourcc")
 SETTABLE = (*MODE, *CONTROLS, "led_level")
 COMPARED = ("width", "height", "reduced", "fourcc", *CONTROLS, *AUTOMATIC, "led_level")
@@ -128,9 +128,9 @@ def _set(capture: Capture, which: int, value: float, setting: str, name: str) ->
     accepted = capture.set(which, value)
     found = float(capture.get(which))
     if not accepted or not _same(found, value):
-        told = "it lacks this control" if found == UNKNOWN else f"it has {found:g} afterwards"
+        why = "it lacks this control" if found == UNKNOWN else f"it has {found:g} afterwards"
         raise SensorError(
-            f"{name}: expected to set {setting} to {value:g}, but {told}. Choose a value within its range (v4l2-ctl -d "
+            f"{name}: expected to set {setting} to {value:g}, but {why}. Choose a value within its range (v4l2-ctl -d "
             "PATH --list-ctrls shows it on Linux)."
         )
 

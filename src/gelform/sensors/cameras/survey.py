@@ -14,12 +14,13 @@ from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source
 
-CAPTURE, DISCRETE = 1, 1
-MOST = 64  # entries of one list: a driver that never ends is not asked for ever
+CAPTURE, DISCRETE = 1, 1  # of linux/videodev2.h
+MAX_ENTRIES = 64  # of one list: a driver that never ends is not asked for ever
 # (request, size of the answer, where the index is written first)
 FORMATS, SIZES, INTERVALS = (0xC0405602, 64), (0xC02C564A, 44), (0xC034564B, 52)
 
 Ask = Callable[[int, bytearray], object]
+MEASURED_S, FIRST_S = 1.0, 3.0  # s: how long frames are counted, and how long the first one may take
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def modes_from_answers(ask: Ask) -> Iterator[Mode]:
 def _answers(ask: Ask, request: tuple[int, int], start: bytes) -> Iterator[bytearray]:
     """Each entry of a list, its index counted up in the first four bytes."""
     number, size = request
-    for index in range(MOST):
+    for index in range(MAX_ENTRIES):
         buffer = bytearray(size)
         buffer[: len(start)] = start
         struct.pack_into("<I", buffer, 0, index)
@@ -81,9 +82,6 @@ def _answers(ask: Ask, request: tuple[int, int], start: bytes) -> Iterator[bytea
         except OSError:
             return
         yield buffer
-
-
-MEASURED_S, FIRST_S = 1.0, 3.0  # how long frames are counted, and how long the first one may take
 
 
 @dataclass(frozen=True)

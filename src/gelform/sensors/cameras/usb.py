@@ -20,11 +20,18 @@ from gelform.errors import SensorError, SourceLostError
 from gelform.frames import Frame
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.settings import check_settings, controls_of, set_controls
-from gelform.sensors.jpeg import image_from_jpeg, reduction_of
+from gelform.sensors.jpeg import MAX_TORN, image_from_jpeg, reduction_of
 from gelform.sensors.profiles import SENSORS, KnownCamera
 
 RULE_FILE = "/etc/udev/rules.d/60-gelform.rules"
-NAMED = 4  # programs in a message
+NAMED_PROGRAMS = 4  # in a message
+JPEG = "MJPG"
+SIZE = {  # OpenCV takes a size over when both sides are set
+    "width": cv2.CAP_PROP_FRAME_WIDTH,
+    "height": cv2.CAP_PROP_FRAME_HEIGHT,
+    "fps": cv2.CAP_PROP_FPS,
+}
+LONGEST_AGE_S = 5.0  # of the driver's time stamp; older ones are of another clock
 
 
 def udev_rule(usb_id: str | None) -> str:
@@ -52,7 +59,7 @@ def check_access(camera: Camera) -> None:
 def in_use(camera: Camera) -> SensorError:
     """The error for a camera that opens but gives no frames: somebody else has them."""
     holders = programs_that_hold(camera.path)
-    holders = holders[:NAMED] + ["others"] * (len(holders) > NAMED)
+    holders = holders[:NAMED_PROGRAMS] + ["others"] * (len(holders) > NAMED_PROGRAMS)
     who = f"by {', '.join(holders)}" if holders else "by another program"
     return SensorError(
         f"{camera.described()} is in use {who}, or has no picture format that OpenCV reads. Close the other program; one "
@@ -90,14 +97,6 @@ def _reason(camera: Camera, problem: OSError) -> str:
 
 # Read by OpenCV when a camera is opened: 10 s by default, during which a camera that stands still blocks its reader.
 os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
-JPEG = "MJPG"
-SIZE = {  # OpenCV takes a size over when both sides are set
-    "width": cv2.CAP_PROP_FRAME_WIDTH,
-    "height": cv2.CAP_PROP_FRAME_HEIGHT,
-    "fps": cv2.CAP_PROP_FPS,
-}
-LONGEST_AGE_S = 5.0  # of the driver's time stamp; older ones are of another clock
-MAX_TORN = 10  # torn pictures in a row after which the camera is opened anew
 
 
 class UsbCamera:

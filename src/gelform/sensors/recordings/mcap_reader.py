@@ -30,7 +30,10 @@ from gelform.sensors.recordings.messages import (
 )
 
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
-MAX_KEY_AT = 4096
+MAX_KEY_AT = 4096  # characters of metadata.yaml
+MAX_RECORD_BYTES = 256 * 2**20  # more is damage, and would take all memory
+SAMPLED_RECORDS = 200  # looked at, for what kind of pictures a file holds
+DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message is that of a picture, its content is none
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -71,9 +74,6 @@ def mcap_file_in(path: Path) -> Path:
     raise DataError(
         f"Expected a file *.mcap beside {METADATA_FILE} in {path}, got none. Copy the whole folder."
     )
-
-
-MAX_RECORD_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True)
@@ -142,10 +142,6 @@ class _WholeReads:
         return data if len(data) == count else b""
 
 
-LOOKED_AT = 200  # records, for what kind of pictures a file holds
-DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message is that of a picture, its content is none
-
-
 @dataclass(frozen=True)
 class PictureTopic:
     """A topic of pictures: compressed or raw, and whether its messages count frames (in gelform's own recordings)."""
@@ -184,7 +180,7 @@ def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
     found = _Found()
     for count, record in enumerate(mcap_records(path)):
         _add(found, record, path)
-        if TOPIC in found.compressed or (count > LOOKED_AT and not found.undecided):
+        if TOPIC in found.compressed or (count > SAMPLED_RECORDS and not found.undecided):
             break
     if TOPIC in found.compressed:
         return found.facts or RecordingFacts(path.name), PictureTopic(TOPIC, numbered=found.facts is not None)

@@ -18,7 +18,7 @@ from gelform.sensors.recordings.messages import (
 )
 
 TOPIC, METADATA = "/gelform/image/compressed", "gelform"
-FLUSH_S = 0.5
+FLUSH_S = 0.5  # what a recorder that is killed loses
 CHUNK_BYTES = 16 * 2**20  # at most, between two flushes
 
 

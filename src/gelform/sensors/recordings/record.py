@@ -31,7 +31,9 @@ from gelform.sensors.recordings.mcap_reader import Placed, is_bag_folder, mcap_f
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.video_files import is_video
 
-MAX_BYTES = 64 * 2**20
+MAX_ATTACHMENT_BYTES = 64 * 2**20
+KEPT_FRAMES = 32  # of a grabber for `record_frames`: half a second in which the disk may stand still
+WAIT_S = 0.25  # for a frame, before it is asked whether to go on
 
 
 def attachments_of(
@@ -72,9 +74,9 @@ def attached_to(path: Path) -> dict[str, bytes]:
     else:
         found = {}
     for name, content in found.items():
-        if len(content) > MAX_BYTES:
+        if len(content) > MAX_ATTACHMENT_BYTES:
             raise DataError(
-                f"Expected {name} in {path} of at most {MAX_BYTES >> 20} MB, got {len(content)} bytes."
+                f"Expected {name} in {path} of at most {MAX_ATTACHMENT_BYTES >> 20} MB, got {len(content)} bytes."
             )
     return found
 
@@ -114,10 +116,6 @@ def _in_mcap(path: Path) -> dict[str, bytes]:
         if type(record).__name__ == "Attachment" and record.name in ATTACHABLE:
             found[record.name] = record.data
     return found
-
-
-KEPT_FRAMES = 32  # of a grabber for `record_frames`: half a second in which the disk may stand still
-WAIT_S = 0.25
 
 
 class Recording(Protocol):
@@ -192,7 +190,7 @@ def record_frames(
     grabber : entered; one with `keep=KEPT_FRAMES` loses nothing while the disk is busy
     recording : is not closed
     seconds, frames : how long, by the frames' times, or how many; without end where both are None
-    going_on : is told after each frame, and four times a second while none comes
+    going_on : called after each frame, and four times a second while none comes
     """
     stats, after, first_s, began_s = RecordStats(0, 0, 0, 0.0), -1, 0.0, time.monotonic()
     limit_s = math.inf if seconds is None else seconds
