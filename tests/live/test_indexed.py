@@ -32,8 +32,8 @@ def test_times_are_those_of_the_recording(form, rate_hz, forms, frames):
 
 @pytest.mark.parametrize("form", ["mcap", "recorded"])
 def test_the_camera_is_known(form, forms):
-    recording = indexed(forms[form])
-    assert (recording.name, recording.serial, dict(recording.settings)) == ("ring", "S7", {"exposure": 50.0})
+    facts = indexed(forms[form]).facts
+    assert (facts.name, facts.serial, dict(facts.settings)) == ("ring", "S7", {"exposure": 50.0})
 
 
 @pytest.mark.parametrize("form", ["mcap", "recorded", "images", "video"])

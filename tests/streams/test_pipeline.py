@@ -18,26 +18,17 @@ from gelform.streams.stream import Stream
 from made.sources import ImageSource
 
 
-def test_before_the_first_result():
-    stats = Meter().stats("starting", "")
+def test_results_drops_and_ages_are_counted():
+    meter = Meter()
+    stats = meter.stats("starting", "")
     assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
     assert stats.age_s == math.inf
     assert math.isnan(stats.latency_ms)
-
-
-def test_gaps_in_the_index_are_drops():
-    meter = Meter()
     for index in (5, 6, 9, 10):  # what came before the first result is no drop of the stream's
-        meter.given(index, time.monotonic())
+        meter.given(index, time.monotonic() - 3)
     stats = meter.stats("running", "")
     assert (stats.results, stats.drops) == (4, 2)
     assert stats.rate_hz > 0
-
-
-def test_age_and_latency_are_counted_from_the_capture():
-    meter = Meter()
-    meter.given(0, time.monotonic() - 3)
-    stats = meter.stats("running", "")
     assert 3 <= stats.age_s < 60
     assert 3000 <= stats.latency_ms < 60_000
 
@@ -53,55 +44,42 @@ def test_each_stage_has_its_median():
     assert 0 <= stage_ms["reconstruct"] < 60_000
 
 
-def test_a_late_reader_gets_the_newest_alone():
+def started(act):
+    """A thread that does it."""
+    thread = Thread(target=act, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_late_readers_get_the_newest_alone_and_do_not_take_from_each_other():
     values = HandOver()
     for number, value in enumerate("abc"):
         values.put(number, value)
-    assert values.newest() == values.newest(after=1) == "c"
+    assert values.newest() == values.newest(after=1) == next(iter(values)) == "c"
     assert values.newest(after=2, timeout_s=0.01) is None
 
 
-def test_readers_do_not_take_from_each_other():
-    values = HandOver()
-    values.put(7, "a")
-    assert values.newest() == values.newest(after=6) == "a"
-
-
 def test_where_every_value_counts_the_writer_waits():
-    values, written = HandOver(every=True), Event()
-
-    def write():
-        values.put(0, "a")
-        values.put(1, "b")
-        written.set()
-
-    Thread(target=write, daemon=True).start()
-    assert values.newest(timeout_s=5) == "a"
-    assert values.newest(after=0, timeout_s=5) == "b"
-    assert written.wait(5)
-
-
-def test_where_every_value_counts_an_unread_one_is_not_replaced():
-    values, second = HandOver(every=True), Event()
-    values.put(0, "a")
-    writer = Thread(target=lambda: (values.put(1, "b"), second.set()), daemon=True)
-    writer.start()
-    assert not second.wait(0.05)
-    values.end()  # frees a writer that nobody reads from any more
+    values, done = HandOver(every=True), Event()
+    started(lambda: ([values.put(k, value) for k, value in enumerate("abc")], done.set()))
+    assert [values.newest(k - 1, timeout_s=5) for k in range(2)] == ["a", "b"]
+    unread = HandOver(every=True)
+    unread.put(0, "a")
+    writer = started(lambda: unread.put(1, "b"))
+    writer.join(0.05)
+    assert writer.is_alive()  # an unread one is not replaced
+    unread.end()  # frees a writer that nobody reads from any more
     writer.join(5)
     assert not writer.is_alive()
+    assert done.wait(5)
 
 
-def test_a_reader_that_waits_is_woken_by_the_end():
+def test_the_end_wakes_readers_and_its_error_comes_after_the_last_value():
     values, found = HandOver(), []
-    reader = Thread(target=lambda: found.append(values.newest()), daemon=True)
-    reader.start()
+    reader = started(lambda: found.append(values.newest()))
     values.end()
     reader.join(5)
     assert found == [None]
-
-
-def test_the_error_comes_after_the_last_value():
     values = HandOver()
     values.put(0, "a")
     values.end(ValueError("broken"))
@@ -113,26 +91,20 @@ def test_the_error_comes_after_the_last_value():
 
 
 def test_a_value_that_is_being_made_is_waited_for():
-    """What lies here gets older while the new one is made: a reader gets the new one."""
+    """What lies here gets older while the new one is made: a reader gets the new one, where it comes in time."""
     values, found = HandOver(), []
     values.put(0, "old")
     values.expect(1)
-    reader = Thread(target=lambda: found.append(values.newest(timeout_s=5)), daemon=True)
-    reader.start()
+    assert values.newest(timeout_s=0) == values.newest(timeout_s=0.02) == "old"
+    reader = started(lambda: found.append(values.newest(timeout_s=5)))
     reader.join(0.05)
     assert found == []
     values.put(1, "new")
     reader.join(5)
     assert found == ["new"]
-
-
-def test_of_a_value_that_does_not_come_the_older_one_is_given():
-    values = HandOver()
-    values.put(0, "old")
-    values.expect(1)
-    assert values.newest(timeout_s=0) == values.newest(timeout_s=0.02) == "old"
+    values.expect(2)
     values.end()
-    assert values.newest() == "old"
+    assert values.newest() == "new"
 
 
 class Failing(Memory):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -115,7 +116,11 @@ def test_what_touches_does_not_count():
     assert room_light_finding(evidence(now, np.ones(SHAPE, bool))) == ()
 
 
-def camera(calibration, **settings):
+def camera(serial=None, **settings):
+    return SimpleNamespace(serial=serial, settings=settings)
+
+
+def taken_with(calibration, **settings):
     return replace(calibration, settings={**calibration.settings, "camera": settings})
 
 
@@ -131,7 +136,7 @@ def mismatches(result):
 
 def test_another_exposure_is_a_finding_of_the_stream(calibration, at_rest):
     source = source_of(at_rest, {"exposure": 200.0, "gain": 1.0}, live=False, count=2)
-    results = list(gelform.stream(source, camera(calibration, exposure=100.0, gain=1.0)))
+    results = list(gelform.stream(source, taken_with(calibration, exposure=100.0, gain=1.0)))
     for result in results:
         (finding,) = mismatches(result)
         assert finding.figure == 1
@@ -139,19 +144,18 @@ def test_another_exposure_is_a_finding_of_the_stream(calibration, at_rest):
 
 
 def test_the_same_or_unknown_settings_are_none(calibration):
-    check = CameraCheck(camera(calibration, exposure=100.0))
-    assert check(None, {"exposure": 100.0}) == check(None, {}) == ()
-    assert CameraCheck(calibration)(None, {"exposure": 100.0}) == ()
+    check = CameraCheck(taken_with(calibration, exposure=100.0))
+    assert check(camera(exposure=100.0)) == check(camera()) == ()
+    assert CameraCheck(calibration)(camera(exposure=100.0)) == ()
 
 
 def test_another_unit_is_named_where_both_serials_are_known(calibration):
     check = CameraCheck(replace(calibration, serial="D1"))
-    (finding,) = check("D2", {})
+    (finding,) = check(camera("D2"))
     assert finding.name == "other_camera"
     assert "serial is D2, the calibration is of D1" in finding.message
-    assert (
-        check("D1", {}) == check(None, {}) == CameraCheck(replace(calibration, serial=None))("D2", {}) == ()
-    )
+    unknown = CameraCheck(replace(calibration, serial=None))
+    assert check(camera("D1")) == check(camera()) == unknown(camera("D2")) == ()
 
 
 def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibration, at_rest):
@@ -160,7 +164,7 @@ def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibr
         source_of(at_rest, {"exposure": 100.0}, count=3, fails=lost),
         source_of(at_rest, {"exposure": 250.0}),
     ]
-    with gelform.stream(lambda: plugged.pop(0), camera(calibration, exposure=100.0)) as stream:
+    with gelform.stream(lambda: plugged.pop(0), taken_with(calibration, exposure=100.0)) as stream:
         first = stream.newest(timeout_s=60)
         assert mismatches(first.result) == []
         index = first.index

@@ -116,9 +116,6 @@ def _last(view: str, now: Situation) -> list[str]:
     other = "" if now.other is None else now.other.expression
     compared = [f"other = {other}", f"other_mm = gelform.Reconstructor(other{solver})(frame).depth_mm"]
     return {
-        "surface": [],
-        "depth": [],
-        "image": [],
         "normals": [
             "gradients = gelform.gradients_from_depth(depth_mm, mm_per_px=result.mm_per_px)",
             "normals = gelform.normals_from_gradients(gradients)  # (H, W, 3), z towards the camera",
@@ -139,7 +136,7 @@ def _last(view: str, now: Situation) -> list[str]:
             "area_mm2 = contact.sum() * pixel_mm2",
             "volume_mm3 = depth_mm[contact].sum() * pixel_mm2",
         ],
-    }[view]
+    }.get(view, [])
 
 
 def _shell(view: str, now: Situation) -> str:
@@ -158,16 +155,6 @@ def _shell(view: str, now: Situation) -> str:
             return again  # `gelform compare` would give the background to both
         files = ["gelform", "compare", "frame.png", *given, "-c", str(now.other.path), "-o", "out"]
     else:
-        files = [
-            "gelform",
-            "reconstruct",
-            "frame.png",
-            *given,
-            *background,
-            *solver,
-            "-o",
-            "out",
-            "--format",
-            "npz,png",
-        ]
+        files = ["gelform", "reconstruct", "frame.png", *given, *background, *solver]
+        files += ["-o", "out", "--format", "npz,png"]
     return f"{again}\n{shlex.join(files)}"

@@ -18,6 +18,7 @@ from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.source import Source
 
 LOOK_EVERY_S = 0.5  # for the cameras that are plugged in
+NOT_SHOWN = "not shown"  # of a camera that is plugged in
 SETTABLE = (*CONTROLS, "led_level")
 
 Opener = Callable[[Camera, Mapping[str, float | str]], Source]
@@ -109,7 +110,11 @@ class Devices:
         rows = [_row_of_station(one) for one in tuple(self._stations) if one.player is None]
         shown = {_key(one.camera) for one in tuple(self._stations) if one.camera is not None}
         others = [camera for camera in self._plugged_in() if _key(camera) not in shown]
-        return [*rows, *(_row_of_camera(camera, self._number(camera)) for camera in others)]
+        numbered = [(self._number(camera), camera) for camera in others]
+        return rows + [
+            _row(f"camera {number}", camera.name, camera.serial, NOT_SHOWN, camera=number)
+            for number, camera in numbered
+        ]
 
     def _number(self, camera: Camera) -> int:
         with self._lock:
@@ -162,43 +167,25 @@ def camera_facts(station: Station) -> dict[str, Any]:
 
 
 def _row_of_station(station: Station) -> dict[str, Any]:
-    grabber = station.grabber if station.source is not None else None
-    row: dict[str, Any] = {
-        "key": f"station {station.number}",
-        "station": station.number,
-        "camera": None,
-        "name": station.spec if grabber is None else grabber.name,
-        "serial": None if grabber is None else grabber.serial,
-        "state": "missing" if grabber is None else grabber.state,
-        "rate_hz": None,
-        "age_ms": None,
-        "drops": None,
-    }
-    if grabber is not None:
-        stats = grabber.stats
-        age_ms = None if stats.age_s is None else 1e3 * stats.age_s
-        row |= {"rate_hz": stats.rate_hz, "age_ms": age_ms, "drops": stats.drops}
-    return row | {"there": row["state"] == "running"}
+    key = f"station {station.number}"
+    if station.source is None:
+        return _row(key, station.spec, None, "missing", station=station.number)
+    grabber, stats = station.grabber, station.grabber.stats
+    age_ms = None if stats.age_s is None else 1e3 * stats.age_s
+    figures = {"rate_hz": stats.rate_hz, "age_ms": age_ms, "drops": stats.drops}
+    return _row(key, grabber.name, grabber.serial, grabber.state, station=station.number, **figures)
+
+
+def _row(key: str, name: str, serial: str | None, state: str, **known: Any) -> dict[str, Any]:
+    """A row of the list; `known` has its station or its camera, and figures of a station."""
+    unknown = dict.fromkeys(("station", "camera", "rate_hz", "age_ms", "drops"))
+    there = state in ("running", NOT_SHOWN)
+    return {**unknown, "key": key, "name": name, "serial": serial, "state": state, "there": there, **known}
 
 
 def _key(camera: Camera) -> str:
     """What stays with the socket that a camera is plugged into, where the system says that."""
     return camera.by_path or camera.path
-
-
-def _row_of_camera(camera: Camera, number: int) -> dict[str, Any]:
-    return {
-        "key": f"camera {number}",
-        "station": None,
-        "camera": number,
-        "name": camera.name,
-        "serial": camera.serial,
-        "state": "not shown",
-        "rate_hz": None,
-        "age_ms": None,
-        "drops": None,
-        "there": True,
-    }
 
 
 def _text(value: float | str) -> str:

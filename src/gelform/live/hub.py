@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from gelform import __version__
@@ -15,6 +16,7 @@ from gelform.errors import GelformError
 from gelform.live.devices import Devices, camera_facts
 from gelform.live.lists import Calibrations, Recordings
 from gelform.live.recorder import Recorder
+from gelform.live.shown import Shown
 from gelform.live.snapshots import Snapshots
 from gelform.live.station import Station
 from gelform.progress import Progress
@@ -142,7 +144,7 @@ class Hub:
             station.close()
 
 
-def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> Sequence[Any]:
+def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> list[Shown]:
     """The next frames of a station, as the camera gives them.
 
     Raises
@@ -150,21 +152,16 @@ def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> Se
     GelformError
         They do not come in time.
     """
-    got: list[Any] = []
-    done = threading.Event()
-
-    def tap(frame: Any, shown: Any) -> None:
-        if len(got) < count:
-            got.append(shown)
-        if len(got) >= count:
-            done.set()
-
-    station.taps.append(tap)
+    got: SimpleQueue[Shown] = SimpleQueue()
+    found, until_s = [], time.monotonic() + timeout_s
+    station.taps.append(got.put)
     try:
-        if not done.wait(timeout_s):
-            raise GelformError(
-                f"Expected {count} frames within {timeout_s:g} s, got {len(got)}. Is the camera connected?"
-            )
+        for _ in range(count):
+            found.append(got.get(timeout=max(0.0, until_s - time.monotonic())))
+    except Empty:
+        raise GelformError(
+            f"Expected {count} frames within {timeout_s:g} s, got {len(found)}. Is the camera connected?"
+        ) from None
     finally:
-        station.taps.remove(tap)
-    return got
+        station.taps.remove(got.put)
+    return found

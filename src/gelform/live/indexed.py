@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,18 +38,15 @@ class Indexed:
     Attributes
     ----------
     path : of the file or folder
-    name, serial, settings, rate_hz : as of a `Source`
+    facts : of the camera
     times_s : of each frame, counted from the first, growing
     frame : number from 0 -> Frame; DataError where it is damaged
     """
 
     path: Path
+    facts: RecordingFacts
     times_s: tuple[float, ...]
     frame: Callable[[int], Frame]
-    name: str
-    rate_hz: float | None = None
-    serial: str | None = None
-    settings: Mapping[str, float | str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -69,12 +66,11 @@ def indexed(path: Path) -> Indexed:
     DataError
         It is missing, damaged, empty, or nothing that frames can be read from.
     """
-    if path.suffix.lower() == ".mcap":
-        found = _of_mcap(path, path)
+    if path.suffix.lower() == ".mcap" or is_bag_folder(path):
+        index = McapIndex(mcap_file_in(path) if path.is_dir() else path)
+        found = Indexed(path, index.facts, index.times_s, index.frame)
     elif is_recorded_folder(path):
         found = _of_recorded_folder(path)
-    elif is_bag_folder(path):
-        found = _of_mcap(path, mcap_file_in(path))
     elif path.is_dir():
         found = _of_images(path)
     elif is_video(path):
@@ -86,24 +82,11 @@ def indexed(path: Path) -> Indexed:
     return found
 
 
-def _of_mcap(path: Path, file: Path) -> Indexed:
-    index = McapIndex(file)
-    facts = index.facts
-    return Indexed(path, index.times_s, index.frame, facts.name, facts.rate_hz, facts.serial, facts.settings)
-
-
 def _of_recorded_folder(path: Path) -> Indexed:
     facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
     rows, reduction = sorted(rows_of(path)), reduction_in(facts.settings)
-    return Indexed(
-        path,
-        tuple(row[0] - rows[0][0] for row in rows),
-        lambda number: frame_of_row(path, rows[number], reduction),
-        facts.name,
-        facts.rate_hz,
-        facts.serial,
-        facts.settings,
-    )
+    times_s = tuple(row[0] - rows[0][0] for row in rows)
+    return Indexed(path, facts, times_s, lambda number: frame_of_row(path, rows[number], reduction))
 
 
 def _of_images(path: Path) -> Indexed:
@@ -115,7 +98,7 @@ def _of_images(path: Path) -> Indexed:
         return Frame(read_image(files[number]), number / USUAL_RATE_HZ, 0, number)
 
     times_s = tuple(number / USUAL_RATE_HZ for number in range(len(files)))
-    return Indexed(path, times_s, frame, path.resolve().name, USUAL_RATE_HZ)
+    return Indexed(path, RecordingFacts(path.resolve().name, rate_hz=USUAL_RATE_HZ), times_s, frame)
 
 
 def _of_video(path: Path) -> Indexed:
@@ -123,9 +106,8 @@ def _of_video(path: Path) -> Indexed:
     reel = _Reel(path, video.facts.frame_rate_hz or USUAL_RATE_HZ)
     height, width = video.facts.shape
     settings = {"width": float(width), "height": float(height)}
-    return Indexed(
-        path, reel.times_s, reel.frame, path.name, video.facts.frame_rate_hz or None, None, settings
-    )
+    facts = RecordingFacts(path.name, None, settings, video.facts.frame_rate_hz or None)
+    return Indexed(path, facts, reel.times_s, reel.frame)
 
 
 class _Reel:

@@ -46,8 +46,9 @@ class Player:
 
     def __init__(self, recording: Indexed, *, clock: Callable[[], float] = time.monotonic) -> None:
         self.recording = recording
-        self.name, self.serial, self.rate_hz = recording.name, recording.serial, recording.rate_hz
-        self.settings = dict(recording.settings)
+        facts = recording.facts
+        self.name, self.serial, self.rate_hz = facts.name, facts.serial, facts.rate_hz
+        self.settings = dict(facts.settings)
         self.problem = ""
         self._clock = clock
         self._changed = threading.Condition()
@@ -177,7 +178,7 @@ class Player:
 
     def _show(self, number: int) -> int:
         self._asked, self._number = -1, number
-        self._from_s, self._since_s = self.recording.times_s[number], self._clock()
+        self._set()
         return number
 
     def _due(self) -> int:

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,6 @@ from gelform.live.setup import Setup
 from gelform.npz_files import check_free
 from gelform.progress import Progress, no_progress
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import RecordStats, attachments_of, new_recording, record_frames
 
@@ -47,20 +47,16 @@ class Recorder:
     problem : why it ended early; "" where it did not
     """
 
-    def __init__(self, grabber: Grabber, folder: Path, setup: Setup | None = None) -> None:
+    def __init__(self, grabber: Grabber, folder: Path, setup: Setup) -> None:
         suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
         self.path = folder / f"{named_by_time('recording')}{suffix}"
         self.stats = RecordStats(0, 0, 0, 0.0)
         self.problem = ""
         self._grabber = grabber
         self._stop = threading.Event()
-        calibration = None if setup is None else setup.calibration
-        self._recording = new_recording(
-            self.path,
-            grabber,
-            calibration_digest="" if calibration is None else calibration.digest,
-            attached=attachments_of(calibration, None if setup is None else setup.background),
-        )
+        calibration, digest = setup.calibration, _digest_of(setup.calibration)
+        attached = attachments_of(calibration, setup.background)
+        self._recording = new_recording(self.path, grabber, calibration_digest=digest, attached=attached)
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
         self._thread.start()
 
@@ -107,10 +103,7 @@ def share(
     DataError
         The file is there already or cannot be written, a frame is damaged, or the extra `mcap` is missing.
     """
-    digest = "" if calibration is None else calibration.digest
-    facts = RecordingFacts(
-        recording.name, recording.serial, recording.settings, recording.rate_hz, digest, __version__
-    )
+    facts = replace(recording.facts, calibration_digest=_digest_of(calibration), library_version=__version__)
     check_free(path, overwrite=False)
     now_ns, attached = time.time_ns(), attachments_of(calibration, background)
     unfinished = path.with_name(f".{path.name}.part")  # no name of the list: half a recording is not offered
@@ -125,3 +118,7 @@ def share(
     finally:
         unfinished.unlink(missing_ok=True)
     return path
+
+
+def _digest_of(calibration: Calibration | None) -> str:
+    return "" if calibration is None else calibration.digest

@@ -30,8 +30,6 @@ STALE_S = 1.0  # without a result: the rate is 0
 NEVER_S = float("inf")  # a recording that is held has not stalled
 STAGES = ("view", "reconstruct")  # whose times are told as that of the reconstruction
 
-Tap = Callable[[Frame, Shown], None]
-
 
 @dataclass(frozen=True)
 class Opening:
@@ -65,7 +63,7 @@ class Station:
     ----------
     setup : Setup; assign another one to change it: a recording that is held is reconstructed anew
     newest : Shown or None
-    taps : called with frames and what is shown of them: guides
+    taps : called with what is shown, in the station's thread: guides
     paused : whether a sensor's picture is held
     """
 
@@ -79,7 +77,7 @@ class Station:
         self.number, self.spec = number, spec
         self._setup = Setup()
         self.newest: Shown | None = None
-        self.taps: list[Tap] = []
+        self.taps: list[Callable[[Shown], None]] = []
         self.paused = False
         self._given = self._opening = opening if isinstance(opening, Opening) else Opening(opening)
         self._given_setup = self._setup
@@ -250,7 +248,7 @@ class Station:
     def _show(self, shown: Shown) -> None:
         self.newest, self._shown_s = shown, time.monotonic()
         for tap in tuple(self.taps):
-            tap(shown.frame, shown)
+            tap(shown)
         self._on_shown()
 
     def run_by(self, helper: Callable[[Work], Work], examine: Callable[[Work], None] | None) -> None:

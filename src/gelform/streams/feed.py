@@ -23,23 +23,18 @@ class Feed(Protocol):
     Attributes
     ----------
     every : whether each frame is given, instead of the newest one
+    camera : has its serial, and its settings as they were read back
     state, reason : "starting", "running", "reconnecting" or "ended"; why, in a sentence
-    serial, settings : of the camera, read back
     """
 
     every: bool
+    camera: Source | Grabber
 
     @property
     def state(self) -> str: ...
 
     @property
     def reason(self) -> str: ...
-
-    @property
-    def serial(self) -> str | None: ...
-
-    @property
-    def settings(self) -> dict[str, Any]: ...
 
     def next(self, after_index: int) -> Frame | None:
         """A frame with a larger number; None where none came within a moment, or at the end."""
@@ -61,12 +56,8 @@ class NewestFrames:
     every = False
 
     def __init__(self, grabber: Grabber, *, owned: bool, paused: Callable[[], bool] = lambda: False) -> None:
+        self.camera: Source | Grabber = grabber
         self._grabber, self._owned, self._paused = grabber, owned, paused
-
-    @property
-    def live(self) -> bool:
-        """Whether frames come at their own time."""
-        return self._grabber.source.live
 
     @property
     def state(self) -> str:
@@ -75,14 +66,6 @@ class NewestFrames:
     @property
     def reason(self) -> str:
         return self._grabber.reason
-
-    @property
-    def serial(self) -> str | None:
-        return self._grabber.serial
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        return dict(self._grabber.settings)
 
     def next(self, after_index: int) -> Frame | None:
         if self._paused():
@@ -101,14 +84,9 @@ class EveryFrame:
     every = True
 
     def __init__(self, source: Source) -> None:
-        self._source = source
-        self.serial = source.serial
+        self.camera: Source | Grabber = source
         self._frames = iter(source)
         self.state, self.reason = "running", ""
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        return dict(self._source.settings)
 
     def next(self, after_index: int) -> Frame | None:
         frame = next(self._frames, None)
@@ -117,7 +95,7 @@ class EveryFrame:
         return frame
 
     def close(self) -> None:
-        self._source.close()
+        self.camera.close()
 
 
 def feed_from_source(source: SourceLike) -> Feed:
@@ -137,19 +115,17 @@ def feed_from_source(source: SourceLike) -> Feed:
         return NewestFrames(source, owned=False)
     if hasattr(source, "live"):
         opened: Any = source
-        return _entered(lambda: opened) if opened.live else EveryFrame(opened)
+        return (
+            NewestFrames(Grabber(lambda: opened).__enter__(), owned=True)
+            if opened.live
+            else EveryFrame(opened)
+        )
     if not (callable(source) or isinstance(source, (str, PathLike))):
         raise TypeError(
             f"Expected a source: text, a path, a Source or a Grabber, got {type(source).__name__}."
         )
-    feed = _entered(source)
-    if feed.live:
-        return feed
-    feed.close()  # of a recording no frame is passed over: it is read again, frame by frame
+    grabber = Grabber(source).__enter__()
+    if grabber.source.live:
+        return NewestFrames(grabber, owned=True)
+    grabber.close()  # of a recording no frame is passed over: it is read again, frame by frame
     return EveryFrame(source() if callable(source) else open_source(source))
-
-
-def _entered(source: str | PathLike[str] | Callable[[], Source]) -> NewestFrames:
-    grabber = Grabber(source)
-    grabber.__enter__()
-    return NewestFrames(grabber, owned=True)

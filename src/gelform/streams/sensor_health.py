@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from gelform.calibration_file import Calibration
 from gelform.findings import Finding
 from gelform.sensors import settings_mismatch
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.source import Source
 from gelform.streams.background_drift import Evidence
 from gelform.streams.marks import Marks
 from gelform.streams.same_gel import SameGel
@@ -37,34 +40,30 @@ class CameraCheck:
         self._compared: tuple[str | None, dict[str, Any]] | None = None
         self._findings: tuple[Finding, ...] = ()
 
-    def __call__(self, serial: str | None, settings: dict[str, Any]) -> tuple[Finding, ...]:
+    def __call__(self, camera: Source | Grabber) -> tuple[Finding, ...]:
         """`other_camera` and `settings_mismatch`; figures: 1, and how many settings are not as calibrated.
 
         Parameters
         ----------
-        serial, settings : of the source, as they were read back; what is not known is not compared
+        camera : its serial and settings, as they were read back; what is not known is not compared
         """
-        if self._compared != (serial, settings):
-            self._compared = serial, settings
-            self._findings = (*self._of_serial(serial), *self._of_settings(settings))
+        now = camera.serial, dict(camera.settings)
+        if self._compared != now:
+            self._compared, self._findings = now, tuple(self._differences(*now))
         return self._findings
 
-    def _of_serial(self, serial: str | None) -> tuple[Finding, ...]:
-        if not serial or not self._serial or serial == self._serial:
-            return ()
-        message = (
-            f"The camera's serial is {serial}, the calibration is of {self._serial}. Colours differ from unit to unit: take "
-            "that unit's calibration, or calibrate this one."
-        )
-        return (Finding("other_camera", message, 1.0),)
-
-    def _of_settings(self, settings: dict[str, Any]) -> tuple[Finding, ...]:
+    def _differences(self, serial: str | None, settings: dict[str, Any]) -> Iterator[Finding]:
+        if serial and self._serial and serial != self._serial:
+            message = (
+                f"The camera's serial is {serial}, the calibration is of {self._serial}. Colours differ from unit to unit: "
+                "take that unit's calibration, or calibrate this one."
+            )
+            yield Finding("other_camera", message, 1.0)
         different = settings_mismatch(self._settings, settings)
-        if not different:
-            return ()
-        said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
-        message = f"The camera is set otherwise than when it was calibrated: {said}. Set it as then, or calibrate again."
-        return (Finding("settings_mismatch", message, float(len(different))),)
+        if different:
+            said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
+            message = f"The camera is set otherwise than when it was calibrated: {said}. Set it as then, or calibrate again."
+            yield Finding("settings_mismatch", message, float(len(different)))
 
 
 class Frozen:

@@ -34,9 +34,8 @@ class Smoothing:
 
     def __init__(self, time_s: float) -> None:
         self.time_s = check_within(time_s, "smoothing", 0, LONGEST_S)
-        self._mean: NDArray[np.float32] | None = None
-        self._left: NDArray[np.float32] | None = None  # of a frame's variance that is left in the mean
-        self._last: NDArray[np.float32] | None = None
+        self._mean = self._last = np.empty((0, 0), np.float32)
+        self._left = np.empty((0, 0), np.float32)  # fraction of a frame's variance that is left in the mean
         self._last_s = -math.inf
         self._noise = 0.0
 
@@ -47,20 +46,14 @@ class Smoothing:
         frames, is what `depth_sigma_mm` loses.
         """
         depth, time_s = result.depth, result.time_s or 0.0
-        if self._mean is None or self._mean.shape != depth.shape or time_s <= self._last_s:
-            self._restart(depth)
+        if self._mean.shape != depth.shape or time_s <= self._last_s:
+            self._mean, self._left = depth.copy(), np.ones_like(depth)
         else:
             self._update(depth, time_s - self._last_s)
         self._last, self._last_s = depth, time_s
         return self._smoothed(result)
 
-    def _restart(self, depth: NDArray[np.float32]) -> None:
-        self._mean, self._left = depth.copy(), np.ones_like(depth)
-
     def _update(self, depth: NDArray[np.float32], step_s: float) -> None:
-        assert self._mean is not None
-        assert self._left is not None
-        assert self._last is not None
         self._measure_noise(depth - self._last)
         change = depth - self._mean
         nearby = cv2.blur(change, (NEARBY_PX, NEARBY_PX))
@@ -80,8 +73,6 @@ class Smoothing:
         self._noise = noise if self._noise == 0 else self._noise + NOISE_FRACTION * (noise - self._noise)
 
     def _smoothed(self, result: Reconstruction) -> Reconstruction:
-        assert self._mean is not None
-        assert self._left is not None
         depth = self._mean.copy()
         pitch = result.mm_per_px or 1.0
         pitches = (pitch, pitch) if isinstance(pitch, float) else pitch

@@ -64,7 +64,7 @@ def stream(
         Smoothing(smoothing)  # refused before a device is opened
     feed = feed_from_source(source)
     check = CameraCheck(reconstruct.calibration)
-    memory = Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.serial, feed.settings))
+    memory = Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.camera))
     return Stream(Pipeline(feed, memory, keep=KEPT), memory)
 
 

@@ -24,7 +24,7 @@ def see(guide, sensor):
     def shown(image=None, times=1):
         for k in range(times):
             pixels = np.asarray(simulate_background(sensor, rng), np.uint8) if image is None else image
-            guide.see(Frame(pixels, 0.0, 0, k))
+            guide.look_at(Frame(pixels, 0.0, 0, k))
 
     return shown
 

@@ -163,13 +163,6 @@ def test_recordings_are_fetched_by_their_place_in_the_list_alone(serving, hub, t
         assert str(tmp_path) not in gone.text
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="?#"), max_size=12))
-def test_no_name_opens_a_recording_that_is_not_listed(one_server, name):
-    request = f"GET /recordings/{name} HTTP/1.1\r\nHost: {one_server.address}\r\nConnection: close\r\n\r\n"
-    assert int(raw(one_server, request.encode()).split(b" ")[1]) in (307, 400, 404)
-
-
 def raw(running, sent):
     """What the server answers to bytes."""
     host, port = running.address.split(":")

@@ -163,26 +163,6 @@ def test_nonsense_closes_its_own_websocket_alone(running, message):
         assert next_words(socket, "state")
 
 
-NEW = st.sampled_from(["open", "play", "seek", "step", "speed", "loop", "share", "camera", "identify"])
-VALUES = st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats() | st.text(max_size=20)
-
-
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    NEW,
-    st.dictionaries(
-        st.sampled_from(["station", "name", "playing", "frame", "by", "speed", "loop", "value", "on"]), VALUES
-    ),
-)
-def test_replay_and_settings_take_no_nonsense(running, hub, what, fields):
-    """A wrong message closes its socket, a right one that makes no sense is answered; the sensor goes on."""
-    with opened(running) as socket:
-        socket.send(json.dumps({"do": what, **fields}))
-        with contextlib.suppress(ConnectionClosed):
-            next_words(socket, "done")
-    assert hub.stations[0].facts()["simulated"]
-
-
 def test_of_several_stations_each_gets_its_turn(running, hub, sensor, calibration):
     from gelform.live.station import Station
     from gelform.sensors.simulated.source import SimulatedSource

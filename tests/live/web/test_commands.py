@@ -29,7 +29,10 @@ def test_whatever_is_no_message_is_refused_as_one(message):
 @settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from(sorted(COMMANDS)),
-    st.dictionaries(st.sampled_from(["station", "name", "x_px", "y_px", "paused", "view", "x"]), JSON),
+    st.dictionaries(
+        st.sampled_from(["station", "name", "x_px", "frame", "speed", "paused", "view", "x"]),
+        JSON,
+    ),
 )
 def test_fields_are_checked_before_anything_happens(name, fields):
     """The hub has no station: what passes the checks can only be told so."""

@@ -87,7 +87,7 @@ class Guide:
         """How many presses were accepted."""
         return len(self._circles)
 
-    def see(self, frame: Frame) -> None:
+    def look_at(self, frame: Frame) -> None:
         """Take a frame; those that come too soon after the last one are passed over."""
         now = time.monotonic()
         if self.step not in ("background", "press") or now - self._looked_at < LOOK_EVERY_S:
@@ -96,9 +96,9 @@ class Guide:
         image = np.ascontiguousarray(image_from_frame(frame.image, self.asked.view), dtype=np.uint8)
         with self._lock:
             if self.step == "background":
-                self._see_untouched(image)
+                self._add_untouched(image)
             else:
-                self._see_press(image)
+                self._judge_press(image)
         self._changed()
 
     def presses(self) -> Presses:
@@ -153,7 +153,7 @@ class Guide:
 
     # -- one image ----------------------------------------------------------------------------------------------------
 
-    def _see_untouched(self, image: NDArray[np.uint8]) -> None:
+    def _add_untouched(self, image: NDArray[np.uint8]) -> None:
         self._untouched.append(image)
         if len(self._untouched) < BACKGROUND_FRAMES:
             return
@@ -168,7 +168,7 @@ class Guide:
         self.step = "press"
         self._ask_next()
 
-    def _see_press(self, image: NDArray[np.uint8]) -> None:
+    def _judge_press(self, image: NDArray[np.uint8]) -> None:
         assert self._judge is not None
         look = self._live = self._judge.look(image, self._circles)
         if not look.touched:

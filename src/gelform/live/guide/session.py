@@ -16,7 +16,6 @@ from gelform.calibration.report.page.page import report_page
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.exporters.press_folder import save_press_folder
-from gelform.frames import Frame
 from gelform.live.guide.guide import Asked, Guide
 from gelform.live.guide.judge import LEAST_TO_FORECAST, forecast_of
 from gelform.live.recorder import named_by_time
@@ -86,8 +85,8 @@ class GuideSession:
         guide.step, guide.hint = "report", "Done. Look at the report, then use it."
         self._on_changed()
 
-    def _tap(self, frame: Frame, _: Shown) -> None:
-        self.guide.see(frame)
+    def _tap(self, shown: Shown) -> None:
+        self.guide.look_at(shown.frame)
         if self.guide.step == "press":
             self._press_simulated()
             self._forecast()

@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
+from starlette.responses import PlainTextResponse
+
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 OPEN_PATHS = ("/session",)  # the page's files are open too: there is nothing secret in them
 HEADERS = {
@@ -93,7 +95,8 @@ class Guard:
         if refusal is None:
             await self._app(scope, receive, _with_headers(send))
         else:
-            await _answer(_with_headers(send), *refusal)
+            status, text = refusal
+            await PlainTextResponse(text, status)(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Any) -> tuple[int, str] | None:
         """Status and text of a refusal; None where all is well."""
@@ -156,10 +159,3 @@ def _with_headers(send: Any) -> Any:
         await send(event)
 
     return sent
-
-
-async def _answer(send: Any, status: int, text: str) -> None:
-    body = text.encode()
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", b"%d" % len(body))]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
