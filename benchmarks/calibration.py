@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.background.untouched import untouched_from_color_change
 from gelform.calibration.candidates import Candidate, candidates_for, training_samples
 from gelform.calibration.circles.find import ContactCircle, find_contact
 from gelform.calibration.circles.locate import refine
@@ -91,7 +90,8 @@ class Bench:
 
     def _press_errors(self, ready: Any, press: PreparedPress, index: int, threshold: float) -> Any:
         gradients = np.array(ready.gradients_from_color(press.color_change)[0])
-        untouched = untouched_from_color_change(press.color_change, threshold)
+        common = np.median(press.color_change.reshape(-1, 3), axis=0)
+        untouched = np.linalg.norm(press.color_change - common, axis=-1) < threshold
         gradients -= np.median(gradients[untouched], axis=0)
         pitch = self.presses.mm_per_px
         depth = gelform.depth_from_gradients(gradients, mm_per_px=pitch, zero=untouched)

@@ -17,9 +17,8 @@ _ball_center = Kernel(
     "ball_center",
     "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
 )
-STEEPEST_FRACTION = (
-    0.97  # of the radius: beyond it the slopes of a ball are held; native/ball/center.c has it too
-)
+# Of the radius: beyond it the slopes of a ball are held; native/ball/center.c has it too.
+STEEPEST_FRACTION = 0.97
 # Of the radius, where the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
 FOLLOWED_FRACTION = 0.75
 

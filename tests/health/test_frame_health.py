@@ -25,7 +25,6 @@ def test_a_sound_frame_has_no_faults(health, frame):
     faults = health(frame)
     assert names(faults) == []
     assert faults.lost is None
-    assert not faults.all_is_lost
 
 
 @pytest.mark.parametrize(
@@ -36,7 +35,6 @@ def test_a_frame_of_one_colour_says_nothing(health, level, name):
     faults = health(constant(level))
     assert names(faults) == [name]
     assert faults.findings[0].figure == pytest.approx(1.0, abs=0.03)
-    assert faults.all_is_lost
 
 
 def test_darkness_with_noise_is_dark(health):
@@ -70,7 +68,6 @@ def test_a_part_of_one_colour_is_torn_and_lost(health, part, level):
     assert faults.lost[true].all()
     assert faults.findings[0].figure == pytest.approx(true.mean(), abs=0.08)
     assert np.count_nonzero(faults.lost & ~true) < 0.4 * true.size
-    assert not faults.all_is_lost
 
 
 def test_rows_that_repeat_the_last_good_one_are_torn(health):

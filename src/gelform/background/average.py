@@ -12,12 +12,14 @@ from gelform.background.exposure import block_means
 from gelform.checks import check_image
 from gelform.errors import DataError
 
-MAX_BYTES = 192 * 2**20
-TRIMMED_SHARE = 0.2
-BLOCK_SHARE, BLOCK_LEVELS, BLOCK_SIGMAS = 0.03, 1.5, 6.0  # a block off by 3 % + 1.5 levels + noise is touched
-TOUCHED_BLOCKS = 0.01
-OTHER_EXPOSURE = 0.03
-ROWS_BYTES = 32 * 2**20
+# Of frames that are held, and of rows that are sorted at once.
+MAX_BYTES, ROWS_BYTES = 192 * 2**20, 32 * 2**20
+TRIMMED_FRACTION = 0.2  # of a pixel's values at either end
+# A block is touched that is off by 3 % of its level, 1.5 grey levels and 6 sigma of noise; a frame that has such a fraction
+# of them.
+BLOCK_FRACTION, BLOCK_LEVELS, BLOCK_SIGMAS, TOUCHED_BLOCKS = 0.03, 1.5, 6.0, 0.01
+OTHER_EXPOSURE = 0.03  # of the brightness: a frame that differs by more is left out
+KEPT_VARIANCES = 0.99  # fraction of the pixels: a hundredth may flicker, a fibre or an edge that trembles
 
 
 class Background(NamedTuple):
@@ -117,7 +119,7 @@ def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
         gain = np.median((own + 1) / (middle + 1), axis=(0, 1))
         off = np.abs(own - gain * middle)
         noise = 1.4826 * np.median(off, axis=(0, 1))
-        touched = (off > BLOCK_SHARE * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
+        touched = (off > BLOCK_FRACTION * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
         brighter = float(gain[np.argmax(np.abs(gain - 1))] - 1)
         if touched > TOUCHED_BLOCKS:
             odd[name] = f"{100 * touched:.1f} % of it differs: touched, or a shadow"
@@ -143,7 +145,7 @@ def trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], N
     if len(images) == 1:
         return images[0].astype(np.float32), noise_from_image(images[0])
     height = images[0].shape[0]
-    cut = int(TRIMMED_SHARE * len(images))
+    cut = int(TRIMMED_FRACTION * len(images))
     rows = max(1, ROWS_BYTES // (len(images) * images[0][0].nbytes))
     average = np.empty(images[0].shape, dtype=np.float32)
     variances = []
@@ -152,5 +154,5 @@ def trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], N
         average[first : first + rows] = stack[cut : len(images) - cut].mean(axis=0, dtype=np.float64)
         variances.append(stack.var(axis=0, ddof=1, dtype=np.float64).reshape(-1, 3))
     variance = np.sort(np.concatenate(variances), axis=0)
-    kept = max(1, int(0.99 * len(variance)))  # a hundredth may flicker: a fibre, an edge that trembles
+    kept = max(1, int(KEPT_VARIANCES * len(variance)))
     return average, np.sqrt(variance[:kept].mean(axis=0))

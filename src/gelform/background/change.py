@@ -16,9 +16,8 @@ from gelform.checks import check_image, check_values, check_within
 from gelform.filters import LANES, blur_taps
 from gelform.findings import Finding
 
-MAX_CONDITION = 30.0
-MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0
-RESPONSES = 0.05, 20.0
+MAX_CONDITION = 30.0  # of a crosstalk matrix, from which two channels count as one
+MAX_OFFSET, MAX_BLUR_PX, POSSIBLE_RESPONSES = 1e4, 100.0, (0.05, 20.0)  # that a file may say
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(
     "color_change",
@@ -53,7 +52,7 @@ class ChangeSettings:
             raise ValueError(f"Expected method 'divide' or 'subtract', got {self.method!r}.")
         check_within(self.offset, "offset", 0, MAX_OFFSET)
         check_within(self.blur_px, "blur_px", 0, MAX_BLUR_PX)
-        check_within(self.response, "response", *RESPONSES)
+        check_within(self.response, "response", *POSSIBLE_RESPONSES)
         if self.crosstalk is not None:
             object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
 
@@ -162,14 +161,14 @@ class PreparedBackground:
     def pending(self, image: NDArray[Any], exposure: Exposure | None = None) -> PendingChange:
         """`change`, still to be computed: all of it but the pass over the pixels."""
         light = light_from_image(image, self.settings)
-        share = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
-        if self.settings.crosstalk is not None and np.ptp(share) > 0:
+        gain = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
+        if self.settings.crosstalk is not None and np.ptp(gain) > 0:
             # gains act on the channels as the camera has them: in front of the crosstalk
             matrix = np.asarray(self.settings.crosstalk)
-            light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(share) @ matrix)
-            share = np.ones(3)
+            light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(gain) @ matrix)
+            gain = np.ones(3)
         scale = np.empty((light.shape[1], 3), dtype=np.float32)
-        scale[:] = share
+        scale[:] = gain
         is_bytes = light.dtype == np.uint8
         light = np.ascontiguousarray(light, dtype=np.uint8 if is_bytes else np.float32)
         either = (light, None) if is_bytes else (None, light)
@@ -231,9 +230,5 @@ def image_from_color_change(
     if settings.crosstalk is not None:
         light = cv2.transform(light, np.asarray(settings.crosstalk))
     light = np.clip(light, 0, 255)
-    image = light if settings.response == 1 else _camera_levels(light, settings.response)
+    image = light if settings.response == 1 else 255 * (light / 255) ** settings.response
     return np.asarray(image, dtype=np.float32)
-
-
-def _camera_levels(light: NDArray[Any], response: float) -> NDArray[np.float32]:
-    return np.asarray(255 * (light / 255) ** response, dtype=np.float32)

@@ -15,13 +15,15 @@ from gelform.errors import CalibrationError
 from gelform.findings import Finding
 from gelform.frames import pixels_digest
 
-RATIO_WARN = (0.9, 1.1)
-RATIO_REFUSE = (0.7, 1.4)
-GAIN_REPORTED = 0.02
-CORRELATION_REFUSE = 0.8
+# Of the brightness: outside a new background is asked for, or the image refused.
+RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
+GAIN_REPORTED = 0.02  # of the brightness: a smaller difference is compensated without a word
+CORRELATION_REFUSE = 0.8  # on untouched pixels: with less an image is another sensor's, or a shifted one
+# Fractions of the brightness by which half of an image is off, to be warned of and to be refused; and its quarter that
+# changed least, to be refused.
 PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
-TOUCHED_SHARE = 0.4
-MIN_FRAMES = 8
+TOUCHED_FRACTION = 0.4  # of an image, that the correlation leaves out
+MIN_FRAMES = 8  # whose median is nearly the untouched image, each touched elsewhere
 
 _least_changed_sums = Kernel(
     "least_changed_sums",
@@ -115,12 +117,13 @@ def background_digest(background: NDArray[Any]) -> str:
 
 
 def compared(
-    seen: NDArray[np.float32], untouched: NDArray[np.float32]
+    image: NDArray[np.float32], untouched: NDArray[np.float32]
 ) -> tuple[Exposure, tuple[Finding, ...]]:
-    exposure = exposure_from_blocks(seen, untouched)
-    correlation = _correlation(seen, untouched, exposure.gain)
+    """Exposure and findings of an image against the untouched one, both as `block_means` gives them."""
+    exposure = exposure_from_blocks(image, untouched)
+    correlation = _correlation(image, untouched, exposure.gain)
     turned = (
-        _correlation_reversed(seen, untouched) if correlation is not None and correlation < 0.97 else None
+        _correlation_reversed(image, untouched) if correlation is not None and correlation < 0.97 else None
     )
     if correlation is not None and turned is not None and turned > max(0.9, correlation + 0.03):
         raise CalibrationError(
@@ -178,24 +181,24 @@ def _times(gain: NDArray[np.float64] | None) -> str:
     return "unknown" if gain is None else ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
 
 
-def _correlation_reversed(seen: NDArray[np.float32], untouched: NDArray[np.float32]) -> float | None:
-    turned = np.ascontiguousarray(seen[..., ::-1])
+def _correlation_reversed(image: NDArray[np.float32], untouched: NDArray[np.float32]) -> float | None:
+    turned = np.ascontiguousarray(image[..., ::-1])
     return _correlation(turned, untouched, exposure_from_blocks(turned, untouched).gain)
 
 
 def _correlation(
-    seen: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any] | None
+    image: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any] | None
 ) -> float | None:
-    """Correlation over all but the `TOUCHED_SHARE` of the blocks that changed most, channels together.
+    """Correlation over all but the `TOUCHED_FRACTION` of the blocks that changed most, channels together.
 
     None where the untouched image is featureless: it can neither agree nor disagree. 0 where only the image is.
     """
-    blocks = seen.size // 3
+    blocks = image.size // 3
     scale = np.ones(3, dtype=np.float32) if gain is None else (1 / gain).astype(np.float32)
-    last = min(int((1 - TOUCHED_SHARE) * blocks), blocks - 1)
+    last = min(int((1 - TOUCHED_FRACTION) * blocks), blocks - 1)
     sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
-    count = _least_changed_sums(seen.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
-    of_seen, of_untouched, of_both = sums.tolist()
+    count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
+    of_image, of_untouched, of_both = sums.tolist()
     if of_untouched < 1e-4 * count:
         return None
-    return of_both / (of_seen * of_untouched) ** 0.5 if of_seen >= 1e-4 * count else 0.0
+    return of_both / (of_image * of_untouched) ** 0.5 if of_image >= 1e-4 * count else 0.0

@@ -17,9 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.checks import check_image
 
-BLOCKS = 1200
-DARK, BRIGHT = 6.0, 250.0  # mean levels of a block between which its ratio tells the gain
-HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])  # what counts as untouched, round by round
+BLOCKS = 1200  # of an image: each averages the noise away, and is smaller than a contact
+DARK, BRIGHT = 6.0, 250.0  # grey levels, between which a block's ratio tells the gain
+HALF_WIDTHS_LOG = np.array(
+    [0.06, 0.04, 0.03, 0.02, 0.02, 0.02]
+)  # about the gain, of what counts as untouched in each round
+# Fractions of the image that agree, from which the gain is believed, and wholly.
 MIN_SHARE, FULL_SHARE = 0.15, 0.3
 
 _means_of_bytes = Kernel(

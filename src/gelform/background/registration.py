@@ -22,11 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_image, check_mask
 
 OFFSET = 10.0  # grey levels, as where the color change divides
-BLURS_PX = (6.0, 3.0, 1.5, 1.5)  # coarse to fine; with the first a shift of about 8 px is still seen
-PRIOR_PX = 5.0  # what is supposed where nothing is known: so far, at the image's corners, may it have moved
-TOUCH_BLUR_PX, TOUCHED = 8.0, 0.02  # a touch changes the mean level of its surroundings by this share
-BLOCKS = (8, 10)  # rows, columns
-MIN_UNTOUCHED = 0.1
+# Standard deviations, coarse to fine; with the first a shift of about 8 px is still found.
+BLURS_PX = (6.0, 3.0, 1.5, 1.5)
+PRIOR_PX = 5.0  # standard deviation of the motion at the image's corners, where nothing is known of it
+TOUCH_BLUR_PX, TOUCHED = 8.0, 0.02  # a touch changes the mean level of its surroundings by this fraction
+BLOCKS = (8, 10)  # rows and columns, whose residuals are taken for independent: larger than texture
+MIN_UNTOUCHED = 0.1  # fraction of the image: less does not tell four motions and six terms of light
+# The phase correlation that the fit starts from: of texture finer than a Gaussian, px; least peak; longest shift, px.
 FINE_PX, MIN_RESPONSE, MOST_PX = 4.0, 0.08, 12.0
 STEP = 1 / 32  # px; cv2.remap knows no finer one
 
@@ -149,10 +151,10 @@ class PreparedRegistration:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """What the motion (4,) lacks, and the covariance of the whole."""
         rest, regressors = self._levels[blur]
-        seen = cv2.GaussianBlur(self._moved_back(logs, motion), (0, 0), blur)
+        now = cv2.GaussianBlur(self._moved_back(logs, motion), (0, 0), blur)
         of = used.ravel()
         columns = regressors[of].astype(np.float64)
-        change = (seen - rest).ravel()[of].astype(np.float64)
+        change = (now - rest).ravel()[of].astype(np.float64)
         square = columns.T @ columns
         moved = columns[:, 6:] - columns[:, :6] @ np.linalg.solve(square[:6, :6], square[:6, 6:])
         residual = change - columns @ np.linalg.lstsq(square, columns.T @ change, rcond=None)[0]

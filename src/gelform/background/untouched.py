@@ -11,9 +11,9 @@ from gelform._native import Kernel
 from gelform.filters import medians_where
 from gelform.findings import Finding
 
-MIN_UNTOUCHED = 0.02
-SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and shares
-EXPOSURE_STEP_PX = 8
+MIN_UNTOUCHED = 0.02  # fraction of the frame: of fewer pixels the median slope is noise
+SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and fractions
+EXPOSURE_STEP_PX = 8  # of the lattice for the common change
 
 _near_common = Kernel(
     "near_common",
@@ -55,37 +55,18 @@ def reference_from_color_change(
     threshold : color changes smaller than this mean: not touched
     hidden : (H, W), pixels that markers hide: never untouched
     """
-    common = _common_change(color_change)
+    common = medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
     height, width = gradients.shape[:2]
     step = max(1, round((height * width / SAMPLES) ** 0.5))
-    near, count = near_common(color_change, common, threshold, hidden, step)
-    share = count / (-(-height // step) * -(-width // step))
-    if share >= MIN_UNTOUCHED:
+    near = np.zeros((height, width), dtype=bool)
+    count = _near_common(color_change, hidden, common, near, threshold**2, step)
+    fraction = count / (-(-height // step) * -(-width // step))
+    if fraction >= MIN_UNTOUCHED:
         return Reference(common, threshold, medians_where(gradients, near, step)[0], None, ())
     size = np.linalg.norm(color_change, axis=-1)
     least = size <= np.quantile(size, MIN_UNTOUCHED)
-    message = f"Only {100 * share:.1f} % of the pixels are untouched: depth is relative to the least changed."
-    finding = Finding("few_untouched", message, share)
+    message = (
+        f"Only {100 * fraction:.1f} % of the pixels are untouched: depth is relative to the least changed."
+    )
+    finding = Finding("few_untouched", message, fraction)
     return Reference(common, threshold, medians_where(gradients, least)[0], least, (finding,))
-
-
-def untouched_from_color_change(color_change: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
-    """Pixels (H, W) whose colour did not change: |change - what most pixels have in common| < threshold."""
-    change = np.ascontiguousarray(color_change, dtype=np.float32)
-    return near_common(change, _common_change(change), threshold)[0]
-
-
-def _common_change(color_change: NDArray[np.float32]) -> NDArray[np.float32]:
-    return medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
-
-
-def near_common(
-    color_change: NDArray[np.float32],
-    common: NDArray[np.float32],
-    threshold: float,
-    hidden: NDArray[np.bool_] | None = None,
-    step: int = 1,
-) -> tuple[NDArray[np.bool_], int]:
-    """Pixels (H, W) near the common change, of every `step`-th row and column, and their number."""
-    near = np.zeros(color_change.shape[:2], dtype=bool)
-    return near, _near_common(color_change, hidden, common, near, threshold**2, step)

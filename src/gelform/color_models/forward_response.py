@@ -43,9 +43,8 @@ DEPTH_RIDGE, DEPTH_SLOPE_RIDGE = 3.0, 9.0  # of z, and of z times the normal: OR
 HUBER_CHANGE = 0.03  # color change, about twice the usual residual: from there on a sample counts less
 LONGEST_STEP = 0.3  # mm/mm: beyond it the response is not linear
 RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
-CLIPPED_STEP_SIGMA = (
-    0.3  # mm/mm, the prior of a slope of which one channel says nothing: as wide as slopes are
-)
+# Prior of a slope of which one channel of three says nothing, mm/mm: a wide one.
+CLIPPED_STEP_SIGMA = 0.3
 
 _POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
 TERMS = len(_POWERS) + 3

@@ -20,8 +20,8 @@ from gelform.color_models.seam import Samples, check_image_shape
 from gelform.resample import pixel_positions
 
 NEIGHBOURS = 16  # of a pixel: five times the unknowns of its line
-POINTS = 4000  # samples that are kept: more are neighbours in a press, and slower
-CHUNK = 20_000  # pixels at a time: what they need stays under 100 MB
+POINTS = 4000  # samples that are kept, for speed
+CHUNK = 20_000  # pixels at a time, for the memory
 PRIOR = 0.3  # of the color change's size: how large changes are from which neighbours count more than the line of all
 ARRAYS, SCALES = ("color", "x_px", "y_px", "gradients", "line"), ("color_scale", "place_scale", "spacing")
 

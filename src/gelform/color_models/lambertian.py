@@ -19,10 +19,10 @@ from gelform.checks import LARGEST, check_values, check_within
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples
 
-MAX_CONDITION = 1e4  # of a light matrix: beyond it noise of a grey level makes slopes of any size
-MAX_SLOPE = 5.0  # mm/mm: pixels in shadow get at most that; no gel is as steep
+MAX_CONDITION = 1e4  # of a light matrix, from which lights count as coplanar
+MAX_SLOPE = 5.0  # mm/mm, that pixels in shadow get at most
 DARKEST_RATIO = 0.02  # of the light at rest: a darker channel is in shadow, where the law does not hold
-RESPONSES = (0.3, 1.6)  # exponents of cameras, raw to strongly gamma-corrected
+RESPONSES = (0.3, 1.6)  # exponents that a fit looks for
 POSSIBLE_RESPONSES = (0.05, 20.0)  # that a file may say
 
 

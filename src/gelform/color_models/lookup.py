@@ -19,7 +19,7 @@ from gelform.color_models._shared.layers import blocks_of
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
 from gelform.color_models.seam import Samples, check_image_shape
 
-HUBER_ROUNDS = 2  # of reweighting: a third changes slopes by less than their deviation
+HUBER_ROUNDS = 2  # of reweighting by Huber's loss
 FOLDS, STRETCHES = 2, 24  # stretches of the samples, about a press or two each, are dealt into folds
 CG_TOLERANCE = 1e-3  # of the residual over the right side
 

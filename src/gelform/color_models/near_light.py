@@ -120,7 +120,7 @@ def light_ratio_derivatives(
     )
 
 
-FITTED_SAMPLES = 4000  # of a hundred thousand: neighbours in a press say the same
+FITTED_SAMPLES = 4000  # at most: neighbours in a press say the same
 LEAST_PRESSED = 30  # samples, twice the numbers that are fitted
 # Of the lights, in half the image's larger side: heights above the gel and distances beside it.
 HEIGHTS, FARTHEST = (0.05, 20.0), 20.0

@@ -25,7 +25,7 @@ from gelform.color_models._shared.least_squares import (
 )
 from gelform.color_models.seam import Samples, check_image_shape
 
-MAX_POSITION_DEGREE = 5  # 21 functions of the place: more need more presses than anybody takes
+MAX_POSITION_DEGREE = 5  # 21 functions of the place
 # Position degrees that calibration tries, and the accepted presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
 

@@ -67,15 +67,14 @@ UNKNOWN = 1.0  # mm/mm, what such a slope is off by: the steepest that a gel sho
 # |Mean| of a color change's channels over their RMS, from which all are darker (a shadow) or all brighter (a mirror).
 ALIKE = 0.5
 # mm/mm, by which slopes differ from those `reach_px` away more than a small ball's do: such slopes are blurred. And their
-# error over what is beyond, on simulated and real objects with walls.
+# error over what they differ by more.
 DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
 UNSEEN = 1000.0  # clean sigmas, of what says nothing: a weight of 1e-6, which solvers take for none
-LEAST_CONFIDENCE = (
-    0.01  # of a slope that the image says something of: what has less is filled from its neighbours
-)
+# Of a slope that the image says something of: what has less is filled from its neighbours.
+LEAST_CONFIDENCE = 0.01
 UNLIT_TO = 8  # grey levels of the untouched image's brightest channel, as of a block that is dark
 LEAST_OUTSIDE_PX = 25  # connected pixels: a region of fewer is dust
-# Mean grey level of a block of JPEG's chroma, up to or from which it was lost because it is dark or saturated.
+# Mean grey level of a block that was lost, up to or from which it is dark or saturated, and torn between.
 LOST_BLOCK_PX, LOST_DARK_TO, LOST_SATURATED_FROM = 16, 16, 240
 
 _raise_sigma = Kernel(
@@ -231,15 +230,13 @@ def either(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> ND
 
 JPEG_BLOCK_PX = 8
 LEAST_BLOCKS = 4  # across a frame: the medians over fewer columns are noise
-EVERY_ROW = 4  # of how many rows one is looked at: a quarter says the same
+EVERY_ROW = 4  # of how many rows one is looked at
 USUAL_NOISE = 1.5  # times the calibrated images' noise is still usual: presses are no flat fields
 LEAST_LEVELS = 1.0  # grey level, a step of the camera: less noise is as good as none
-SIGMA_OF_JUMP = (
-    0.8862  # sqrt(pi)/2: sigma of a normal distribution over the mean |a - b| of two of its values
-)
-JUMP_EXCESS = (
-    1.15  # times the usual jump is what jumps between blocks exceed; the usual's own scatter stays under it
-)
+# sqrt(pi)/2: sigma of a normal distribution over the mean |a - b| of two of its values.
+SIGMA_OF_JUMP = 0.8862
+# Times the usual jump, that jumps between blocks have to be.
+JUMP_EXCESS = 1.15
 _column_jumps = Kernel(
     "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
 )

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
-DARK_TO, SATURATED_FROM = 2, 254  # grey levels at which a camera clips, a level of rounding included
-BLOOMS_PX = 1  # further than the color change's blur: a full pixel spills into the next
+DARK_TO, SATURATED_FROM = 2, 254  # grey levels from which a channel counts as clipped
+BLOOMS_PX = 1  # further than the color change's blur reaches
 
 _clipped_channels = Kernel(
     "clipped_channels",

@@ -11,7 +11,7 @@ from gelform.confidence.slope_sigma import SlopeSigma, factor_at, law_at
 from gelform.confidence.solved import for_both
 from gelform.solvers.inputs import HIGHEST_SLOPE, check_slopes
 
-LAW_STEPS = 64  # of the table of the law in the frame's kernel: linear between, to a thousandth
+LAW_STEPS = 64  # of the table of the law in the frame's kernel, linear between
 _frame_sigma = Kernel(
     "frame_sigma",
     "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, f32[h,w] place, f32[t] law, "

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 from gelform.checks import check_values, check_within
 
 SLOPE_BINS = 10  # of equal counts, between which the law is linear
-PLACES = (3, 4)  # rows and columns of the factors by place: a press touches about one of them
+PLACES = (3, 4)  # rows and columns of the factors by place
 ONE_SIGMA = 0.6827  # fraction of a normal distribution within one standard deviation
 MIN_IN_BIN = 50  # pixels: fewer do not tell a quantile
 CLEAN_FRACTION = 0.95  # of the pixels in contact whose confidence is 1
 PRIOR_PRESSES = 2.0  # a place counts for itself as far as more presses than this touched it
-LAW_ROUNDS = 3  # of law and factors in turn; more change neither by a hundredth
+LAW_ROUNDS = 3  # of law and factors in turn, each from the other
 LEAST_FACTOR = 0.1  # of a place, over the law
-LEAST_APART, MOST_FACTOR = (
-    1e-6,
-    1e3,
-)  # of the slopes between which solved factors are linear; of those factors
+# Of the slopes between which solved factors are linear; of those factors.
+LEAST_APART, MOST_FACTOR = 1e-6, 1e3
 NO_LONGER = (
     "surround_sigma",
     "steepest",

@@ -26,9 +26,7 @@ from gelform.confidence.slope_sigma import (
 
 STEEPEST_GEL = 1.0  # mm/mm: no slope of a gel is known less well; saturated or hidden, it is known no better
 UNLIMITED = 4 * STEEPEST_GEL  # mm/mm, before the factors
-LEAST_SOLVED_FACTOR = (
-    0.3  # of the predicted deviation: neighbours share errors that the prediction takes for independent
-)
+LEAST_SOLVED_FACTOR = 0.3  # of the predicted deviation
 PRIOR_SOLVED_PRESSES = 3.0  # a place counts for itself as far as more presses than this touched it
 # Blur of standard deviation d px takes d^2/2 times its Laplacian from a slope (Taylor); BLURRED times that holds two thirds
 # of the errors at edges and walls. To the blur of the color change comes the camera's, OPTICS_PX. Both were chosen on eight

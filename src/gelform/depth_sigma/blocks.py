@@ -74,9 +74,8 @@ _sigma_of_pixels = Kernel(
     "f32[rows,columns] variance, f32[h,w,slopes] sigma, bool[h,w]? rest, f32[2] white, f32[2] within, f32[4] fading, "
     "f32[h,w] weights, f32 floor, f32[h,w]? anchor, i64 block, out f32[22,line] work, out f32[h,w] out",
 )
-SMOOTHING_BLOCKS = (
-    0.6  # standard deviation of a Gaussian over which the probes' variance is averaged: 32 probes are few
-)
+# Standard deviation of a Gaussian over which the probes' variance is averaged: 32 probes are few.
+SMOOTHING_BLOCKS = 0.6
 LINES = 22  # rows of scratch memory of `sigma_of_pixels`
 
 # What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels, pixels at

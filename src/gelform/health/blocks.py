@@ -69,9 +69,11 @@ def blocks_from_image(image: NDArray[np.uint8], rest: NDArray[np.uint8]) -> Bloc
     return blocks
 
 
-DARK, LIT = 8, 16  # a block's mean grey level; the rest image's, from which on darkness says something
+DARK, LIT = 8, 16  # grey levels of a block; of the untouched image's, from which on darkness says something
+# Grey levels of a block; of the untouched image's, under which saturation says something.
 SATURATED, BELOW = 252, 240
-LEAST_CLIPPED = 0.05  # of the frame; a hard contact saturates or shades less than this on good sensors
+# Fraction of the frame; a hard contact saturates or shades less than this on good sensors.
+LEAST_CLIPPED = 0.05
 CHANNELS = ("red", "green", "blue")
 
 
@@ -112,13 +114,10 @@ class Levels:
         saturated &= self._may_saturate
         if torn is not None:
             dark[torn] = saturated[torn] = False
+        below, end = f"below {DARK} of 255 grey levels", "at the camera's upper end"
         findings = [
-            _finding(
-                "dark", dark, f"below {DARK} of 255 grey levels", "Is a light off, or the lens covered?"
-            ),
-            _finding(
-                "saturated", saturated, "at the camera's upper end", "Lower exposure, gain or the lights."
-            ),
+            _finding("dark", dark, below, "Is a light off, or the lens covered?"),
+            _finding("saturated", saturated, end, "Lower exposure, gain or the lights."),
         ]
         named = tuple(finding for finding in findings if finding is not None)
         return named, np.any(dark | saturated, axis=-1) if named else None
@@ -136,10 +135,10 @@ def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Fin
 
 
 FLAT_RANGE = 2  # grey levels within a block; a camera's noise alone gives more
-ALIKE, UNLIKE = 4, 10  # grey levels: flat blocks among each other; a flat block and the rest image
-LEAST_TORN = 0.03
-JUMP, JUMP_FACTOR = 5.0, 3.0  # grey levels; of the rows' median: a seam against its neighbours
-APART_ROWS = 3  # video that halves the colour's rows makes neighbours equal
+ALIKE, UNLIKE = 4, 10  # grey levels: flat blocks among each other; a flat block and the untouched image
+LEAST_TORN = 0.03  # fraction of the frame
+JUMP, JUMP_FACTOR = 5.0, 3.0  # grey levels, and times the rows' median: a seam against the rows beside it
+APART_ROWS = 3  # between equal rows: video that halves the colour's rows makes neighbours equal
 
 
 class Torn:

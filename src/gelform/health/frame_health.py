@@ -27,7 +27,8 @@ from gelform.health.blocks import (
     torn_finding,
 )
 
-MOST_TORN = 0.95  # a frame of one colour is dark or saturated where that colour is an end of the range
+# Fraction of the frame: one of one colour is dark or saturated where that is an end of the range.
+MOST_TORN = 0.95
 
 
 _signs = Kernel(
@@ -51,11 +52,6 @@ class FrameFaults:
     image: NDArray[Any]
     findings: tuple[Finding, ...] = ()
     lost: NDArray[np.bool_] | None = None
-
-    @property
-    def all_is_lost(self) -> bool:
-        """Not one pixel is left to measure with."""
-        return self.lost is not None and bool(self.lost.all())
 
     def hidden(self, markers: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
         """Pixels (H, W) that markers hide or that are lost; None where there are neither."""
@@ -117,8 +113,7 @@ class FrameHealth:
         signs, rows = np.empty(4, dtype=np.int32), len(blocks.row_digests)
         work = np.empty(1 << rows.bit_length(), dtype=np.int32)
         digests, ends = blocks.row_digests, (self._levels.dark_to, self._levels.saturated_from)
-        seen = blocks.means, blocks.ranges, digests, blocks.row_jumps, *ends
-        _signs(*seen, work, signs, FLAT_RANGE, JUMP)
+        _signs(blocks.means, blocks.ranges, digests, blocks.row_jumps, *ends, work, signs, FLAT_RANGE, JUMP)
         flat, ending, repeated, jumping = signs.tolist()
         few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
         return few_flat and few_repeated and not ending and not jumping

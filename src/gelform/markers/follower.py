@@ -84,10 +84,8 @@ ROUNDS = 8
 AGAIN = 0.3  # of the spacing: as far as a dot that memory has lost may be from where its neighbours say it is
 CLEARLY = 0.5  # of the distance to the next candidate: nearer than this, it is the dot and not another one
 HALF = 0.5  # of the spacing: a dot found further from where it was sought is another one
-SIGMA_FACTOR, SIGMA_FLOOR_PX = (
-    1.5,
-    0.01,
-)  # what is left of a fit is no white noise: measured on simulated shear
+# What is left of a fit is no white noise: measured on simulated shear.
+SIGMA_FACTOR, SIGMA_FLOOR_PX = 1.5, 0.01
 UNSEEN_SIGMA = 0.2  # of the spacing
 WHOLE = 1.0  # of the radius: dots nearer to the border are cut, and not followed
 

@@ -26,10 +26,8 @@ STEPS = 8
 SIDE_RADII = 1.35  # half a patch, of a dot's radius
 MOST_SIDE = 63  # of native/markers/follow.c
 BASIS = 9
-STRENGTH = (
-    0.3,
-    2.2,
-)  # of a dot that is seen, against rest: turned away it is fainter, stretched it is stronger
+# Of a dot that is seen, against rest: turned away it is fainter, stretched it is stronger.
+STRENGTH = (0.3, 2.2)
 MOST_LEFT = 0.8  # of the energy of dot and rest together may stay unexplained: dots are stretched and turned
 LAST_STEP_PX = 0.1
 
@@ -148,9 +146,8 @@ ENOUGH_PX = 0.02
 MOST_BEND = 0.25  # change of A in one step: the fit is linear in it
 DAMPING = 0.02  # of the patch's energy in each column of A: rotation of a round dot stays where it is
 STRETCH = (0.35, 2.2)  # singular values of 1 + A that rubber reaches
-MOST_LEFT_STRETCHED = (
-    0.35  # of the energy of dot and rest together may stay ununexplained: stricter than without A
-)
+# Energy of dot and rest together that may stay unexplained: stricter than without A.
+MOST_LEFT_STRETCHED = 0.35
 LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
 
 

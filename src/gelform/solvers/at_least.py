@@ -16,10 +16,8 @@ from gelform.gradients import slopes_of_solution
 from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 
-REACH_PX, WALL_DIFFERENCE = (
-    2,
-    0.1,
-)  # px, mm/mm: slopes that differ by more from those so far away are a wall's or its edge's
+# px, mm/mm: slopes that differ by more from those so far away are those of a wall or its edge.
+REACH_PX, WALL_DIFFERENCE = 2, 0.1
 EXCEEDED_WEIGHT = 0.01  # times the weight of a reading that the depth's slope exceeds: next to none
 
 

@@ -16,9 +16,8 @@ from gelform.solvers.system import FLOOR, edges_from_gradients
 # costs 2 % of accuracy.
 TIMES_USUAL = 2.0
 LEAST_CURL = 0.014  # slope per pixel, the curl of slopes good to 0.01: less is never held against a pixel
-EVERY_LOOP = (
-    7  # of how many loops of a large frame one counts for the usual curl: all would say the same, slower
-)
+# Of how many loops of a large frame one counts for the usual curl: all would say the same, slower.
+EVERY_LOOP = 7
 # Slopes jump where neighbours differ by more than so many times the usual circulation (1 % of pairs do under
 # noise alone), and by more than surfaces without noise bend from pixel to pixel, mm/mm.
 JUMP, LEAST_JUMP = 3.0, 0.1

@@ -23,7 +23,7 @@ def blocks_of(count: int, each_px: int = 1) -> Iterator[slice]:
         yield slice(start, min(start + rows, count))
 
 
-MAX_UNITS, MAX_LAYERS = 4096, 16  # of a file: more would take a second for a frame
+MAX_UNITS, MAX_LAYERS = 4096, 16  # that a file may have
 
 
 @dataclass(frozen=True)

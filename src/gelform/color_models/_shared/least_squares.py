@@ -179,10 +179,8 @@ def normal_equations(
 
 NODE_PX = 16  # between nodes, of native/color_models/nodes.h
 LIGHT_BLUR_PX = 8.0  # standard deviation, of the untouched image: lamps are broad
-PLACE_GROWTH, ORDER_GROWTH = (
-    4.0,
-    3.0,
-)  # of the ridge, per degree in place and of the term: chosen on held-out presses
+# Of the ridge, per degree in place and per order of the term.
+PLACE_GROWTH, ORDER_GROWTH = 4.0, 3.0
 # Of the untouched image's logarithm: its ridge, as of a degree in place, and the orders of the terms that vary with it.
 LIGHT_RIDGE, LIGHT_ORDERS = 4.0, 2
 DARKEST = 1.0  # grey level: the logarithm of less is noise

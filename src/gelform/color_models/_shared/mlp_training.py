@@ -14,7 +14,7 @@ from gelform.color_models._shared.layers import Layers
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
 from gelform.errors import GelformError
 
-BATCH, LEARNING_RATE = 512, 1e-2  # samples a step, AdamW's rate: 3000 steps end within 1 % of longer training
+BATCH, LEARNING_RATE = 512, 1e-2  # samples of a step; AdamW's rate
 
 
 def train(
