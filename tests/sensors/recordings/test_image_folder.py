@@ -1,6 +1,5 @@
 """A recording as a folder of images: there and back, killed, damaged."""
 
-import numpy as np
 import pytest
 
 from gelform.errors import DataError
@@ -11,7 +10,6 @@ from gelform.sensors.recordings.image_folder import (
     folder_summary,
     recorded_folder_playback,
 )
-from gelform.sensors.source import open_source
 from made.recorded import frames
 
 FACTS = RecordingFacts("a camera", "S1", {"gain": 3.0}, 50.0, "abc")
@@ -23,17 +21,6 @@ def recorded(path, given):
         recording.write(frame)
     recording.close()
     return path
-
-
-def test_the_same_frames_at_the_same_times(tmp_path):
-    given = frames(6)
-    source = open_source(recorded(tmp_path / "r", given))
-    taken = list(source)
-    assert (source.name, source.serial, source.settings) == ("a camera", "S1", {"gain": 3.0})
-    for before, after in zip(given, taken):
-        np.testing.assert_array_equal(after.image, before.image)
-        assert (after.index, after.wall_time_ns) == (before.index, before.wall_time_ns)
-        assert after.time_s == pytest.approx(before.time_s - given[0].time_s, abs=1e-6)
 
 
 def test_a_summary_counts_without_reading_pictures(tmp_path):
@@ -61,12 +48,6 @@ def test_a_folder_of_a_recorder_that_did_not_say_is_finished_where_its_table_is(
     assert folder_summary(folder).finished
 
 
-def test_jpegs_stay_as_the_camera_made_them(tmp_path):
-    given = frames(2, encoded=True)
-    taken = list(recorded_folder_playback(recorded(tmp_path / "r", given)))
-    assert [frame.encoded for frame in taken] == [frame.encoded for frame in given]
-
-
 def test_a_line_that_is_not_finished_is_where_the_recorder_was_killed(tmp_path):
     folder = recorded(tmp_path / "r", frames(6))
     text = (folder / TIMES).read_text()
@@ -74,12 +55,6 @@ def test_a_line_that_is_not_finished_is_where_the_recorder_was_killed(tmp_path):
     assert len(list(recorded_folder_playback(folder))) == 5
     summary = folder_summary(folder)
     assert (summary.frames, summary.finished) == (5, False)
-
-
-def test_a_folder_with_something_in_it_is_kept(tmp_path):
-    recorded(tmp_path / "r", frames(1))
-    with pytest.raises(DataError, match="not empty"):
-        FolderRecording(tmp_path / "r", FACTS)
 
 
 def test_damage_says_where(tmp_path):

@@ -7,7 +7,8 @@ from gelform.errors import CalibrationError, DataError
 from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import RecordingFacts
-from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.image_folder import FolderRecording, folder_summary
+from gelform.sensors.recordings.mcap_reader import mcap_summary
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import (
     KEPT_FRAMES,
@@ -19,7 +20,7 @@ from gelform.sensors.recordings.record import (
     record_frames,
 )
 from gelform.sensors.source import open_source
-from made.recorded import camera
+from made.recorded import camera, frames
 
 KINDS = [(McapRecording, "a.mcap"), (FolderRecording, "a")]
 
@@ -29,6 +30,32 @@ def written(kind, path, attached):
     recording.write(Frame(np.zeros((8, 8, 3), np.uint8), 0.0, 10**18, 0))
     recording.close()
     return path
+
+
+@pytest.mark.parametrize(("kind", "name"), KINDS)
+def test_frames_are_played_as_they_were_recorded(kind, name, tmp_path):
+    facts = RecordingFacts("a camera", "S1", {"gain": 3.0, "reduced": 2}, 50.0, "abc")
+    for encoded in (False, True):
+        given, path = frames(6, encoded=encoded), tmp_path / f"{encoded}{name}"
+        recording = kind(path, facts)
+        for frame in given:
+            recording.write(frame)
+        recording.close()
+        source = open_source(path)
+        assert (source.name, source.serial, source.rate_hz, source.live) == ("a camera", "S1", 50.0, False)
+        assert source.settings == facts.settings
+        for before, after in zip(given, source, strict=True):
+            assert (after.index, after.wall_time_ns) == (before.index, before.wall_time_ns)
+            assert after.time_s == pytest.approx(before.time_s - given[0].time_s, abs=1e-6)
+            assert after.encoded == before.encoded
+            assert after.image.shape == ((24, 32, 3) if encoded else before.image.shape)
+            if not encoded:
+                np.testing.assert_array_equal(after.image, before.image)
+        summary = mcap_summary(path) if kind is McapRecording else folder_summary(path)
+        assert (summary.frames, summary.finished, summary.facts) == (6, True, facts)
+        assert summary.duration_s == pytest.approx(6 / 50)
+        with pytest.raises(DataError, match="there already"):
+            kind(path, facts)
 
 
 @pytest.mark.parametrize(("kind", "name"), KINDS)
