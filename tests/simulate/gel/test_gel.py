@@ -27,18 +27,7 @@ from made.sensors import DRAGGED, LENGTH, grid
 ON_GRID = Several((Placed(Ball(2.0)),))  # a ball that is solved as any other face
 
 
-def test_the_membrane_on_the_grid_converges_to_the_closed_form():
-    errors = []
-    for pitch in (0.08, 0.04, 0.02):
-        x, y = grid(5, pitch)
-        exact = surface_from_indenter(Ball(2.0), x, y, center_mm=(0, 0), depth_mm=0.5, relaxation_mm=LENGTH)
-        solved = surface_from_indenter(ON_GRID, x, y, center_mm=(0, 0), depth_mm=0.5, relaxation_mm=LENGTH)
-        errors.append(np.abs(solved.depth_mm - exact.depth_mm)[np.hypot(x, y) < 2.5].max())
-    assert errors[2] < 1e-4, errors
-    assert errors[0] > 2 * errors[1] > 4 * errors[2], errors
-
-
-@pytest.mark.parametrize("bulge", [0.3, 0.8])
+@pytest.mark.parametrize("bulge", [0.0, 0.3, 0.8])
 def test_the_grid_converges_to_the_closed_form(bulge):
     gel, errors = Gel(thickness_mm=2.0, bulge=bulge), []
     for pitch in (0.16, 0.08, 0.04):
@@ -47,7 +36,7 @@ def test_the_grid_converges_to_the_closed_form(bulge):
         exact = surface_from_indenter(Ball(2.0), x, y, **settings)
         solved = surface_from_indenter(ON_GRID, x, y, **settings)
         errors.append(np.abs(solved.depth_mm - exact.depth_mm)[np.hypot(x, y) < 2.5].max())
-    assert errors[0] > 2 * errors[2], errors
+    assert errors[0] > (4 if bulge == 0 else 2) * errors[2], errors
     assert errors[2] < 1e-3, errors
 
 
