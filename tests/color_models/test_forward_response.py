@@ -262,16 +262,6 @@ def test_the_kernel_agrees_with_numpy(shape, masked):
     )  # fmt: skip
 
 
-def test_a_mask_of_nothing_is_no_mask():
-    forward = response()
-    _, read, depth, change = scene(forward)
-    step = PreparedStep(forward)
-    for one, other in zip(
-        step(change, read, depth), step(change, read, depth, np.zeros((*SHAPE, 3), np.uint8))
-    ):
-        np.testing.assert_array_equal(one, other)
-
-
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_a_clipped_channel_says_nothing_and_the_other_two_enough(channel):
     forward = response(bent=0.5)

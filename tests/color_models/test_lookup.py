@@ -158,16 +158,6 @@ def test_beyond_the_grid_the_nearest_face_counts():
     np.testing.assert_array_equal(beyond.toarray(), face.toarray())
 
 
-def test_a_linear_law_is_met_and_no_change_has_no_slope():
-    at, target = samples()
-    lattice = Lattice(SIZES, ZERO, smoothness=1e-6)
-    corners = corner_weights(at, SIZES)
-    slopes = lattice.fitted(corners, target, np.ones(len(target)))
-    assert np.abs(slopes.reshape(*SIZES, 2)[:, :, 1, 2, 3]).max() == 0
-    error = corners @ slopes - target
-    assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(target**2))
-
-
 def test_residuals_are_those_of_samples_that_were_not_fitted():
     """Noise that is the same within a stretch: a fit that had seen it would follow it a little."""
     at, target = samples()

@@ -138,26 +138,6 @@ def test_outliers_are_never_filled_from_around(times):
     assert (confidence == np.float32(LEAST_CONFIDENCE)).all()
 
 
-def test_an_outlier_reaches_no_further_than_its_own_pixel():
-    """The color change's blur has taken its residual there already."""
-    residual = np.where(patch(), 3 * OUTLIER, 0)
-    sigma, _, _ = raised_by(causes_of(), step=step_of(residual))
-    np.testing.assert_array_equal(sigma > LAW + 1e-6, patch())
-
-
-def test_without_a_step_there_is_no_outlier():
-    _, confidence, maps = raised_by(causes_of())
-    assert not maps["outlier"].any()
-    assert (confidence == 1).all()
-
-
-def test_pixels_that_say_nothing_anyway_are_no_outliers():
-    corner = patch(np.s_[:12, :9])
-    rest = np.where(corner[..., None], np.uint8(5), GREY)
-    _, _, maps = raised_by(causes_of(rest), unseen=patch(), image=rest, step=step_of(3 * OUTLIER))
-    np.testing.assert_array_equal(maps["outlier"] > 0, ~(patch() | corner))
-
-
 def wall(height=0.8):
     slopes = NO_SLOPE.copy()
     slopes[:, 30:32, 0] = height
@@ -380,19 +360,6 @@ def test_the_kernel_agrees_with_numpy(optional, reach, shape):
     numbers = 9.0, 40.0, 0.04, 3.0, 1.75, 0.1, 1.0, 0.002, reach
     maps = [np.empty(shape, np.float32) for _ in range(2)]
     assert_kernel_agrees(causes._raise_sigma, numpy_raise_sigma, *arguments, *maps, *numbers)
-
-
-def test_the_kernel_writes_no_maps_that_are_not_asked_for(usable_isa):
-    rng = np.random.default_rng(0)
-    slopes, gain = rng.normal(0, 0.3, (7, 65, 2)).astype(np.float32), np.full((7, 65), 0.01, np.float32)
-    runs = []
-    for maps in ((None, None), (np.empty((7, 65), np.float32), np.empty((7, 65), np.float32))):
-        sigma, confidence = np.full((7, 65), 0.03, np.float32), np.empty((7, 65), np.float32)
-        causes._raise_sigma.on(usable_isa)(
-            slopes, None, None, None, gain, sigma, confidence, *maps, 9.0, 40.0, 0.04, 0.0, 1.75, 0.1, 1.0, 0.002, 2
-        )  # fmt: skip
-        runs.append((sigma, confidence))
-    np.testing.assert_array_equal(runs[0], runs[1])
 
 
 def noisy(levels, seed=0):

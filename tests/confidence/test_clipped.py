@@ -99,12 +99,6 @@ def test_hidden_and_unlit_pixels_do_not_clip():
     assert channels.dtype == np.uint8
 
 
-def test_an_image_is_left_as_it_is():
-    image = grey(255)
-    ClippedChannels(1.25, None, 1)(image, np.ones(SHAPE, bool))
-    assert (image == 255).all()
-
-
 def test_the_share_of_pixels_at_either_end():
     pixels = np.full((200, 3), 100, np.uint8)
     pixels[:20, 0], pixels[20:30, 0], pixels[:50, 2] = 2, 254, 255
@@ -125,10 +119,3 @@ def test_the_kernel_agrees_with_numpy(shape, levels, seed):
     assert_kernel_agrees(
         clipped._clipped_channels, numpy_clipped, image, ends[0], ends[1], np.empty_like(image), 2, 254
     )
-
-
-def test_the_kernel_counts_what_it_found(usable_isa):
-    image = np.random.default_rng(0).integers(0, 256, (9, 33, 3), dtype=np.uint8)
-    both, found = np.ones(3, bool), np.empty_like(image)
-    count = clipped._clipped_channels.on(usable_isa)(image, both, both, found, 2, 254)
-    assert count == found.sum() == ((image <= 2) | (image >= 254)).sum()

@@ -118,37 +118,12 @@ def test_follows_the_zero_reference_and_the_level(arguments):
     assert np.median(deviation(found, expected)) < 0.15
 
 
-@pytest.mark.slow
-def test_few_probes_are_as_good_as_said():
-    sigma, weights, anchor = uneven()
-    arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 10}
-    many = depth_sigma_from_gradients_sigma(sigma, probes=600, **arguments)
-    few = depth_sigma_from_gradients_sigma(sigma, probes=32, rng=np.random.default_rng(3), **arguments)
-    assert np.median(deviation(few, many)) < 0.6 / np.sqrt(32) * 1.2
-
-
-def test_correlated_errors_move_depth_more_than_white_ones():
-    sigma = np.full((*SHAPE, 2), 0.05)
-    white = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH)
-    both = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, correlation_px=20, correlated_share=0.5)
-    assert np.median(both) > 3 * np.median(white)
-
-
 def test_scales_with_the_slope_errors_and_repeats():
     sigma, weights, anchor = uneven()
     arguments = {"mm_per_px": PITCH, "weights": weights, "anchor": anchor, "correlation_px": 8}
     once = depth_sigma_from_gradients_sigma(sigma, **arguments)
     assert np.array_equal(once, depth_sigma_from_gradients_sigma(sigma, **arguments))
     assert depth_sigma_from_gradients_sigma(3 * sigma, **arguments) == pytest.approx(3 * once, rel=1e-3)
-
-
-def test_anchored_pixels_are_known_better():
-    sigma, weights, anchor = uneven()
-    free = depth_sigma_from_gradients_sigma(sigma, mm_per_px=PITCH, weights=weights, correlation_px=10)
-    held = depth_sigma_from_gradients_sigma(
-        sigma, mm_per_px=PITCH, weights=weights, anchor=anchor, correlation_px=10
-    )
-    assert np.median(held[anchor > 0]) < 0.5 * np.median(free[anchor > 0])
 
 
 def test_patches_of_bad_slopes_that_an_anchor_holds():

@@ -61,15 +61,6 @@ def test_jumps_are_those_of_the_difference_to_the_rest_image():
     np.testing.assert_allclose(blocks_of(brighter, rest).row_jumps, 7.0 * (np.arange(32) == 12))
 
 
-def test_a_constant_block_has_no_range_and_its_own_mean():
-    image = np.random.default_rng(2).integers(0, 256, (64, 80, 3), dtype=np.uint8)
-    image[16:32, 32:48] = (10, 20, 30)
-    found = blocks_of(image)
-    assert found.ranges[1, 2] == 0
-    assert found.means[1, 2].tolist() == [10, 20, 30]
-    assert np.count_nonzero(found.ranges < 3) == 1
-
-
 def test_only_rows_alike_have_one_digest():
     image = np.random.default_rng(3).integers(0, 256, (64, 40, 3), dtype=np.uint8)
     image[40] = image[7]

@@ -119,11 +119,6 @@ def test_sigma_is_that_of_noise():
     assert np.mean([run.sigma_px for run in runs]) == pytest.approx(spread, rel=0.25)
 
 
-def test_dots_leave_through_the_border():
-    inside = prepared().inside(np.array([[64, 48], [1, 48], [64, 95], [127, 2]]))
-    assert inside.tolist() == [True, False, False, False]
-
-
 def test_logs_of_bytes_and_floats_agree():
     image = image_of_dots(REST)
     by_floats = logs_from_image(image.astype(np.float32))
