@@ -37,7 +37,7 @@ def test_one_press_shows_every_direction_of_its_cell_and_nothing_else():
     coverage = coverage_from_circles([(40.0, 40.0, 25.0)], SHAPE)
     assert (coverage.counts[0, 0] == 1).all()
     assert coverage.counts.sum() == DIRECTIONS
-    assert coverage.share == pytest.approx(1 / 12)
+    assert coverage.fraction == pytest.approx(1 / 12)
 
 
 def test_a_press_cut_by_the_border_shows_only_what_is_seen_of_it():
@@ -56,7 +56,7 @@ def test_presses_add_up():
     together = coverage_from_circles([*one, *other], SHAPE).counts
     apart = [coverage_from_circles(c, SHAPE).counts for c in (one, other)]
     np.testing.assert_array_equal(together, apart[0] + apart[1])
-    assert coverage_from_circles(one, SHAPE).share == 1
+    assert coverage_from_circles(one, SHAPE).fraction == 1
 
 
 def test_the_place_without_a_press_is_named_first():
@@ -66,7 +66,7 @@ def test_the_place_without_a_press_is_named_first():
         place, *_ = press_next(coverage, 3)
         assert place.name == name
         added = coverage_from_circles([*circles, (place.x_px, place.y_px, 25.0)], SHAPE)
-        assert added.share > coverage.share
+        assert added.fraction > coverage.fraction
         assert (added.counts[row, col] > 0).sum() >= 6
 
 
@@ -78,7 +78,7 @@ def test_pressing_where_it_is_said_covers_the_frame():
         if not places:
             break
         circles.append((places[0].x_px, places[0].y_px, 25.0))
-    assert coverage_from_circles(circles, SHAPE).share == 1
+    assert coverage_from_circles(circles, SHAPE).fraction == 1
     assert len(circles) <= 20
 
 
@@ -160,7 +160,7 @@ def test_many_small_presses_that_leave_most_uncovered():
 
 def test_no_press_at_all():
     coverage = coverage_from_circles([], SHAPE)
-    assert coverage.share == 0
+    assert coverage.fraction == 0
     assert len(press_next(coverage)) == 5
     assert "20 more presses" in coverage_notes([], SHAPE)[0]
 

@@ -41,7 +41,7 @@ AUTO = "auto"
 START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
 STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
 LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
-TRANSLATED_SAMPLES = 20_000
+TRANSLATED_SAMPLES = 20_000  # colours that a first unit's model reads
 TRANSLATED_SLOPE = (
     0.7  # mm/mm, the steepest, where the first unit does not say up to which slope it was measured
 )
@@ -49,13 +49,7 @@ TRANSLATED_SLOPE = (
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """The model of another unit of the same sensor, where a fit begins; two are equal only if they are the same one.
-
-    Attributes
-    ----------
-    model : fitted, of a class whose fit can begin at it
-    digest : of the calibration that it comes from
-    """
+    """Another unit's fitted model, where a fit begins, and its calibration's digest; equal to itself alone."""
 
     model: StartableModel
     digest: str
@@ -106,12 +100,7 @@ def color_model_names() -> list[str]:
 
 
 def candidates_for(color_model: str, presses: int) -> list[Candidate]:
-    """What is tried with so many presses, the simplest first.
-
-    Parameters
-    ----------
-    color_model : a name in `COLOR_MODELS`, for all its variants; or "auto", by `enough.AUTO_MODELS`
-    presses : number of accepted presses
+    """What is tried with so many accepted presses, simplest first: all variants of a color model, or what "auto" means.
 
     Raises
     ------
@@ -145,11 +134,7 @@ def training_samples(
 class SlopeReader:
     """Reads whole presses of one sensor by a fitted color model and steps of forward responses, as a Reconstructor does.
 
-    Parameters
-    ----------
-    model : fitted
-    press : any of those that it will read
-    untouched : color changes up to it are those of untouched gel
+    `press` is any of those that it will read; color changes up to `untouched` are those of untouched gel.
     """
 
     def __init__(self, model: ColorModel, press: PreparedPress, untouched: float) -> None:
@@ -200,12 +185,7 @@ def fitted_responses(
 ) -> list[ForwardResponse]:
     """Forward responses of presses, one for each ridge, with the depths that the reader's color model gives there.
 
-    Parameters
-    ----------
-    reader : of a color model that was fitted on the presses
-    presses, contacts : prepared, and their circles
-    ridges : of `ForwardResponse.fit_each`
-    total : how many pixels are used, about
+    The model was fitted on the same presses; about `total` pixels are used.
     """
     depths = [reader.depth_px(press) for press in presses]
     inside = contact_samples(presses, contacts, total=total, depths_px=depths)
@@ -223,13 +203,7 @@ def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
 
 
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
-    """What a first unit's calibration gives a second one to begin with: its color model, translated where it is another.
-
-    Parameters
-    ----------
-    start : the calibration or its file
-    presses : of the second unit
-    color_model : that the second unit's calibration asks for
+    """What a first unit's calibration, or its file, gives a second one to begin with: its color model, or a translation.
 
     Raises
     ------

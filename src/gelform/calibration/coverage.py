@@ -16,21 +16,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration.enough import NEEDED, enough
 
-DIRECTIONS = 8
+DIRECTIONS = 8  # of slopes, 45 degrees each
 LONGER_SIDE = 8  # tiles along it
 COARSE = (3, 4)  # tiles (rows, columns) that notes speak of
-ZONE = 0.8
+ZONE = 0.8  # of the contact's radius: what counts
 FLAT = 0.25  # of the contact radius: nearer to its centre a ball is level
-STEP = 2
+STEP = 2  # px, between the pixels that are counted
 ENOUGH = 0.0007  # of the image's pixels
-NAMED_PLACES = 5
-PART_SHARE = 0.65
+NAMED_PLACES = 5  # to press at, in a note
+PART_FRACTION = 0.65  # of a side: contacts that reach over more of it are not in one part
 
 Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Place:
+class PressPlace:
     """A place in the image to press at: its name ("top left"), and (x, y) in px."""
 
     name: str
@@ -49,7 +49,7 @@ class Coverage:
     ----------
     shape : (H, W) of the images
     circles : (x, y, contact radius) in px of the presses that count
-    zone : share of the contact radius that counts
+    zone : fraction of the contact radius that counts
     counts : (rows, columns, 8) int, how many presses show a direction in a tile; direction 0 rises to the right
         (dz/dx > 0), the next ones turn clockwise by 45 degrees
     """
@@ -60,8 +60,8 @@ class Coverage:
     counts: NDArray[np.int_]
 
     @property
-    def share(self) -> float:
-        """Share of tiles times directions that at least one press shows, 0-1."""
+    def fraction(self) -> float:
+        """Fraction of tiles times directions that at least one press shows, 0-1."""
         return float(np.mean(self.counts > 0))
 
     @property
@@ -77,15 +77,7 @@ def coverage_from_circles(
     tiles: tuple[int, int] = COARSE,
     zone: float = ZONE,
 ) -> Coverage:
-    """Coverage of the image by the contact circles of ball presses.
-
-    Parameters
-    ----------
-    circles : (x, y, contact radius) in px, of the presses that fit
-    shape : (H, W) of the images
-    tiles : (rows, columns)
-    zone : share of the contact radius that counts
-    """
+    """Coverage of an image (H, W), on tiles (rows, columns), by `zone` of contact circles (x, y, radius), px."""
     counts = np.zeros((*tiles, DIRECTIONS), dtype=np.int_)
     for circle in circles:
         counts += shown_by(circle, shape, tiles, zone)
@@ -133,33 +125,27 @@ def shown_by(
 
 def press_next(
     coverage: Coverage, count: int = NAMED_PLACES, square_error: NDArray[np.float64] | None = None
-) -> tuple[Place, ...]:
+) -> tuple[PressPlace, ...]:
     """Up to so many places to press at next, each the one that helps most after those before it.
 
-    Tried is a contact of the usual size. Where errors are known it takes `error^2 / (1 + n) - error^2 / (2 + n)` from
-    each direction that it shows in a tile and n presses have shown; where not, what no press has shown counts.
-    Of places that help alike the one farthest from all presses comes first.
-
-    Parameters
-    ----------
-    coverage : from `coverage_from_circles`
-    count : of places
-    square_error : (rows, columns, 8), mean over held-out slopes
+    Tried is a contact of the usual size. Where mean square errors (rows, columns, 8) are known it takes
+    `error^2 / (1 + n) - error^2 / (2 + n)` from each direction that it shows in a tile and n presses have shown; where not,
+    what no press has shown counts. Of places that help alike the one farthest from all presses comes first.
     """
     tiles = (coverage.counts.shape[0], coverage.counts.shape[1])
     radius, counts = coverage.contact_radius_px, coverage.counts.astype(np.float64)
     points = _lattice(coverage.shape, radius)
     shown = np.array([shown_by((*point, radius), coverage.shape, tiles, coverage.zone) for point in points])
     pressed = [(x, y) for x, y, _ in coverage.circles]
-    places: list[Place] = []
+    places: list[PressPlace] = []
     for _ in range(count):
         gain = counts == 0 if square_error is None else square_error / ((1 + counts) * (2 + counts))
-        worth = (shown * gain).sum(axis=(1, 2, 3))
-        if worth.max() == 0:
+        helped = (shown * gain).sum(axis=(1, 2, 3))
+        if helped.max() == 0:
             break
-        best = np.flatnonzero(worth >= (1 - 1e-9) * worth.max())
+        best = np.flatnonzero(helped >= (1 - 1e-9) * helped.max())
         k = int(max(best, key=lambda k: _nearest(points[k], pressed)))
-        places.append(Place(name_of_place(*points[k], coverage.shape), *points[k]))
+        places.append(PressPlace(name_of_place(*points[k], coverage.shape), *points[k]))
         pressed.append(points[k])
         counts += shown[k]
     return tuple(places)
@@ -188,12 +174,7 @@ def name_of_place(x_px: float, y_px: float, shape: tuple[int, int]) -> str:
 
 
 def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[str, ...]:
-    """What a user should know of where presses are missing: too few, all in one part; () where nothing is.
-
-    Parameters
-    ----------
-    circles, shape : as in `coverage_from_circles`
-    """
+    """What a user should know of where presses are missing: too few, all in one part; () where nothing is."""
     coverage = coverage_from_circles(circles, shape)
     part = one_part(circles, shape)
     if part is not None:
@@ -207,10 +188,10 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
         places = press_next(coverage, min(missing, NAMED_PLACES))
         where = _at("first", places) or ", all over the gel"
         return (f"{missing} more presses are advised ({len(circles)} of {advised} fit){where}.",)
-    if coverage.share < 0.5:
+    if coverage.fraction < 0.5:
         where = _at("first", press_next(coverage)) or ", with larger contacts"
         return (
-            f"The presses show {100 * coverage.share:.0f} % of the places and slope directions. Press more{where}.",
+            f"The presses show {100 * coverage.fraction:.0f} % of the places and slope directions. Press more{where}.",
         )
     return ()
 
@@ -226,7 +207,7 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     x, y, radius = np.array(circles).T
     low_x, low_y = max(0, (x - radius).min()), max(0, (y - radius).min())
     high_x, high_y = min(shape[1], (x + radius).max()), min(shape[0], (y + radius).max())
-    spans_x, spans_y = high_x - low_x > PART_SHARE * shape[1], high_y - low_y > PART_SHARE * shape[0]
+    spans_x, spans_y = high_x - low_x > PART_FRACTION * shape[1], high_y - low_y > PART_FRACTION * shape[0]
     if spans_x and spans_y:
         return None
     third_x, third_y = (
@@ -246,14 +227,14 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
 
 
 def _holding(centers: NDArray[np.float64]) -> int | None:
-    """1 where all centres, as shares of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
+    """1 where all centres, as fractions of a side, lie in its middle third, 0 or 2 in its first or last half; else None."""
     low, high = float(centers.min()), float(centers.max())
     if low >= 1 / 3 and high <= 2 / 3:
         return 1
     return 0 if high <= 0.5 else 2 if low >= 0.5 else None
 
 
-def _at(word: str, places: Sequence[Place]) -> str:
+def _at(word: str, places: Sequence[PressPlace]) -> str:
     """Where to press, as the rest of a sentence; nothing where there are no places."""
     listed = ", ".join(str(place) for place in places)
     return f", {word} at {listed} (x, y in px of the image)" if places else ""

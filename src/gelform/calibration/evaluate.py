@@ -24,7 +24,7 @@ from gelform.reconstruct import Reconstructor
 
 STANDING = 0.5  # of the largest depth: more than that is the punch and a narrow strip around it
 MIDDLE = 0.6  # of the radius of a disc as large as what stands: the face, without its edge
-SMOOTHED_PX = 5
+SMOOTHED_PX = 5  # of a depth map, for its largest depth
 
 
 @dataclass(frozen=True)
@@ -96,19 +96,19 @@ def evaluate(
         }
         if reason is None:
             result = reconstruct.from_image(press.image)
-            how = press, circle, result, mm_per_px, ratio
-            errors.append(errors_of(*how))
-            samples.append(sample_of(done, *how))
+            measured = press, circle, result, mm_per_px, ratio
+            errors.append(errors_of(*measured))
+            samples.append(sample_of(done, *measured))
             row["errors"] = asdict(errors[-1])
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
     if not errors:
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {rows[0]['reason']}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
-    said = tuple(finding.message for finding in reconstruct.findings)
+    findings = tuple(finding.message for finding in reconstruct.findings)
     where = errors_where(samples, calibration.image_shape, ratio)
     flats = tuple(_height_of(flat, reconstruct) for flat in presses.flats)
-    return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, said, flats)
+    return Evaluation(tuple(rows), summary(errors), where, seen, reconstruct.own_background, findings, flats)
 
 
 def _height_of(flat: FlatPress, reconstruct: Reconstructor) -> dict[str, Any]:

@@ -36,11 +36,11 @@ from gelform.confidence.clipped import ends_shown
 from gelform.errors import GelformError
 from gelform.progress import Progress, no_progress
 
-UNTOUCHED_PERCENTILE = 99.0
+UNTOUCHED_PERCENTILE = 99.0  # of the color change's size
 UNTOUCHED_DISTANCE = 3  # contact radii
 USUAL_UNTOUCHED_CHANGE = 0.03  # where no press leaves room for it
 CLIPPED_SHARE = 0.01  # of the training pixels: fewer teach nothing of what a clipped channel means
-MAX_NOISE_IMAGES = 12
+MAX_NOISE_IMAGES = 12  # whose noise is measured
 # What a Reconstructor weighs slopes by until the held-out presses have told.
 FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
 
@@ -75,13 +75,7 @@ def fit(
 ) -> Fitted:
     """Choose on held-out presses how stiff the color model and its forward response are, and fit both on all.
 
-    Parameters
-    ----------
-    located : the presses and their circles
-    folds : from `make_folds`
-    color_model : as in `candidates_for`; not asked where `located` started from another unit
-    compare : whether every color model is tried too; the choice stays the same
-    progress : called with (done, total, what)
+    The color model is not asked for where `located` started from another unit; `compare` tries all, the choice stays.
     """
     accepted, start = len(located.refined.accepted), located.start
     candidates = candidates_for(color_model, accepted) if start is None else candidates_from(start)
@@ -127,15 +121,7 @@ def fit_all(
     chosen: Candidate,
     untouched: float,
 ) -> Calibration:
-    """The calibration of presses; its errors and its slope sigma are filled in later.
-
-    Parameters
-    ----------
-    presses : those that are used, as read
-    prepared, contacts : with the color changes that the candidate wants, and their circles
-    chosen : the color model, its settings and its step
-    untouched : from `untouched_change`
-    """
+    """The calibration of presses by what was chosen; its errors and its slope sigma are filled in later."""
     noise = presses.background_noise
     model = chosen.fit(training_samples(prepared, contacts))
     ridge = RIDGES[0] if chosen.step_ridge is None else chosen.step_ridge
@@ -232,11 +218,11 @@ def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32])
 
 LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
 BLURRED_PX = 4.0  # beside a contact the blurred image still shows the ball
-REACH_MM = 3.0
+REACH_MM = 3.0  # around a contact: the gel is level beyond
 LEAST_SEEN = 0.75  # of a ring's pixels: over a whole ring a tilt of all slopes cancels
-LEAST_RINGS = 5
+LEAST_RINGS = 5  # of 1 px around a contact
 LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
-MOST_PRESSES = 24
+MOST_PRESSES = 24  # whose surroundings are looked at
 
 
 def relaxation_from_presses(
@@ -251,13 +237,6 @@ def relaxation_from_presses(
     Around a ball's contact a membrane under tension on an elastic bed, `laplace(z) = z/L^2` (Kerr, J. Appl. Mech. 31,
     1964), has the depth A K0(r/L) and the slope -A/L K1(r/L) at the distance r of the ball's axis. One L is fitted to the
     slopes of all presses by least squares, and an A to each.
-
-    Parameters
-    ----------
-    model : fitted on the presses
-    presses, contacts : prepared, and their circles
-    background : (H, W, 3), the untouched image
-    mm_per_px : mm
     """
     prepared, step = model.prepare(background, presses[0].size.shape), -(-len(presses) // MOST_PRESSES)
     errors, squares = np.zeros(LENGTHS_MM.size), 0.0
@@ -268,8 +247,8 @@ def relaxation_from_presses(
             errors += [_misfit(r, slope, pixels, length) for length in LENGTHS_MM]
             squares += float(pixels @ slope**2)
     best = int(np.argmin(errors))
-    told = 0 < best < errors.size - 1 and errors[best] < (1 - LEAST_EXPLAINED) * squares
-    return float(LENGTHS_MM[best]) if told else None
+    explained = 0 < best < errors.size - 1 and errors[best] < (1 - LEAST_EXPLAINED) * squares
+    return float(LENGTHS_MM[best]) if explained else None
 
 
 def slopes_around(
@@ -289,9 +268,9 @@ def slopes_around(
         np.bincount(at, weights=of, minlength=size)
         for of in (None, outward[inside].astype(np.float64), r[inside].astype(np.float64))
     )
-    seen = count > LEAST_SEEN * 2 * np.pi * (first + np.arange(size) + 0.5)
-    n = count[seen].astype(np.float64)
-    return far[seen] / n * mm_per_px, sums[seen] / n, n
+    known = count > LEAST_SEEN * 2 * np.pi * (first + np.arange(size) + 0.5)
+    n = count[known].astype(np.float64)
+    return far[known] / n * mm_per_px, sums[known] / n, n
 
 
 def _misfit(

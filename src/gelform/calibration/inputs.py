@@ -19,25 +19,22 @@ from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.sensors.profiles import light_order_of
 
-REVERSED_SHARE = 0.6
-MIN_DIFFERENCE = 3.0
-CHECKED_STEP = 4
-MOST_FOR_MEDIAN = 25
-MIN_CHANGE = 0.08
-MIN_ROUGHER = 1.3
-DARK, SATURATED = 10.0, 254.5
-MOST_UNUSABLE = 0.1
+REVERSED_FIT = 0.6  # of the difference as it is: reversed channels fit clearly better
+MIN_DIFFERENCE = 3.0  # grey levels, median: less is noise
+CHECKED_STEP = 4  # px, between the pixels that are looked at
+MOST_FOR_MEDIAN = 25  # images, for memory's sake
+MIN_CHANGE = 0.08  # of color, mean over a contact in the background
+MIN_ROUGHER = 1.3  # background over the presses' median
+DARK, SATURATED = 10.0, 254.5  # grey levels
+MOST_UNUSABLE = 0.1  # of the pixels of the untouched image
 EARLY_EDGE = 0.75  # of the visible radius: a gel that leaves the ball further in is worth a note
-MIN_SINE = 0.3
+MIN_SINE = 0.3  # sum of the lights' turns; 2.6 for equal angles: less may be noise
 
 
 def check_inputs(presses: Presses) -> None:
     """Refuse grey presses, channels that are reversed against the background, and a background with a contact in it.
 
-    Raises
-    ------
-    CalibrationError
-        The message says which images, or where the contact is, and what to do.
+    The CalibrationError says which images, or where the contact is, and what to do.
     """
     _check_flats(presses)
     _check_colored(presses)
@@ -85,10 +82,10 @@ def is_reversed(image: NDArray[np.uint8], background: NDArray[np.float32]) -> bo
 
     Compares the median difference over the pixels, most of which a press leaves alone.
     """
-    seen = image[::CHECKED_STEP, ::CHECKED_STEP].astype(np.float32)
-    rest = background[::CHECKED_STEP, ::CHECKED_STEP]
-    straight, turned = (float(np.median(np.abs(one - rest))) for one in (seen, seen[..., ::-1]))
-    return straight > MIN_DIFFERENCE and turned < REVERSED_SHARE * straight
+    some = image[::CHECKED_STEP, ::CHECKED_STEP].astype(np.float32)
+    untouched = background[::CHECKED_STEP, ::CHECKED_STEP]
+    straight, turned = (float(np.median(np.abs(one - untouched))) for one in (some, some[..., ::-1]))
+    return straight > MIN_DIFFERENCE and turned < REVERSED_FIT * straight
 
 
 def _check_untouched(presses: Presses) -> None:
@@ -154,9 +151,9 @@ def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
             ),
             (channel >= SATURATED, "saturated: brighter slopes look like it. Lower its light or exposure."),
         ):
-            share = float(where.mean())
-            if share > MOST_UNUSABLE:
-                notes.append(f"{name} is in {100 * share:.0f} % of the untouched image {said}")
+            fraction = float(where.mean())
+            if fraction > MOST_UNUSABLE:
+                notes.append(f"{name} is in {100 * fraction:.0f} % of the untouched image {said}")
     return tuple(notes)
 
 
@@ -186,11 +183,11 @@ def light_order_note(
     turn = light_turn(prepared, contacts)
     if abs(turn) < MIN_SINE:
         return None
-    seen = "clockwise" if turn > 0 else "counter-clockwise"
-    if seen == expected:
+    turned = "clockwise" if turn > 0 else "counter-clockwise"
+    if turned == expected:
         return None
     return (
-        f"Red, green and blue light come round the gel {seen}; in a {presses.sensor_name} that is {expected}. Either all "
+        f"Red, green and blue light come round the gel {turned}; in a {presses.sensor_name} that is {expected}. Either all "
         "images, the background too, were saved as BGR, or they are mirrored. A calibration fits images of its own kind "
         "only: read new ones in the same way."
     )
@@ -207,9 +204,9 @@ def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCirc
     return float(np.sin(np.roll(towards, -1) - towards).sum())
 
 
-def _disc(shape: tuple[int, int], contact: ContactCircle, share: float) -> NDArray[np.bool_]:
+def _disc(shape: tuple[int, int], contact: ContactCircle, fraction: float) -> NDArray[np.bool_]:
     rows, cols = np.ogrid[: shape[0], : shape[1]]
-    inside = np.hypot(cols - contact.x_px, rows - contact.y_px) < share * contact.radius_px
+    inside = np.hypot(cols - contact.x_px, rows - contact.y_px) < fraction * contact.radius_px
     return np.asarray(inside)
 
 

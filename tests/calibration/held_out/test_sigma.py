@@ -13,10 +13,10 @@ from gelform.calibration.held_out.sigma import (
     LAGS,
     _lag_products,
     correlation_from_products,
+    fraction_trained,
     gain_of,
     press_residuals,
     rest_correlation,
-    share_seen,
     slope_sigma_from_folds,
 )
 from gelform.color_models.forward_response import Step
@@ -151,7 +151,7 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
 
 def test_the_share_that_folds_have_seen():
     folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
-    assert share_seen(folds) == pytest.approx((0.8 + 0.6) / 2)
+    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
 
 
 def test_columns_are_thinned_and_stay_in_place():

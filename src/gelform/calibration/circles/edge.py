@@ -24,17 +24,13 @@ INNER = 0.5  # of the visible radius: what trains
 RINGS = np.arange(0.05, 1.001, 0.05)
 REFERENCE = (0.1, 0.4)  # of the visible radius: what is read there is taken for right
 LEAST_GAIN = 0.8  # of what is read there, over the ball's slope: below it the gel has left the ball
-SAMPLES, PIXELS_OF_PRESS = 12_000, 3_000
+SAMPLES, PIXELS_OF_PRESS = 12_000, 3_000  # pixels that train a model, and that are read of a press
 
 
 def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
     """Where the median press begins to be read less than 0.8 times as steep as its ball, relative to the slopes further in.
 
     In rings of 0.05 visible radii, of which two have to be below; `USUAL_EDGE` for fewer than 12 presses.
-
-    Parameters
-    ----------
-    presses, contacts : that fit, and their circles
     """
     if not enough("edge", len(presses)):
         return USUAL_EDGE
@@ -80,10 +76,9 @@ def _gains(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> N
     away = np.hypot(cols - center[0], rows - center[1])
     ring = np.digitize(away / radius, RINGS) - 1
     ring[away > STEEPEST_FRACTION * press.ball_radius_px] = -1
-    seen = ring[(ring >= 0) & (ring < len(RINGS) - 1)]
     members = (ring >= 0) & (ring < len(RINGS) - 1)
     along, square = (
-        np.bincount(seen, np.sum(values[members] * ball[members], axis=1), len(RINGS) - 1)
+        np.bincount(ring[members], np.sum(values[members] * ball[members], axis=1), len(RINGS) - 1)
         for values in (read, ball)
     )
     return np.where(square > 0, along / np.maximum(square, 1e-12), np.nan)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
-MIN_ANTISYMMETRY = 0.2
-MIN_SIGNAL = 2.0
+MIN_ANTISYMMETRY = 0.2  # 0-1, of a ball that the border does not cut by half
+MIN_SIGNAL = 2.0  # change inside over that outside; 1 where nothing is pressed
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,7 @@ def scale_of(shape: tuple[int, int]) -> float:
 
 
 def find_contact(color_change: NDArray[np.float32]) -> ContactCircle:
-    """Contact circle of one ball press.
-
-    Parameters
-    ----------
-    color_change : (H, W, 3), blurred by about 1.25 px at 240 rows
-    """
+    """Contact circle of one ball press, in a color change (H, W, 3) that is blurred by about 1.25 px at 240 rows."""
     change = color_change - np.median(color_change, axis=(0, 1)).astype(np.float32)
     x, y, antisymmetry = _antisymmetry_center(change)
     size = magnitude(change)

@@ -117,14 +117,7 @@ def refine(
     start: StartableModel | None = None,
     progress: Progress = no_progress,
 ) -> Refined:
-    """Move each circle to agree with a color model fitted on all of them; reject the presses that do not.
-
-    Parameters
-    ----------
-    presses, found : what was pressed and the circle found in each image
-    excluded : presses that are rejected already, with the reason
-    start : what another unit of the same sensor taught
-    """
+    """Move each circle to agree with a color model fitted on all of them; reject the presses that do not."""
     reasons = [why_impossible(press, contact) for press, contact in zip(presses, found)]
     reasons = [reason or wide for reason, wide in zip(reasons, why_too_wide(presses, found))]
     for i, reason in (excluded or {}).items():
@@ -183,10 +176,7 @@ def _is_whole(press: PreparedPress, contact: ContactCircle) -> bool:
 def repeated_images(presses: Presses) -> dict[int, str]:
     """Presses whose image is pixel for pixel an earlier one's, with the reason to leave them out.
 
-    Raises
-    ------
-    CalibrationError
-        The same image is said to be of two balls.
+    Raises a CalibrationError where the same image is said to be of two balls.
     """
     first: dict[str, int] = {}
     repeated = {}
@@ -210,11 +200,7 @@ def other_ball_note(
 ) -> str | None:
     """What to check where many presses are refused, and nearly all fit a ball so many times as large; else None.
 
-    Parameters
-    ----------
-    presses, found : prepared, and the circle found in each image
-    refined : with the ball that was stated
-    excluded : indices of presses that were refused before, whatever their ball: they do not count
+    Those that were excluded before, whatever their ball, do not count.
     """
     judged = [i for i in range(len(presses)) if i not in excluded]
     presses, found, count = [presses[i] for i in judged], [found[i] for i in judged], len(judged)
@@ -241,13 +227,7 @@ def other_ball_note(
 
 
 def check_places(located: Located, places: int) -> None:
-    """Refuse presses that fit at too few different places, with the reasons of the others.
-
-    Raises
-    ------
-    CalibrationError
-        Under three places.
-    """
+    """Raise a CalibrationError for presses that fit at under three places, with the reasons of the others."""
     least, refined, presses = NEEDED["places"].presses, located.refined, located.presses
     if places >= least:
         return

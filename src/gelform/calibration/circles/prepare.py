@@ -22,18 +22,12 @@ from gelform.gradients import fill_unknown
 from gelform.markers import MarkerFinder
 from gelform.progress import Progress, no_progress
 
-BLUR_PX = 1.25
+BLUR_PX = 1.25  # at 240 rows: a camera's noise, not the gel's edges
 USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset
 
 
 class ColorChanges:
-    """Color changes of images against one untouched image; markers are bridged.
-
-    Parameters
-    ----------
-    background : (H, W, 3), 0-255
-    settings : how the change is taken
-    """
+    """Color changes of images against one untouched image (H, W, 3), 0-255; markers are bridged."""
 
     def __init__(self, background: NDArray[np.float32], settings: ChangeSettings) -> None:
         self._rest = PreparedBackground(background, settings)
@@ -60,13 +54,7 @@ def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSet
 def prepare(
     presses: Presses, offset: float = USUAL_OFFSET, *, progress: Progress = no_progress
 ) -> list[PreparedPress]:
-    """The presses with their color changes, each checked against the background.
-
-    Parameters
-    ----------
-    presses : from `read_presses`
-    offset : grey levels added to the background where the change is divided by it
-    progress : called with (done, total, what)
+    """The presses with their color changes, each checked against the background, to which `offset` grey levels are added.
 
     Raises
     ------
@@ -120,25 +108,15 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
     return found
 
 
-BLUR_REACH = 2.0
+BLUR_REACH = 2.0  # standard deviations of the blur, beyond which a dot is not seen
 
 
 def change_without_markers(
     image: NDArray[Any], rest: PreparedBackground, exposure: Exposure | None, finder: MarkerFinder
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-    """The color change of an image, and which of its pixels may be used.
+    """The color change (H, W, 3) of an image, smooth across the dots, and which pixels are on no dot of either image.
 
-    Parameters
-    ----------
-    image : (H, W, 3), 0-255
-    rest : the untouched image, and how the change is taken
-    exposure : what `rest.compare(image)` found, compensated; None to take the image as it is
-    finder : of this background
-
-    Returns
-    -------
-    color_change : (H, W, 3) float32; smooth across the dots
-    usable : (H, W) bool, False on the dots of either image; None on a gel without markers
+    The second is None on a gel without markers. `exposure` is what `rest.compare(image)` found, compensated, or None.
     """
     if not len(finder.untouched):
         return rest.change(image, exposure), None

@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from gelform.ball import ball_center, center_jacobian, followed_radius
 from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
-from gelform.calibration.circles.samples import ZONE, PreparedPress, contact_samples, with_rest_samples
+from gelform.calibration.circles.samples import (
+    ZONE,
+    PreparedPress,
+    contact_samples,
+    joined,
+    with_rest_samples,
+)
 from gelform.calibration.enough import REFINING
 from gelform.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples, StartableModel
 from gelform.color_models._shared.least_squares import (
@@ -150,14 +156,7 @@ def joint_moves(
 ) -> NDArray[np.float64]:
     """Moves (N, 2) of the centres, px, that agree best with one polynomial of all presses, at most 3 px at 240 rows.
 
-    One Gauss-Newton step of Huber's loss of the slope errors.
-
-    Parameters
-    ----------
-    presses, contacts : and where they are now
-    zone : part of the followed radius whose pixels count
-    position_degrees : of the polynomial
-    total : pixels of all presses, about
+    One Gauss-Newton step of Huber's loss of the slope errors, at about `total` pixels inside `zone` of the contacts.
     """
     samples, owner, jacobian = _labelled(presses, contacts, zone, total)
     x, y = unit_position(samples.x_px, samples.y_px, samples.shape)
@@ -179,11 +178,7 @@ def _labelled(
     """Samples in the contacts and at rest, whose press each is, and the derivative (N, 2, 2) of its label."""
     parts = [contact_samples([p], [c], zone, total=total // len(presses)) for p, c in zip(presses, contacts)]
     counts = [len(part.x_px) for part in parts]
-    columns = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("color_change", "x_px", "y_px", "gradients", "weight")
-    }
-    inside = Samples(**columns, shape=parts[0].shape, background=parts[0].background)
+    inside = joined(parts)
     samples = with_rest_samples(inside, presses, contacts)
     owner = np.repeat(np.arange(len(presses)), counts)
     radius = np.repeat([press.ball_radius_px for press in presses], counts)

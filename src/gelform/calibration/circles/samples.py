@@ -17,12 +17,12 @@ from gelform.ball import ball_gradients, followed_radius
 from gelform.calibration.circles.find import ContactCircle
 from gelform.color_models import ColorModel, Samples
 
-TOTAL_SAMPLES = 40_000
+TOTAL_SAMPLES = 40_000  # pixels of all presses: twice as many fit no better
 ZONE = 0.95  # of the contact's radius: what trains
 USUAL_EDGE = (
     0.85  # of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones
 )
-REST_WEIGHT = 0.3
+REST_WEIGHT = 0.3  # of an untouched pixel, over one in a contact
 REST_DISTANCE = 2.0  # visible radii
 
 
@@ -84,6 +84,19 @@ class PreparedPress:
         """The slopes that a color model reads there."""
         return model.gradients_at(self.color_change[rows, cols], cols, rows)
 
+    def samples(
+        self,
+        rows: NDArray[np.intp],
+        cols: NDArray[np.intp],
+        gradients: NDArray[np.float64],
+        weight: float,
+        depth_px: NDArray[Any] | None = None,
+    ) -> Samples:
+        """Pixels of known gradients (N, 2), all of one weight; their depths where those (H, W) are given."""
+        weights, depth = np.full(len(rows), weight), None if depth_px is None else depth_px[rows, cols]
+        change, shape = self.color_change[rows, cols], self.size.shape
+        return Samples(change, cols, rows, gradients, weights, shape, self.background, depth)
+
 
 def contact_samples(
     presses: Sequence[PreparedPress],
@@ -100,20 +113,12 @@ def contact_samples(
     parts = []
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
-        gradients = press.ball_gradients(contact, rows, cols)
-        parts.append(
-            (press.color_change[rows, cols], cols, rows, gradients, _depths_at(depths_px, k, rows, cols))
+        gradients, depth = (
+            press.ball_gradients(contact, rows, cols),
+            None if depths_px is None else depths_px[k],
         )
-    change, x, y, gradients, depth = (np.concatenate([part[i] for part in parts]) for i in range(5))
-    first = presses[0]
-    known = None if depths_px is None else depth
-    return Samples(change, x, y, gradients, np.ones(len(x)), first.size.shape, first.background, known)
-
-
-def _depths_at(
-    depths_px: Sequence[NDArray[Any]] | None, press: int, rows: NDArray[np.intp], cols: NDArray[np.intp]
-) -> NDArray[np.float32]:
-    return np.empty(0, np.float32) if depths_px is None else depths_px[press][rows, cols]
+        parts.append(press.samples(rows, cols, gradients, 1.0, depth))
+    return joined(parts)
 
 
 def with_rest_samples(
@@ -123,7 +128,7 @@ def with_rest_samples(
     depths_px: Sequence[NDArray[Any]] | None = None,
 ) -> Samples:
     """The samples and up to half as many from the untouched gel, where the gradient is 0, at a lower weight."""
-    parts = []
+    parts = [samples]
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
         rows, cols = (
@@ -133,15 +138,14 @@ def with_rest_samples(
         far = distance > REST_DISTANCE * contact.radius_px
         if press.usable is not None:
             far &= press.usable[rows, cols]
-        rows, cols = rows[far], cols[far]
-        parts.append((press.color_change[rows, cols], cols, rows, _depths_at(depths_px, k, rows, cols)))
-    change, x, y, depth = (np.concatenate([part[i] for part in parts]) for i in range(4))
-    return replace(
-        samples,
-        color_change=np.concatenate([samples.color_change, change]),
-        x_px=np.concatenate([samples.x_px, x]),
-        y_px=np.concatenate([samples.y_px, y]),
-        gradients=np.concatenate([samples.gradients, np.zeros((len(x), 2))]),
-        weight=np.concatenate([samples.weight, np.full(len(x), REST_WEIGHT)]),
-        depth_px=None if samples.depth_px is None else np.concatenate([samples.depth_px, depth]),
-    )
+        rows, cols, depth = rows[far], cols[far], None if depths_px is None else depths_px[k]
+        parts.append(press.samples(rows, cols, np.zeros((len(rows), 2)), REST_WEIGHT, depth))
+    return joined(parts)
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Samples of images of one sensor, one after the other."""
+    names = ["color_change", "x_px", "y_px", "gradients", "weight"]
+    names += [] if parts[0].depth_px is None else ["depth_px"]
+    columns: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in names}
+    return replace(parts[0], **columns)

@@ -15,9 +15,9 @@ from gelform.checks import check_image, check_list
 from gelform.errors import DataError
 
 NAMES = ("red", "green", "blue")
-MIN_LEVEL, MAX_LEVEL = 20.0, 250.0
-MIN_SHARE = 0.3
-BLOCKS = 4
+MIN_LEVEL, MAX_LEVEL = 20.0, 250.0  # grey levels that tell a ratio
+MIN_USABLE = 0.3  # of the pixels have to be usable
+BLOCKS = 4  # along either side, whose spread is told
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class Crosstalk:
 
     def describe(self) -> str:
         """One line with the figures."""
-        seen = np.asarray(self.matrix) - np.eye(3)
-        channel, led = np.unravel_index(int(np.argmax(seen)), (3, 3))
+        apart = np.asarray(self.matrix) - np.eye(3)
+        channel, led = np.unravel_index(int(np.argmax(apart)), (3, 3))
         return (
-            f"crosstalk up to {100 * seen.max():.1f} % ({NAMES[led]} light in the {NAMES[channel]} channel), "
+            f"crosstalk up to {100 * apart.max():.1f} % ({NAMES[led]} light in the {NAMES[channel]} channel), "
             f"the same over the image to {100 * self.largest_spread:.1f} %"
         )
 
@@ -97,7 +97,7 @@ def _column(
             "Give the frames in the order red, green, blue, one LED lit in each."
         )
     usable = (light[..., led] > MIN_LEVEL) & (image.max(axis=-1) < MAX_LEVEL)
-    if np.mean(usable) < MIN_SHARE:
+    if np.mean(usable) < MIN_USABLE:
         raise DataError(
             f"Expected the {NAMES[led]} LED's frame at levels of {MIN_LEVEL:g}-{MAX_LEVEL:g}, got {listed} with "
             f"{100 * np.mean(usable):.0f} % of the pixels usable. Change the exposure, the same for all three."
@@ -107,7 +107,7 @@ def _column(
         np.median(ratio[rows][:, columns][usable[rows][:, columns]], axis=0)
         for rows in _blocks(ratio.shape[0])
         for columns in _blocks(ratio.shape[1])
-        if np.mean(usable[rows][:, columns]) > MIN_SHARE
+        if np.mean(usable[rows][:, columns]) > MIN_USABLE
     ]
     return np.median(ratio[usable], axis=0), np.std(parts, axis=0)
 

@@ -136,14 +136,8 @@ def _save_in_calibration(scale: Scale, place: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Setup:
-    """A sensor as it is set up.
-
-    Attributes
-    ----------
-    view : from its frames to images
-    background : (H, W, 3) float32, the untouched image, after the view
-    """
+class SensorSetup:
+    """A sensor as it is set up: the view from its frames to images, and its untouched image (H, W, 3) float32."""
 
     view: View
     background: NDArray[np.float32]
@@ -158,7 +152,7 @@ def read_setup(
     *,
     background: str | PathLike[str] | None = None,
     sensor: str | None = None,
-) -> Setup:
+) -> SensorSetup:
     """The view and the untouched image that a press folder, its `sensor.toml` or a calibration says.
 
     Parameters
@@ -176,9 +170,9 @@ def read_setup(
     if place.suffix == ".npz":
         calibration = load_calibration(place)
         if background is None:
-            return Setup(calibration.view, calibration.background)
+            return SensorSetup(calibration.view, calibration.background)
         view = calibration.view
-        return Setup(view, image_from_frame(read_background(Path(background)), view).astype(np.float32))
+        return SensorSetup(view, image_from_frame(read_background(Path(background)), view).astype(np.float32))
     folder = place.parent if place.suffix == ".toml" else place
     if not folder.is_dir():
         raise DataError(
@@ -186,7 +180,7 @@ def read_setup(
         )
     frame = read_background(Path(background) if background is not None else background_in(folder))
     view = _view_of(folder / "sensor.toml", sensor, (frame.shape[0], frame.shape[1]))
-    return Setup(view, image_from_frame(frame, view).astype(np.float32))
+    return SensorSetup(view, image_from_frame(frame, view).astype(np.float32))
 
 
 def _view_of(settings: Path, sensor: str | None, frame_shape: tuple[int, int]) -> View:

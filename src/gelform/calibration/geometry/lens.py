@@ -17,14 +17,14 @@ from gelform.errors import DataError
 from gelform.lens import Lens
 from gelform.view import View
 
-MAX_RESIDUAL_PX = 0.5
+MAX_RESIDUAL_PX = 0.5  # of a grid's points, RMS
 PITCH_SIGMA = 0.002  # of a printed grid
 MOST_POINTS = 1000  # along a side
 CENTER_PRIOR = (
     0.05  # standard deviation of the optical axis about the frame's middle, as a share of its width
 )
-DISTORTION_PRIOR = 1.0
-MIN_CROP = 0.5
+DISTORTION_PRIOR = 1.0  # standard deviation of k1 and k2
+MIN_CROP = 0.5  # of the frame that has to be seen
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,11 @@ def view_from_grid(
     frames = [check_image(image, name="grid image") for image in check_list(images, "images")]
     if not frames or any(frame.shape != frames[0].shape for frame in frames):
         raise ValueError("Expected one grid image or more, all of one size.")
-    seen = [_points_of_grid(frame, (columns, rows), kind, k) for k, frame in enumerate(frames)]
+    points = [_points_of_grid(frame, (columns, rows), kind, k) for k, frame in enumerate(frames)]
     y, x = np.mgrid[:rows, :columns] * pitch
     grid = np.stack([x.ravel() - x.mean(), y.ravel() - y.mean()], axis=1)
     shape = (frames[0].shape[0], frames[0].shape[1])
-    model, residual = _fitted(grid, seen, shape)
+    model, residual = _fitted(grid, points, shape)
     if residual > MAX_RESIDUAL_PX:
         raise DataError(
             f"Expected the points of a flat, regular grid, got points {residual:.2f} px off one (limit "
@@ -102,12 +102,12 @@ def view_from_grid(
         )
     lens, mm_per_px = _rectifying(model, shape)
     spread = float(np.sqrt(np.mean(np.sum((grid / mm_per_px) ** 2, axis=1))))
-    told = residual / spread / np.sqrt(len(grid))
+    fitted = residual / spread / np.sqrt(len(grid))
     known = PITCH_SIGMA if pitch_sigma_mm is None else pitch_sigma_mm / pitch
     source = f"a {kind} of {columns}x{rows} points, pitch {pitch:g} mm"
-    scale = Scale(mm_per_px, float(mm_per_px * np.hypot(told, known)), source)
+    scale = Scale(mm_per_px, float(mm_per_px * np.hypot(fitted, known)), source)
     view = _cropped(View(shape, lens=lens))
-    return GridView(view, scale, residual, residual * mm_per_px, len(grid) * len(seen))
+    return GridView(view, scale, residual, residual * mm_per_px, len(grid) * len(points))
 
 
 def _points_of_grid(
@@ -170,7 +170,7 @@ class _Model:
         k1, k2, cx, cy = (float(value) for value in numbers[:4])
         return cls(homographies.reshape(-1, 3, 3), (k1, k2), (cx, cy), focal)
 
-    def seen(self, grid: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    def frame_px(self, grid: NDArray[np.float64], number: int) -> NDArray[np.float64]:
         """Where image `number` shows points of the grid, px."""
         flat = _projected(self.homographies[number], grid)
         unit = (flat - self.center) / self.focal
@@ -185,16 +185,16 @@ def _projected(homography: NDArray[np.float64], points: NDArray[np.float64]) -> 
 
 
 def _fitted(
-    grid: NDArray[np.float64], seen: Sequence[NDArray[np.float64]], shape: tuple[int, int]
+    grid: NDArray[np.float64], points: Sequence[NDArray[np.float64]], shape: tuple[int, int]
 ) -> tuple[_Model, float]:
     """The model of all images and the root mean square residual, px."""
     focal, middle = float(max(shape)), ((shape[1] - 1) / 2, (shape[0] - 1) / 2)
-    starts = [cv2.findHomography(grid, points)[0] for points in seen]
+    starts = [cv2.findHomography(grid, of_image)[0] for of_image in points]
     start = np.concatenate([[0.0, 0.0, *middle], *[(h / h[2, 2]).ravel()[:8] for h in starts]])
 
     def off(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         model = _Model.from_numbers(numbers, focal)
-        residuals = [(model.seen(grid, k) - points).ravel() for k, points in enumerate(seen)]
+        residuals = [(model.frame_px(grid, k) - of_image).ravel() for k, of_image in enumerate(points)]
         # without distortion its centre is anywhere, and over a small grid k2 too: weak priors of 0.1 px noise
         prior = (
             0.1
@@ -237,8 +237,8 @@ def _cropped(view: View) -> View:
     assert view.frame_shape is not None
     assert view.lens is not None
     height, width = view.frame_shape
-    for share in np.arange(1.0, MIN_CROP, -0.005):
-        left, top = int(np.ceil(width * (1 - share) / 2)), int(np.ceil(height * (1 - share) / 2))
+    for fraction in np.arange(1.0, MIN_CROP, -0.005):
+        left, top = int(np.ceil(width * (1 - fraction) / 2)), int(np.ceil(height * (1 - fraction) / 2))
         x, y = np.arange(left, width - left, dtype=float), np.arange(top, height - top, dtype=float)
         rim = np.concatenate(
             [np.column_stack([x, np.full_like(x, row)]) for row in (y[0], y[-1])]
@@ -247,7 +247,7 @@ def _cropped(view: View) -> View:
         there = view.lens.frame_px_from_rectified_px(rim)
         if (there >= -0.5).all() and (there <= [width - 0.5, height - 0.5]).all():
             crop = (float(left), float(top), float(len(x)), float(len(y)))
-            return View(view.frame_shape, None if share == 1 else crop, lens=view.lens)
+            return View(view.frame_shape, None if fraction == 1 else crop, lens=view.lens)
     raise DataError(
         "Expected a grid seen from above, got one so slanted that less than half of the rectified frame is in the image. "
         "Lay the grid on the gel and take it with the camera that takes the presses."

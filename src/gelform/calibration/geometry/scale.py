@@ -12,8 +12,8 @@ from gelform.errors import DataError
 from gelform.sensors.profiles import profile_named
 
 SOURCES = "two marked points, a flat punch, a thread, a step of a stage, or a grid"
-MARK_SIGMA_PX = 0.5
-MAX_DISAGREEMENT = 4.0
+MARK_SIGMA_PX = 0.5  # of a point marked by hand
+MAX_DISAGREEMENT = 4.0  # standard deviations between two scales
 
 
 @dataclass(frozen=True)

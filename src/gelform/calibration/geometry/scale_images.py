@@ -16,20 +16,20 @@ from gelform.calibration.geometry.scale import Scale, scale_from_lengths
 from gelform.checks import check_image, check_positive
 from gelform.errors import DataError
 
-RAYS = 360
-SECTORS = 24
-RAY_STEP_PX = 0.2
-EDGE_BLUR_PX = 1.0
+RAYS = 360  # from the punch's middle
+SECTORS = 24  # of its outline, each fitted by itself
+RAY_STEP_PX = 0.2  # along a ray
+EDGE_BLUR_PX = 1.0  # of the change of colour, against noise
 EDGE_SIGMA_PX = 0.3  # what the flank's shape leaves open about where the edge is
-MIN_CONTRAST = 0.03
-MAX_RESIDUAL = 0.04
-MIN_PERIODS = 4.0
-MAX_FREQUENCY = 0.25
-MIN_ELONGATION = 1.5
+MIN_CONTRAST = 0.03  # change of colour that a press makes
+MAX_RESIDUAL = 0.04  # of the punch's radius
+MIN_PERIODS = 4.0  # of a thread in the image
+MAX_FREQUENCY = 0.25  # cycles per px: crests 4 px apart
+MIN_ELONGATION = 1.5  # length over width of what has an axis
 MAX_LEAN_RAD = np.deg2rad(15)
-MIN_PROMINENCE = 4.0
-FUNDAMENTAL = 0.35
-THREAD_SIGMA = 0.003
+MIN_PROMINENCE = 4.0  # of the wave over the spectrum's median
+FUNDAMENTAL = 0.35  # of the peak: a wave below it that is so strong is its fundamental
+THREAD_SIGMA = 0.003  # relative, what the crests' shape leaves open
 
 
 def scale_from_punch(
@@ -101,8 +101,8 @@ def scale_from_thread(
 def change_of(image: NDArray[Any], background: NDArray[Any], blur_px: float) -> NDArray[np.float32]:
     """Change of colour (H, W, 3), exposure compensated."""
     bare = PreparedBackground(background, ChangeSettings(blur_px=blur_px))
-    seen = check_image(image, shape=bare.background.shape[:2])
-    return bare.change(seen, bare.compare(seen)[0])
+    checked = check_image(image, shape=bare.background.shape[:2])
+    return bare.change(checked, bare.compare(checked)[0])
 
 
 def _middle(size: NDArray[np.float32]) -> tuple[float, float]:
@@ -290,8 +290,8 @@ def _refined(change: NDArray[np.float32], start: NDArray[np.float64]) -> NDArray
     return np.asarray(start + found.x * scale)
 
 
-STEP_SIGMA_PX = 0.1
-MIN_LIKENESS = 0.5
+STEP_SIGMA_PX = 0.1  # what the images' likeness leaves open about the shift
+MIN_LIKENESS = 0.5  # correlation, 0-1
 
 
 def scale_from_stage(

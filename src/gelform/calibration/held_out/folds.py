@@ -20,19 +20,12 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.color_models import StartableModel
 from gelform.progress import Progress, no_progress
 
-FOLDS = 5
+FOLDS = 5  # each trains on four fifths of the presses
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Presses held out, and what trains without them.
-
-    Attributes
-    ----------
-    held_out : indices of the presses that are scored
-    training : indices of those that train
-    contacts : refined circles of the training presses
-    """
+    """Indices of the presses held out, and of those that train, with their refined circles."""
 
     held_out: tuple[int, ...]
     training: tuple[int, ...]
@@ -49,14 +42,7 @@ def make_folds(
 ) -> list[Fold]:
     """Deal the usable presses into folds, each size of ball evenly, and refine each fold's training circles.
 
-    Presses that show the same (`near_duplicates`) stay in one fold.
-
-    Parameters
-    ----------
-    presses, found : prepared, and the circle found in each image
-    usable : indices of the presses that fit
-    start : another unit's model, where the refinement begins
-    progress : called with (done, total, what)
+    Presses that show the same (`near_duplicates`) stay in one fold. `start` is another unit's model.
     """
     groups = near_duplicates(presses, found, sorted(usable, key=lambda i: presses[i].ball_radius_px))
     ordered = [i for group in groups for i in group]
@@ -95,16 +81,11 @@ NEAR_PX, NEAR_RADIUS = 2.0, 0.04  # at 240 rows; of the smaller radius: circles 
 def near_duplicates(
     presses: Sequence[PreparedPress], found: Sequence[ContactCircle], among: Sequence[int]
 ) -> list[list[int]]:
-    """The presses in groups that show the same ball at the same place, each press in one; order is kept.
+    """The presses in groups that show the same ball at the same place, each of `among` in one; order is kept.
 
-    Two are alike where the root mean square difference of their color changes is under 8 % of the smaller change, or
-    where the same ball left the same circle: another exposure, another compression or another moment changes the
+    Two are near duplicates where the root mean square difference of their color changes is under 8 % of the smaller
+    change, or where the same ball left the same circle: another exposure, another compression or another moment changes the
     colours, not the circle.
-
-    Parameters
-    ----------
-    presses, found : prepared, and the circle found in each image
-    among : indices of the presses to group
     """
     if not among:
         return []
@@ -147,7 +128,7 @@ def _small(change: NDArray[np.float32]) -> NDArray[np.float64]:
     return (small - np.median(small, axis=(0, 1))).ravel().astype(np.float64)
 
 
-MOVES = 4
+MOVES = 4  # of a circle to a model that has not seen it: it stays after three
 
 
 def circle_sigmas(

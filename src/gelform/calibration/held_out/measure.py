@@ -21,18 +21,18 @@ from gelform.calibration.circles.prepare import change_settings
 from gelform.calibration.circles.samples import ZONE, PreparedPress
 from gelform.calibration.fitted import Fitted
 from gelform.calibration.held_out.folds import Fold, circle_sigmas
-from gelform.calibration.held_out.sigma import share_seen, slope_sigma_from_folds
+from gelform.calibration.held_out.sigma import fraction_trained, slope_sigma_from_folds
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import ForwardResponse
 from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, with_solved_factors
-from gelform.metrics import PressErrors, angle_deg, press_errors
+from gelform.metrics import PressErrors, press_errors
 from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 
-MAX_PIXELS = 2000
-CENTER_PIXELS = 1500
+MAX_PIXELS = 2000  # kept of a press
+CENTER_PIXELS = 1500  # that a circle's free centre is fitted to
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,30 +62,12 @@ class HeldOutSample:
         """(N, 2) reconstructed minus true slopes."""
         return self.gradients - self.true_gradients
 
-    @property
-    def true_slope(self) -> NDArray[np.float32]:
-        """(N,) magnitude of the ball's slope."""
-        slope: NDArray[np.float32] = np.linalg.norm(self.true_gradients, axis=1)
-        return slope
-
-    @property
-    def normal_deg(self) -> float:
-        """Mean angle to the ball's normals."""
-        return float(angle_deg(self.gradients, self.true_gradients).mean())
-
     def within(self, zone: float) -> HeldOutSample:
-        """The pixels inside a share of the contact radius."""
+        """The pixels inside a fraction of the contact radius."""
         x, y, radius = self.circle_px
         keep = np.hypot(self.x_px - x, self.y_px - y) < zone * radius
-        return HeldOutSample(
-            self.index,
-            self.circle_px,
-            self.x_px[keep],
-            self.y_px[keep],
-            self.true_gradients[keep],
-            self.gradients[keep],
-            self.cap_error_um,
-        )
+        kept = {name: getattr(self, name)[keep] for name in ("x_px", "y_px", "true_gradients", "gradients")}
+        return replace(self, **kept)
 
 
 @dataclass(frozen=True)
@@ -144,7 +126,7 @@ def judge(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
         errors,
         saved_errors,
         tuple(samples),
-        solved_by_place(draft, sigma, fitted.located.presses, samples, share_seen(folds)),
+        solved_by_place(draft, sigma, fitted.located.presses, samples, fraction_trained(folds)),
         forward,
         circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.model),
     )
@@ -207,15 +189,9 @@ def sample_of(
     *,
     max_pixels: int = MAX_PIXELS,
 ) -> HeldOutSample:
-    """Pixels of a reconstructed press that tell how far off it is, up to the visible rim.
+    """Pixels of a reconstructed press that tell how far off it is, up to the visible rim; about `max_pixels`.
 
     That region and the free centres, fitted inside the contact's edge, are those of `gelform.metrics.press_errors`.
-
-    Parameters
-    ----------
-    index : of the press in its folder
-    press, circle_px, result, mm_per_px, contact_radius_ratio : as in `errors_of`
-    max_pixels : how many pixels are kept, about
     """
     ball_px = press.ball_diameter_mm / 2 / mm_per_px
     height, width = result.depth_mm.shape
@@ -270,20 +246,12 @@ def _cap_error_um(
 
 
 def solved_by_place(
-    draft: Calibration, sigma: SlopeSigma, presses: Presses, samples: Sequence[HeldOutSample], seen: float
+    draft: Calibration, sigma: SlopeSigma, presses: Presses, samples: Sequence[HeldOutSample], trained: float
 ) -> SlopeSigma:
     """The deviation of slopes with factors by slope and place for those of the solved depth.
 
     As in `slope_sigma_from_folds`, errors are taken down by the root of the fraction of presses that a fold has seen. Where
     too few pixels were held out for factors, the slopes of the solved depth are known as well as those that were read.
-
-    Parameters
-    ----------
-    draft : the calibration of all presses
-    sigma : what it is to state, but for the factors
-    presses : as read
-    samples : of the held-out presses, reconstructed by models that have not seen them
-    seen : share of the presses that such a model has seen
     """
     reconstruct = Reconstructor(replace(draft, slope_sigma=sigma), depth_sigma=False)
     no_walls = copy(reconstruct)
@@ -296,10 +264,10 @@ def solved_by_place(
             stated_sigma(each, presses.presses[one.index].image, one)[:, 0]
             for each in (reconstruct, no_walls)
         )
-        beyond = np.sqrt(np.maximum(stated**2 - by_reading**2, 0))
+        extra = np.sqrt(np.maximum(stated**2 - by_reading**2, 0))
         place = (one.x_px + 0.5) / width, (one.y_px + 0.5) / height
         slopes, press = np.linalg.norm(one.gradients, axis=1), np.full(len(stated), one.index)
-        parts.append((slopes, np.sqrt(seen) * one.errors, stated, beyond, *place, press))
+        parts.append((slopes, np.sqrt(trained) * one.errors, stated, extra, *place, press))
     return with_solved_factors(sigma, SolvedErrors(*(np.concatenate(column) for column in zip(*parts))))
 
 

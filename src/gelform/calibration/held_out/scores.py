@@ -28,19 +28,13 @@ from gelform.color_models.forward_response import RIDGES, Step
 from gelform.metrics import score_slopes
 from gelform.progress import Progress, no_progress
 
-SAMPLES_OF_FOLD = 12_000
+SAMPLES_OF_FOLD = 12_000  # pixels of all presses that train
 SCORED_PIXELS = 1_500  # of a press
 
 
 @dataclass(frozen=True)
 class SlopeScore:
-    """Errors of the slopes that are read on one press, its centre free: labels are off by a pixel.
-
-    Attributes
-    ----------
-    slope_error : root mean square of |slope error|, mm/mm
-    normal_deg : mean angle to the ball's normals, degrees
-    """
+    """RMS error of the slopes read on one press, mm/mm, and mean angle; its centre is free, labels are off by a pixel."""
 
     slope_error: float
     normal_deg: float
@@ -48,13 +42,7 @@ class SlopeScore:
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate's scores on presses that it had not seen.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    scores : press -> score, the press's fold left out
-    """
+    """A candidate's scores on presses that it had not seen, each with the press's fold left out."""
 
     candidate: Candidate
     scores: Mapping[int, SlopeScore]
@@ -150,14 +138,7 @@ def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> SlopeSc
 def select(
     candidates: Sequence[Candidate], held_out: HeldOutPresses, *, progress: Progress = no_progress
 ) -> Selection:
-    """Choose among candidates of one color model, and then its step: by all presses, and without each fold's.
-
-    Parameters
-    ----------
-    candidates : of one color model, without a step
-    held_out : the presses and their folds
-    progress : called with (done, total, what)
-    """
+    """Choose among candidates of one color model, and then its step: by all presses, and without each fold's."""
     plain = held_out.try_candidates(candidates)
     progress(1, 2, f"tried {candidates[0].model}")
     leaders = dict.fromkeys(_best(plain, fold.held_out) for fold in held_out.folds)

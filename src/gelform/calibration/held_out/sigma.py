@@ -16,8 +16,8 @@ from gelform.color_models.forward_response import Step
 from gelform.confidence import SlopeErrors, SlopeSigma
 from gelform.metrics import score_slopes
 
-LAGS = 24
-PER_PRESS = 2_000
+LAGS = 24  # steps, px at 240 rows: errors in a contact correlate over 3-10
+PER_PRESS = 2_000  # pixels that count
 ROWS = 8  # of untouched gel, whose errors' correlation is looked at
 SHORTEST_PX, LONGEST_PX = 0.3, 6.0  # of it, by noise and blur
 MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84  # of squared residuals of 1 degree of freedom
@@ -70,17 +70,12 @@ def slope_sigma_from_folds(
     presses: Sequence[PreparedPress],
     found: Sequence[ContactCircle],
 ) -> tuple[SlopeSigma, float]:
-    """Standard deviation and correlation of the slopes, and the residual's scale, on presses left out.
+    """Standard deviation and correlation of the slopes, and the scale of the residual, on presses left out.
 
     A fold's model has seen fewer presses than the final one, and is worse for it: its errors are taken down by
     the root of the number of presses, the rate at which errors of estimation fall.
-
-    Returns
-    -------
-    sigma : SlopeSigma
-    residual_scale : as `ForwardResponse` has it
     """
-    seen = share_seen(folds)
+    trained = fraction_trained(folds)
     shape = presses[0].size.shape
     step = max(1, round(scale_of(shape)))
     residuals = {
@@ -93,36 +88,31 @@ def slope_sigma_from_folds(
     parts = [one.columns(shape, i) for i, one in residuals.items()]
     slopes, errors, x, y, press, stated, residual = (np.concatenate(column) for column in zip(*parts))
     untouched = np.concatenate([one.untouched for one in residuals.values()])
-    held_out = SlopeErrors(slopes, np.sqrt(seen) * errors, x, y, press, untouched, stated)
-    gain_sigma = float(np.sqrt(seen * np.mean((np.array(gains) - 1) ** 2)))
-    length, share = correlation_from_products(np.mean(products, axis=0), step)
-    fitted = SlopeSigma.fit(held_out, length, share, gain_sigma)
+    held_out = SlopeErrors(slopes, np.sqrt(trained) * errors, x, y, press, untouched, stated)
+    gain_sigma = float(np.sqrt(trained * np.mean((np.array(gains) - 1) ** 2)))
+    length, fraction = correlation_from_products(np.mean(products, axis=0), step)
+    fitted = SlopeSigma.fit(held_out, length, fraction, gain_sigma)
     at_rest = np.mean([_lag_products(one.untouched_rows, 1) for one in residuals.values()], axis=0)
-    rest_length, rest_share = rest_correlation(at_rest, length)
-    fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_share)
+    rest_length, rest_fraction = rest_correlation(at_rest, length)
+    fitted = replace(fitted, rest_correlation_px=rest_length, rest_correlated_share=rest_fraction)
     return fitted, max(float(np.quantile(residual, MOST)) / CHI_SQUARE_AT_MOST, 1.0)
 
 
-def share_seen(folds: Sequence[Fold]) -> float:
-    """Mean share of the presses that a fold's model has seen."""
+def fraction_trained(folds: Sequence[Fold]) -> float:
+    """Mean fraction of the presses that train a fold's model."""
     return float(np.mean([len(f.training) / (len(f.training) + len(f.held_out)) for f in folds]))
 
 
-def gain_of(seen: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+def gain_of(read: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
     """Slopes over true ones, by least squares; both (..., 2), NaN where nothing is known."""
     known = np.isfinite(truth)
-    return float((seen[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
+    return float((read[known] @ truth[known]) / max(float(truth[known] @ truth[known]), 1e-12))
 
 
 def correlation_from_products(products: NDArray[np.float64], step: float) -> tuple[float, float]:
-    """Length (px) and share (0-1) of the correlated part of errors: `share exp(-lag^2 / (2 length^2))` from lag 1 on.
+    """Length (px) and fraction (0-1) of the correlated part of errors: `fraction exp(-lag^2 / (2 length^2))` from lag 1 on.
 
-    The rest, 1 - share, is white: its correlation is gone at the first lag.
-
-    Parameters
-    ----------
-    products : mean products of errors at lags of 0, 1, 2 ... steps
-    step : px
+    The rest is white: its correlation is gone at the first lag. Products are at lags of 0, 1, 2 ... steps (px).
     """
     correlation = products / max(products[0], 1e-30)
     below = np.nonzero(correlation[1:] < 0.05)[0]
@@ -131,21 +121,16 @@ def correlation_from_products(products: NDArray[np.float64], step: float) -> tup
     best = (np.inf, float(step), 0.0)
     for length in step * np.geomspace(0.7, LAGS, 60):
         shape = np.exp(-(lags**2) / (2 * length**2))
-        share = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
-        misfit = float(np.square(share * shape - correlation[1:last]).sum())
-        best = min(best, (misfit, float(length), share))
+        fraction = float(np.clip(shape @ correlation[1:last] / max(shape @ shape, 1e-30), 0, 1))
+        misfit = float(np.square(fraction * shape - correlation[1:last]).sum())
+        best = min(best, (misfit, float(length), fraction))
     return best[1], best[2]
 
 
 def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[float, float]:
-    """Short length (px) and share (0-1) of errors of untouched gel: `(1 - share) exp(-lag^2/(2 short^2)) + share exp(...)`.
+    """Short length (px), and fraction a of errors of untouched gel: `(1 - a) exp(-lag^2/(2 short^2)) + a exp(...)`.
 
-    The second term falls off over the length that is given, as errors in a contact do.
-
-    Parameters
-    ----------
-    products : mean products of errors at lags of 0, 1, 2 ... px
-    length : px
+    The second term falls off over the given length, as errors in a contact do. Products are at lags of 0, 1, 2 ... px.
     """
     if products[0] <= 0:
         return 0.0, 0.0
@@ -155,9 +140,11 @@ def rest_correlation(products: NDArray[np.float64], length: float) -> tuple[floa
     best = (np.inf, 0.0, 0.0)
     for short in np.geomspace(SHORTEST_PX, max(min(LONGEST_PX, length / 2), SHORTEST_PX), 60):
         near = np.exp(-(lags**2) / (2 * short**2))
-        share = float(np.clip((far - near) @ (wanted - near) / max((far - near) @ (far - near), 1e-30), 0, 1))
-        misfit = float(np.square(near + share * (far - near) - wanted).sum())
-        best = min(best, (misfit, float(short), share))
+        fraction = float(
+            np.clip((far - near) @ (wanted - near) / max((far - near) @ (far - near), 1e-30), 0, 1)
+        )
+        misfit = float(np.square(near + fraction * (far - near) - wanted).sum())
+        best = min(best, (misfit, float(short), fraction))
     return best[1], best[2]
 
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gelform.calibration.geometry.crosstalk import Crosstalk
-from gelform.calibration.geometry.measured import Geometry
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.packages import (
     gs_sdk_source,
@@ -20,17 +20,19 @@ from gelform.calibration.presses.packages import (
     taxim_source,
 )
 from gelform.calibration.presses.press_set import (
+    FlatPress,
     Listed,
     ListedFlat,
     Press,
     Presses,
+    PressSource,
     ReadOptions,
-    Source,
     diameter,
     flat_from_frame,
     height,
     number,
     press_from_frame,
+    presses_from_settings,
     table_rows,
 )
 from gelform.calibration.presses.video import presses_from_video
@@ -44,7 +46,7 @@ from gelform.view import View, image_from_frame, image_px_from_frame_px
 
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 BALL, FLAT = "ball", "flat"  # indenters
-NAMED_ODD = 5
+NAMED_ODD = 5  # images of another size, in a message
 
 
 def read_presses(
@@ -93,13 +95,7 @@ def read_presses(
 
 
 def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = no_progress) -> Presses:
-    """Presses as they are, or read from a path: what functions that take presses accept.
-
-    Raises
-    ------
-    TypeError
-        It is neither.
-    """
+    """Presses as they are, or read from a path: what functions that take presses accept; a TypeError for others."""
     if isinstance(presses, Presses):
         return presses
     if isinstance(presses, (str, PathLike)):
@@ -124,44 +120,30 @@ def kind_of_presses(place: Path) -> str | None:
     return PLAIN if place.is_dir() else None
 
 
-def _read(place: Path, source: Source, options: ReadOptions, progress: Progress) -> Presses:
+def _read(place: Path, source: PressSource, options: ReadOptions, progress: Progress) -> Presses:
     """Every image of a source, through one view."""
     settings = options.settings(place, source.known)
     if not source.listed:
         raise DataError(f"No press in {place}: expected images and a presses.csv with a row for each.")
     frame_shape = (source.background.shape[0], source.background.shape[1])
     view = options.view(settings, frame_shape)
-    presses, flats, sizes = [], [], {}
-    count = len(source.listed) + len(source.flats)
-    for done, listed in enumerate(source.listed):
+    presses: list[Press] = []
+    flats: list[FlatPress] = []
+    sizes = {}
+    rows: list[Listed | ListedFlat] = [*source.listed, *source.flats]
+    for done, listed in enumerate(rows):
         frame = source.frame(done)
         sizes[listed.name] = (frame.shape[0], frame.shape[1])
         if sizes[listed.name] == frame_shape:
-            presses.append(press_from_frame(listed, frame, view))
-        progress(done + 1, count, "reading presses")
-    for done, flat in enumerate(source.flats, start=len(source.listed)):
-        frame = source.frame(done)
-        sizes[flat.name] = (frame.shape[0], frame.shape[1])
-        if sizes[flat.name] == frame_shape:
-            flats.append(flat_from_frame(flat, frame, view))
-        progress(done + 1, count, "reading presses")
+            if isinstance(listed, Listed):
+                presses.append(press_from_frame(listed, frame, view))
+            else:
+                flats.append(flat_from_frame(listed, frame, view))
+        progress(done + 1, len(rows), "reading presses")
     _check_one_size(sizes, frame_shape)
-    return Presses(
-        folder=str(place),
-        presses=tuple(presses),
-        background=image_from_frame(source.background, view).astype(np.float32),
-        mm_per_px=settings.mm_per_px,
-        mm_per_px_sigma=settings.mm_per_px_sigma,
-        sensor_name=settings.name,
-        serial=settings.serial or None,
-        gel_id=settings.gel_id or None,
-        view=view,
-        response=settings.response,
-        camera=settings.camera,
-        geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
-        notes=source.notes,
-        flats=tuple(flats),
-    )
+    background = image_from_frame(source.background, view).astype(np.float32)
+    more: dict[str, Any] = {"notes": source.notes, "flats": tuple(flats)}
+    return presses_from_settings(settings, str(place), presses, background, view, **more)
 
 
 def _check_one_size(sizes: Mapping[str, tuple[int, int]], background: tuple[int, int]) -> None:
@@ -187,7 +169,7 @@ def _px(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]} px"
 
 
-def press_folder_source(folder: Path, options: ReadOptions) -> Source:
+def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
     """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels, flat punches), `background.png`, images."""
     rest = read_background(options.background or background_in(folder))
     balls: list[Listed] = []
@@ -206,7 +188,7 @@ def press_folder_source(folder: Path, options: ReadOptions) -> Source:
         f"Rows of presses.csv with the indenter {name} were left out: {count} (known are {BALL}, and {FLAT} with height_mm)."
         for name, count in left_out.items()
     )
-    return Source(rest, balls, lambda k: read_image(folder / names[k]), flats=flats, notes=notes)
+    return PressSource(rest, balls, lambda k: read_image(folder / names[k]), flats=flats, notes=notes)
 
 
 def _listed_ball(row: Mapping[str, str], where: str) -> Listed:
@@ -217,19 +199,19 @@ def _listed_ball(row: Mapping[str, str], where: str) -> Listed:
     return Listed(row["image"], diameter(row["ball_diameter_mm"], where), label)
 
 
-def plain_source(folder: Path, options: ReadOptions) -> Source:
+def plain_source(folder: Path, options: ReadOptions) -> PressSource:
     """A folder of images of one ball, one press each, and `background.png`."""
     rest_path = options.background or background_in(folder)
     images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
     images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
     ball = options.ball(f"{folder} has images but no presses.csv") if images else 0.0
     listed = [Listed(path.name, ball) for path in images]
-    return Source(read_background(rest_path), listed, lambda k: read_image(images[k]))
+    return PressSource(read_background(rest_path), listed, lambda k: read_image(images[k]))
 
 
 PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
 TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
-SOURCES: Mapping[str, Callable[[Path, ReadOptions], Source]] = {
+SOURCES: Mapping[str, Callable[[Path, ReadOptions], PressSource]] = {
     PRESS_FOLDER: press_folder_source,
     GS_SDK: gs_sdk_source,
     PY3DCAL: py3dcal_source,
@@ -287,12 +269,12 @@ def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -
             "(height, width). Take both with the same camera settings."
         )
     background = image_from_frame(presses.background, view).astype(np.float32)
-    seen = tuple(_through(press, view) for press in presses.presses)
+    through = tuple(_through(press, view) for press in presses.presses)
     flats = tuple(
         flat_from_frame(ListedFlat(flat.name, flat.height_mm), flat.image, view) for flat in presses.flats
     )
     geometry = replace(presses.geometry, lens=source)
-    return replace(presses, presses=seen, flats=flats, background=background, view=view, geometry=geometry)
+    return replace(presses, presses=through, flats=flats, background=background, view=view, geometry=geometry)
 
 
 def _through(press: Press, view: View) -> Press:

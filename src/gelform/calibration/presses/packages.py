@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gelform.calibration.presses.press_set import (
     Listed,
+    PressSource,
     ReadOptions,
-    Source,
     check_ball_diameter,
     diameter,
     number,
@@ -25,16 +25,16 @@ from gelform.errors import DataError
 from gelform.npz_files import DAMAGED_ARCHIVE
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
-MAX_PACK_BYTES = 4 << 30
+MAX_PACK_BYTES = 4 << 30  # of a dataPack, unpacked
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE)
 TAXIM_ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
 
 
-def gs_sdk_source(folder: Path, options: ReadOptions) -> Source:
+def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
     """gs_sdk's folder: `catalog.csv` (experiment_reldir, diameter(mm)), `<dir>/gelsight.png`, `background.png`."""
     rest = read_background(options.background or background_in(folder))
     listed = list(_gs_sdk_rows(folder))
-    return Source(rest, listed, lambda k: read_image(folder / listed[k].name))
+    return PressSource(rest, listed, lambda k: read_image(folder / listed[k].name))
 
 
 def _gs_sdk_rows(folder: Path) -> Iterator[Listed]:
@@ -62,7 +62,7 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
         ) from problem
 
 
-def py3dcal_source(folder: Path, options: ReadOptions) -> Source:
+def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
     """py3DCal's folder: a printer pressed one probe at places of a stage.
 
     `annotations/annotations.csv` (img_name, x_px, y_px), `annotations/metadata.json` (px_per_mm,
@@ -77,7 +77,7 @@ def py3dcal_source(folder: Path, options: ReadOptions) -> Source:
         center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))
         rows.append(Listed(f"probe_images/{row['img_name']}", ball, center_px=center))
     known = SensorSettings(folder.resolve().name, check_sensor_pitch(1 / facts["px_per_mm"]))
-    return Source(rest, rows, lambda k: read_image(folder / rows[k].name), known)
+    return PressSource(rest, rows, lambda k: read_image(folder / rows[k].name), known)
 
 
 def _blank_in(folder: Path) -> Path:
@@ -119,7 +119,7 @@ def taxim_pack_in(path: Path) -> Path | None:
         return None
 
 
-def taxim_source(path: Path, options: ReadOptions) -> Source:
+def taxim_source(path: Path, options: ReadOptions) -> PressSource:
     """Taxim's `dataPack.npz`: f0, imgs (BGR, as OpenCV read them), touch_center (x, y), touch_radius, names.
 
     Nothing is unpickled: a member of Python objects is refused.
@@ -144,7 +144,7 @@ def taxim_source(path: Path, options: ReadOptions) -> Source:
     names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
     rows = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
     rest = read_background(options.background) if options.background is not None else _rgb(arrays["f0"])
-    return Source(rest, rows, lambda k: _rgb(images[k]))
+    return PressSource(rest, rows, lambda k: _rgb(images[k]))
 
 
 def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:

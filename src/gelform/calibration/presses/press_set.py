@@ -147,17 +147,11 @@ class ReadOptions:
     crop: tuple[float, float, float, float] | None = None
 
     def settings(self, place: Path, known: SensorSettings | None = None) -> SensorSettings:
-        """sensor.toml beside the data, else what the data knows itself, else the profile; a given scale goes first.
-
-        Raises
-        ------
-        DataError
-            None of them tells the scale.
-        """
+        """sensor.toml beside the data, else what the data know, else the profile; a given scale goes first."""
         settings = known
-        beside = place / "sensor.toml" if place.is_dir() else place.parent / "sensor.toml"
-        if beside.is_file():
-            settings = read_sensor_toml(beside)
+        toml = place / "sensor.toml" if place.is_dir() else place.parent / "sensor.toml"
+        if toml.is_file():
+            settings = read_sensor_toml(toml)
         elif self.sensor is not None:
             profile = profile_named(self.sensor)
             settings = known or SensorSettings(
@@ -175,7 +169,7 @@ class ReadOptions:
         if settings is None:
             raise DataError(
                 f"No scale for {place}: presses of a ball alone do not tell it. Write name and mm_per_px into "
-                f"{beside}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it on two marked points, a "
+                f"{toml}, give mm_per_px= (--mm-per-px) or sensor= (--sensor), or measure it on two marked points, a "
                 "flat punch, a thread or a stage's step (gelform scale), or on a grid (gelform lens)."
             )
         return settings
@@ -198,6 +192,32 @@ class ReadOptions:
         return check_ball_diameter(self.ball_diameter_mm)
 
 
+def presses_from_settings(
+    settings: SensorSettings,
+    folder: str,
+    presses: Sequence[Press],
+    background: NDArray[np.float32],
+    view: View,
+    **more: Any,
+) -> Presses:
+    """The press set of a sensor, with other fields of `Presses` as they are given."""
+    return Presses(
+        folder=folder,
+        presses=tuple(presses),
+        background=background,
+        mm_per_px=settings.mm_per_px,
+        mm_per_px_sigma=settings.mm_per_px_sigma,
+        sensor_name=settings.name,
+        serial=settings.serial or None,
+        gel_id=settings.gel_id or None,
+        view=view,
+        response=settings.response,
+        camera=settings.camera,
+        geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
+        **more,
+    )
+
+
 @dataclass(frozen=True)
 class Listed:
     """One press as a table lists it, before its image is read; names and pixels as in `Press`."""
@@ -217,7 +237,7 @@ class ListedFlat:
 
 
 @dataclass(frozen=True)
-class Source:
+class PressSource:
     """Presses as a reader finds them.
 
     Attributes
@@ -252,18 +272,12 @@ def flat_from_frame(listed: ListedFlat, frame: NDArray[Any], view: View) -> Flat
     return FlatPress(listed.name, image, listed.height_mm, pixels_digest(image))
 
 
-MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0
-MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0
+MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # diameters: others are in another unit
+MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # of flat punches over the gel
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV with where they stand, after its columns were checked.
-
-    Raises
-    ------
-    DataError
-        A column is missing, a row has more fields than there are columns, or the file is no text.
-    """
+    """Rows of a CSV with where they stand; a DataError where columns are missing, fields too many, or it is no text."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)

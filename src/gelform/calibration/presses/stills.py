@@ -14,22 +14,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-THUMB_ROWS = 36
-MAX_THUMBS = 6000
-TOP_SHARE = 0.007
-MIN_TOUCH = 3.0
-TOUCH_OVER_NOISE = 4.0
-TOUCH_OVER_STRONGEST = 0.12
-MIN_STILL = 5
-MIN_STILL_S = 0.2
-MOVED_OVER_TOUCH = 0.08
-SAME_PLACE_PX = 2.0
-MOVED_PX = 0.6
-LIGHT_SHARE = 0.35
-MAX_STATES = 80
-MAX_NOISE = 2.0
-CHUNK = 64
-_SCALE = 64
+THUMB_ROWS = 36  # px of a thumbnail's shorter side
+MAX_THUMBS = 6000  # kept: four minutes at 25 frames a second
+MOST_CHANGED = 0.007  # of a thumbnail's pixels, those that changed most
+MIN_TOUCH = 3.0  # grey levels, of a contact
+TOUCH_OVER_NOISE = 4.0  # times the noise
+TOUCH_OVER_STRONGEST = 0.12  # of the strongest contact's change
+MIN_STILL = 5  # frames
+MIN_STILL_S = 0.2  # seconds
+MOVED_OVER_TOUCH = 0.08  # of the contact's change: more is motion
+SAME_PLACE_PX = 2.0  # px of a thumbnail
+MOVED_PX = 0.6  # px of a thumbnail: a contact that slid or rolled
+LIGHT_TOUCH = 0.35  # of the median contact's change: less is too light
+MAX_STATES = 80  # that are tried as the untouched one
+MAX_NOISE = 2.0  # grey levels of a thumbnail
+CHUNK = 64  # thumbnails compared at once, for memory's sake
+_SCALE = 64  # steps of a grey level that thumbnails keep
 
 
 class Thumbnails:
@@ -116,7 +116,7 @@ def distances(levels: NDArray[np.float32], reference: NDArray[np.float32]) -> ND
 
 def _distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float64]:
     size = _changed(a, b).reshape(len(a), -1)
-    top = max(3, int(TOP_SHARE * size.shape[1]))
+    top = max(3, int(MOST_CHANGED * size.shape[1]))
     strongest = np.partition(size, size.shape[1] - top, axis=1)[:, -top:]
     return np.asarray(strongest.mean(axis=1), dtype=np.float64)
 
@@ -185,13 +185,8 @@ def stretches(
 ) -> list[Stretch]:
     """Stretches in which the gel is touched, with the stills in them.
 
-    Parameters
-    ----------
-    levels : (n, h, w, 3) thumbnails in the order of time
-    rest : (h, w, 3) the untouched one
-    noise : see `noise_of`
-    rate_hz : thumbnails per second
-    factor : image pixels per thumbnail pixel, for the figures in the reasons
+    `levels` (n, h, w, 3) are thumbnails in the order of time, `rate_hz` a second, of `factor` image pixels; `rest`
+    (h, w, 3) is the untouched one.
     """
     touch = distances(levels, rest)
     touched = touch > touch_threshold(touch, noise)
@@ -290,7 +285,7 @@ def _stretch(
 def _without_light(found: Sequence[Stretch]) -> list[Stretch]:
     """Stretches without stills that are much lighter than the others."""
     touches = [still.touch for stretch in found for still in stretch.stills]
-    limit = LIGHT_SHARE * float(np.median(touches)) if touches else 0.0
+    limit = LIGHT_TOUCH * float(np.median(touches)) if touches else 0.0
     kept = []
     for stretch in found:
         firm = tuple(still for still in stretch.stills if still.touch >= limit)

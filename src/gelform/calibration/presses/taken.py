@@ -16,8 +16,8 @@ from gelform.errors import DataError
 from gelform.sensors.files import SensorSettings
 
 BACKGROUND, TABLE, SETTINGS, IMAGES = "background", "presses.csv", "sensor.toml", "images"
-# A press is seen where this share of the pixels differs by so many standard deviations of the background, and levels.
-LEAST_SHARE, LEAST_SIGMAS, LEAST_LEVELS = 0.002, 6.0, 4.0
+# A press shows where this fraction of the pixels differs by so many standard deviations of the background, and levels.
+LEAST_FRACTION, LEAST_SIGMAS, LEAST_LEVELS = 0.002, 6.0, 4.0
 
 
 class TakenPresses:
@@ -51,13 +51,7 @@ class TakenPresses:
             raise DataError(f"Cannot write {folder}: {problem.strerror}.") from problem
 
     def take_background(self, images: Sequence[NDArray[np.uint8]]) -> None:
-        """Keep images (H, W, 3) uint8 RGB of the untouched gel.
-
-        Raises
-        ------
-        DataError
-            They disagree: something moved (see `background_from_frames`).
-        """
+        """Keep images (H, W, 3) uint8 RGB of the untouched gel; a DataError where they disagree: something moved."""
         average = background_from_frames(images)
         self._rest, self._noise = average.background, np.asarray(average.noise)
         (self.folder / BACKGROUND).mkdir(exist_ok=True)
@@ -65,19 +59,13 @@ class TakenPresses:
             self._write(self.folder / BACKGROUND / f"{k:02d}.png", image)
 
     def take_press(self, image: NDArray[np.uint8]) -> str:
-        """Keep an image (H, W, 3) uint8 RGB of a press; its name below the folder.
-
-        Raises
-        ------
-        DataError
-            Nothing is pressed: the image is the background's.
-        """
+        """Keep an image (H, W, 3) uint8 RGB of a press; its name below the folder. A DataError where nothing is pressed."""
         if self._rest is None or self._noise is None:
             raise DataError("Expected the background before the presses.")
         apart = np.abs(image - self._rest)
         limit = np.maximum(LEAST_SIGMAS * self._noise, LEAST_LEVELS)
-        share = float((apart > limit).any(axis=-1).mean())
-        if share < LEAST_SHARE:
+        fraction = float((apart > limit).any(axis=-1).mean())
+        if fraction < LEAST_FRACTION:
             raise DataError("Nothing is pressed: the image is that of the untouched gel.")
         name = f"{IMAGES}/{self.count:04d}.png"
         self._write(self.folder / name, image)

@@ -10,8 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import trimmed_mean
-from gelform.calibration.geometry.measured import Geometry
-from gelform.calibration.presses.press_set import Listed, Presses, ReadOptions, press_from_frame
+from gelform.calibration.presses.press_set import (
+    Listed,
+    Presses,
+    ReadOptions,
+    press_from_frame,
+    presses_from_settings,
+)
 from gelform.calibration.presses.stills import (
     MIN_STILL,
     MIN_TOUCH,
@@ -32,9 +37,9 @@ from gelform.sensors.files import read_background
 from gelform.sensors.video_files import Video
 from gelform.view import View, image_from_frame
 
-BACKGROUND_FRAMES = 60
-MAX_KEPT_BYTES = 1 << 30
-DRIFT_WARN = 0.03
+BACKGROUND_FRAMES = 60  # at most, that are averaged
+MAX_KEPT_BYTES = 1 << 30  # of images of an iterator
+DRIFT_WARN = 0.03  # relative, of the untouched gel's brightness
 
 Reader = Callable[[Container[int] | None], Iterable[Frame]]
 
@@ -175,25 +180,10 @@ def _presses(
     notes = (*_notes(thumbs, found), *_drift(thumbs, rest))
     if rest_reference is not None:
         mean = rest_reference.astype(np.float32)
-    settings = view.settings
     assert mean is not None
     assert view.view is not None
-    return Presses(
-        folder=name,
-        presses=tuple(presses),
-        background=mean,
-        mm_per_px=settings.mm_per_px,
-        mm_per_px_sigma=settings.mm_per_px_sigma,
-        sensor_name=settings.name,
-        serial=settings.serial or None,
-        gel_id=settings.gel_id or None,
-        view=view.view,
-        response=settings.response,
-        camera=settings.camera,
-        geometry=Geometry.from_settings(settings.measured, settings.gel_thickness_mm),
-        background_noise=noise,
-        notes=notes,
-    )
+    more = {"background_noise": noise, "notes": notes}
+    return presses_from_settings(view.settings, name, presses, mean, view.view, **more)
 
 
 def _analysed(

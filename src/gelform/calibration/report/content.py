@@ -19,8 +19,8 @@ from gelform.calibration.report.statistics import (
     DRAWS,
     error_map,
     errors_where,
+    fraction_within_sigma,
     gain_curve,
-    share_within_sigma,
     square_error_by_direction,
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
@@ -28,9 +28,9 @@ from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 2
-ERROR_COLUMNS, PLACE_COLUMNS = 16, 4
-SUGGESTIONS = 3
-GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500
+ERROR_COLUMNS, PLACE_COLUMNS = 16, 4  # tiles along the longer side, of errors and of fractions within sigma
+SUGGESTIONS = 3  # places to press at next
+GAIN_TO_SLOPE, GAIN_PIXELS = 0.8, 500  # mm/mm and pixels: bins that count for the verdict
 FIGURES: tuple[tuple[str, Callable[..., NDArray[np.float64]]], ...] = (
     ("normal_deg", np.mean),
     ("normal_free_deg", np.mean),
@@ -100,7 +100,7 @@ def report_content(
         },
         "where": errors_where(samples, shape, ratio),
         "error_map": error_map(samples, shape, square_tiles(shape, ERROR_COLUMNS)),
-        "sigma": share_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
+        "sigma": fraction_within_sigma(inner, sigmas, shape, square_tiles(shape, PLACE_COLUMNS)),
         "learning": learning,
     }
     checks = checks_of(_checked_figures(content))
@@ -175,7 +175,7 @@ def _coverage(
         "columns": columns,
         "directions": DIRECTIONS,
         "presses": coverage.counts.reshape(-1, DIRECTIONS).tolist(),
-        "covered": coverage.share,
+        "covered": coverage.fraction,
         "next": [
             {**asdict(place), "contact_radius_px": coverage.contact_radius_px}
             for place in press_next(coverage, SUGGESTIONS, errors)
@@ -188,8 +188,8 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     rows, facts = content["presses"], content["calibration"]
     used = [row for row in rows if row["accepted"]]
     gains = [abs(b["gain"] - 1) for b in content["gain"]["contact"] if _counts(b)]
-    shares = [b["share"] for b in content["sigma"]["by_slope"]]
-    shares += [share for share in content["sigma"]["by_place"] if share is not None]
+    fractions = [b["share"] for b in content["sigma"]["by_slope"]]
+    fractions += [one for one in content["sigma"]["by_place"] if one is not None]
     sigma = facts["mm_per_px_sigma"]
     figures = {name: one["value"] for name, one in content["figures"].items()}
     return {
@@ -199,7 +199,7 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
         "ball_sizes": float(len({row["ball_diameter_mm"] for row in used})),
         "covered_percent": 100 * content["coverage"]["covered"],
         "gain_percent": 100 * max(gains) if gains else None,
-        "sigma_percent": 100 * max(abs(share - 0.68) for share in shares) if shares else None,
+        "sigma_percent": 100 * max(abs(one - 0.68) for one in fractions) if fractions else None,
         "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],
     }
 

@@ -31,11 +31,11 @@ from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS
 from gelform.progress import Progress, no_progress
 
-SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)
-DRAWS = 3
-HELD_OUT_SHARE = 0.25
-MORE = 10
-WORTH_IT = 0.03
+SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of presses that train
+DRAWS = 3  # of presses, for each size
+HELD_OUT = 0.25  # of the accepted presses
+MORE = 10  # presses, whose gain is predicted
+LEAST_HELP = 0.03  # relative gain of ten more presses: less is no help
 
 
 def learning_curve(
@@ -109,7 +109,7 @@ def parted(
 
 def held_out_count(accepted: int) -> int:
     """How many of the accepted presses a draw holds out."""
-    return max(3, round(HELD_OUT_SHARE * accepted))
+    return max(3, round(HELD_OUT * accepted))
 
 
 def sizes_for(accepted: int) -> list[int]:
@@ -234,6 +234,6 @@ def _expected(
 
 def _help(gains: Sequence[float]) -> str:
     """What more presses do, if one believes it only where leaving out any draw says the same."""
-    if min(gains) > WORTH_IT:
+    if min(gains) > LEAST_HELP:
         return "would help"
-    return "would not help much" if max(gains) <= WORTH_IT else "may help"
+    return "would not help much" if max(gains) <= LEAST_HELP else "may help"

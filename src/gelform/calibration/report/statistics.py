@@ -16,8 +16,8 @@ from gelform.metrics import angle_deg
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 MIN_PIXELS = 60  # of a bin of slopes or places
-DRAWS = 1000
-PRIOR_PIXELS = 200
+DRAWS = 1000  # of presses with replacement, for intervals
+PRIOR_PIXELS = 200  # by which a direction's error in a tile is drawn to the mean of all
 
 
 def resampled(count: int, rng: np.random.Generator, draws: int = DRAWS) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> li
     """
     sums = np.zeros((3, len(samples), len(SLOPE_EDGES) - 1))
     for k, one in enumerate(samples):
-        bins, true = one.true_slope, one.true_gradients.astype(np.float64)
+        bins, true = np.linalg.norm(one.true_gradients, axis=1), one.true_gradients.astype(np.float64)
         for row, weights in enumerate(((one.gradients * true).sum(1), (true**2).sum(1), np.ones(len(true)))):
             sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
     drawn = resampled(len(samples), rng)
@@ -89,13 +89,13 @@ def square_error_by_direction(
     return mean.reshape(*tiles, DIRECTIONS)
 
 
-def share_within_sigma(
+def fraction_within_sigma(
     samples: Sequence[HeldOutSample],
     sigmas: Sequence[NDArray[np.float32]],
     shape: tuple[int, int],
     grid: tuple[int, int],
 ) -> dict[str, Any]:
-    """Share of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
+    """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right."""
     inside = np.concatenate([np.abs(one.errors) <= sigma for one, sigma in zip(samples, sigmas)]).mean(axis=1)
     slope = np.concatenate([np.linalg.norm(one.gradients, axis=1) for one in samples])
     by_slope = []
@@ -123,26 +123,10 @@ def errors_where(
     contact_radius_ratio: float,
     grid: tuple[int, int] = COARSE,
 ) -> dict[str, Any]:
-    """Normal errors of reconstructed presses by slope and by place.
+    """Normal errors of reconstructed presses by slope and by place: `contact` up to its edge, `rim` up to the visible rim.
 
-    Over pixels, so a large contact counts for more than a small one; the figures of whole presses are means over
-    presses.
-
-    Parameters
-    ----------
-    samples : of presses that the model has not seen
-    shape : (H, W) of the images
-    contact_radius_ratio : radius of the contact's edge over that of the visible circle
-    grid : rows and columns of cells over the image
-
-    Returns
-    -------
-    where : dict
-        `contact_radius_ratio`; then `contact`, inside the contact's edge, and `rim`, up to 3 px (at 240 rows) inside the
-        visible rim, each with `normal_deg`, the mean angle to the ball's normals;
-        `by_slope`, bins of the ball's slope with `slope_from`, `slope_to`, `normal_deg`, `gain` (sum of recovered .
-        true over sum of true . true) and `pixels`; and `by_place`, with `rows`, `columns` and, cell by cell,
-        `normal_deg` and `pixels`. Bins of under 60 pixels are left out, such cells None.
+    Means over pixels, so that a large contact counts for more than a small one; the figures of whole presses are means over
+    presses. Bins of the ball's slope of under 60 pixels are left out, and such cells of the grid (rows, columns) are None.
     """
     regions = {"contact": [one.within(contact_radius_ratio) for one in samples], "rim": samples}
     parts = {name: _part(region, shape, grid) for name, region in regions.items()}
@@ -150,27 +134,27 @@ def errors_where(
 
 
 def _part(samples: Sequence[HeldOutSample], shape: tuple[int, int], grid: tuple[int, int]) -> dict[str, Any]:
-    true, seen = (
+    true, read = (
         np.concatenate([getattr(one, name) for one in samples]) for name in ("true_gradients", "gradients")
     )
     x, y = (np.concatenate([getattr(one, name) for one in samples]) for name in ("x_px", "y_px"))
-    angles = angle_deg(seen, true)
+    angles = angle_deg(read, true)
     return {
         "normal_deg": float(angles.mean()) if angles.size else None,
-        "by_slope": _by_slope(true.astype(np.float64), seen, angles),
+        "by_slope": _by_slope(true.astype(np.float64), read, angles),
         "by_place": _by_place(tile_of(x, y, shape, grid), angles, grid),
     }
 
 
 def _by_slope(
-    true: NDArray[np.float64], seen: NDArray[Any], angles: NDArray[np.float64]
+    true: NDArray[np.float64], read: NDArray[Any], angles: NDArray[np.float64]
 ) -> list[dict[str, Any]]:
     slope = np.linalg.norm(true, axis=1)
     bins = []
     for low, high in pairwise(SLOPE_EDGES):
         member = (slope >= low) & (slope < high)
         if np.count_nonzero(member) >= MIN_PIXELS:
-            gain = np.sum(seen[member] * true[member]) / np.sum(true[member] ** 2)
+            gain = np.sum(read[member] * true[member]) / np.sum(true[member] ** 2)
             bins.append(
                 {
                     "slope_from": low,

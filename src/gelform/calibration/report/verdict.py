@@ -71,12 +71,7 @@ def level_of(limit: Limit, value: float | None) -> str:
 
 
 def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
-    """Every check with its figure, its level and its limits, causes before their effects.
-
-    Parameters
-    ----------
-    figures : of each check by its name; None where it is not known
-    """
+    """Every check with its figure (None where it is not known), its level and its limits, causes before their effects."""
     return [
         {
             **asdict(limit),

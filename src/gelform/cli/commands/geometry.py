@@ -11,7 +11,7 @@ from gelform.cli.options import Background, Sensor, Shown, number, numbers
 from gelform.cli.process import mistakes_in
 
 if TYPE_CHECKING:
-    from gelform.calibration.geometry.files import Setup
+    from gelform.calibration.geometry.files import SensorSetup
     from gelform.calibration.geometry.scale import Scale
 
 
@@ -93,7 +93,7 @@ def _scale_of_points(marked: tuple[float, ...]) -> Scale:
         return scale_from_points((x1, y1), (x2, y2), mm)
 
 
-def _scale_of_images(setup: Setup, option: str, paths: list[Path], mm: float) -> Scale:
+def _scale_of_images(setup: SensorSetup, option: str, paths: list[Path], mm: float) -> Scale:
     from gelform.calibration.geometry.scale_images import (
         scale_from_punch,
         scale_from_stage,

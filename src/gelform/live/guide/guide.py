@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import background_from_frames
-from gelform.calibration.coverage import Place, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.coverage import PressPlace, coverage_from_circles, press_next, square_tiles
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.errors import GelformError
 from gelform.frames import Frame, pixels_digest
@@ -59,13 +59,13 @@ class Guide:
     ----------
     step : "background", "press", "fit", "report" or "failed"
     hint : what to do now, in words
-    target : Place to press at, or None
+    target : PressPlace to press at, or None
     """
 
     def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
         self.asked = asked
         self.step, self.hint = "background", "Touch nothing: the untouched gel is recorded."
-        self.target: Place | None = None
+        self.target: PressPlace | None = None
         self.forecast: Forecast | None = None
         self.report: dict[str, Any] | None = None
         self._changed = on_changed
@@ -228,4 +228,4 @@ class Guide:
         tiles = square_tiles(shape, TILES_LONGER)
         found = coverage_from_circles(self._circles, shape, tiles=tiles)
         seen = (found.counts > 0).sum(axis=-1)
-        return {"tiles": list(tiles), "directions": seen.ravel().tolist(), "share": found.share}
+        return {"tiles": list(tiles), "directions": seen.ravel().tolist(), "share": found.fraction}

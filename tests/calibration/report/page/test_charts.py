@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 
 from gelform.calibration.report.page.charts import (
-    WIDTH,
+    MAP_WIDTH,
     Axes,
     coverage_map,
     gain_chart,
@@ -117,7 +117,7 @@ def test_a_petal_is_empty_where_no_press_was():
 
 def test_the_next_press_is_drawn_at_its_place():
     mark = elements(coverage_map(coverage([[0] * 8] * 2), SHAPE), "circle", "next")[0]
-    scale = WIDTH / 80
+    scale = MAP_WIDTH / 80
     assert float(mark.get("cx")) == pytest.approx(60 * scale, abs=0.1)
     assert float(mark.get("cy")) == pytest.approx(15 * scale, abs=0.1)
     assert float(mark.get("r")) == pytest.approx(10 * scale, abs=0.1)

@@ -16,7 +16,9 @@ from gelform.calibration.report.page.sections import (
     history_section,
     learning_section,
     models_section,
+    section,
     sigma_section,
+    table,
     where_section,
 )
 from gelform.calibration.report.page.style import STYLE
@@ -75,12 +77,13 @@ def _saved_section(report: Any) -> str:
         f"<tr><td>{escape(name.replace('_', ' '))}</td><td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td></tr>"
         for name, saved in report.held_out_saved.items()
     )
-    return (
-        '<section id="saved"><h2>Which figure is whose</h2><p class="lead">The saved model: its kind and settings, '
+    return section(
+        "saved",
+        "Which figure is whose",
+        '<p class="lead">The saved model: its kind and settings, '
         "fitted without each press and read on it. Choice and fit: the model is chosen anew without each press too, as "
-        "above; a little worse, because a choice among models was made.</p>"
-        '<div class="scroll"><table><thead><tr><th>held-out figure</th><th>saved model</th><th>choice and fit</th></tr>'
-        f"</thead><tbody>{rows}</tbody></table></div></section>"
+        "above; a little worse, because a choice among models was made.</p>",
+        table("<th>held-out figure</th><th>saved model</th><th>choice and fit</th>", rows),
     )
 
 
@@ -99,10 +102,10 @@ def _head(content: dict[str, Any]) -> str:
     unit = [f"{label} {facts[key]}" for key, label in (("serial", "serial"), ("gel_id", "gel")) if facts[key]]
     used = sum(row["accepted"] for row in content["presses"])
     made = facts["created_utc"][:16].replace("T", " ")
-    told = [*unit, f"{used} of {len(content['presses'])} presses used", f"made {made} UTC"]
+    facts_of_run = [*unit, f"{used} of {len(content['presses'])} presses used", f"made {made} UTC"]
     return (
         f"<header><h1>Calibration of {escape(facts['sensor_name'])}</h1>"
-        f"<span>{escape(' · '.join(told))}</span></header>"
+        f"<span>{escape(' · '.join(facts_of_run))}</span></header>"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.held_out.measure import HeldOutSample
 
-WORSE = 2.0
+WORSE = 2.0  # times the median error: such presses stand out
 SHOWN = (
     ("normal_free_deg", "normals", "°", 1),
     ("cap_free_um", "cap", " µm", 0),
@@ -52,9 +52,9 @@ def _press(row: dict[str, Any], short: str, url: str, shape: Sequence[int], limi
     errors = row["errors"]
     kind = "no" if not row["accepted"] else "worse" if errors and errors["normal_free_deg"] > limit else "ok"
     name, ball = escape(short), f"{row['ball_diameter_mm']:g} mm"
-    told = f'<span class="why">{escape(row["reason"] or "")}</span>'
+    below = f'<span class="why">{escape(row["reason"] or "")}</span>'
     if errors:
-        told = f'<span class="figures">{_figure(errors, SHOWN[0])} · {_figure(errors, SHOWN[1])}</span>'
+        below = f'<span class="figures">{_figure(errors, SHOWN[0])} · {_figure(errors, SHOWN[1])}</span>'
     more = [f"{row['name']}, ball {ball}"]
     more += [f"{shown[1]} {_figure(errors, shown)}" for shown in SHOWN] if errors else []
     x, y, radius = (row[key] for key in ("center_x_px", "center_y_px", "contact_radius_px"))
@@ -62,7 +62,7 @@ def _press(row: dict[str, Any], short: str, url: str, shape: Sequence[int], limi
     return (
         f'<label class="press {kind}"><input type="checkbox" aria-label="Enlarge {name}"><span class="view" '
         f'style="--aspect:{shape[1] / shape[0]:.3f}">{_circled(url, shape, x, y, radius, name)}'
-        f'<span class="name">{name}</span>{told}<span class="more">{escape(" · ".join(more))}</span></span></label>'
+        f'<span class="name">{name}</span>{below}<span class="more">{escape(" · ".join(more))}</span></span></label>'
     )
 
 
@@ -123,11 +123,11 @@ def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> s
     )
 
 
-BUDGET_BYTES = 1_300_000
-WIDTHS_PX = (320, 240, 160, 112, 80, 56)
-QUALITY = 82
-TILE_PX = 56
-HIGH, LOW = (214, 69, 65), (40, 110, 200)
+BUDGET_BYTES = 1_300_000  # of all pictures of presses: the page stays under 3 MB
+WIDTHS_PX = (320, 240, 160, 112, 80, 56)  # of a press's picture, the first that the budget allows
+QUALITY = 82  # of JPEG, %
+TILE_PX = 56  # of a picture of depth minus cap
+HIGH, LOW = (214, 69, 65), (40, 110, 200)  # RGB of depth above and below the ball
 
 
 def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.report.page.charts import (
+    SUPPORT_OPACITY,
     coverage_map,
     gain_chart,
     learning_chart,
@@ -23,6 +24,8 @@ from gelform.calibration.report.page.charts import (
 from gelform.calibration.report.page.presses import jpeg_url
 from gelform.calibration.report.verdict import shown
 
+DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
+BACKGROUND_WIDTH_PX = 320
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
     ("radius_percent", "The ball's radius", " %", "median error of a sphere fitted to the depth"),
@@ -34,15 +37,30 @@ COLUMNS = {
     "slope_error": ("typical slope error", "mm/mm"),
 }
 ERRORS_OF = {"normal_free_deg": ("normal_free_deg_se", "standard_error_deg")}
-CHOSEN = ' class="chosen"'
 NOT_FIGURES = {"candidate", "chosen", "standard_error_deg"}
+
+
+def section(anchor: str, title: str, *parts: str) -> str:
+    """A section of the page with its title."""
+    return f'<section id="{anchor}"><h2>{title}</h2>{"".join(parts)}</section>'
+
+
+def table(head: str, rows: str, kind: str = "") -> str:
+    """A table that scrolls where it is too wide, of rows that are written."""
+    return (
+        f'<div class="scroll"><table{kind}><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    )
+
+
+def _key(*entries: str) -> str:
+    return f'<ul class="key">{"".join(f"<li>{entry}</li>" for entry in entries)}</ul>'
 
 
 def figures_section(content: dict[str, Any]) -> str:
     """The four figures with their intervals, and every check with its limits."""
     checks = {check["name"]: check for check in content["checks"]}
     cards = []
-    for name, label, unit, said in CARDS:
+    for name, label, unit, meaning in CARDS:
         one = content["figures"].get(name)
         if one is None:
             cards.append(
@@ -54,17 +72,19 @@ def figures_section(content: dict[str, Any]) -> str:
         cards.append(
             f'<div class="card">{label}<b>{digits(one["value"])}{unit}{between}</b>'
             f"{limit_bar(one['value'], interval, check['good'], check['fair'])}"
-            f'<span class="muted">{said}; {one["presses"]} presses</span></div>'
+            f'<span class="muted">{meaning}; {one["presses"]} presses</span></div>'
         )
-    rows = "".join(_check_row(check) for check in content["checks"])
-    return (
-        '<section id="figures"><h2>How good it is, on presses that it has not seen</h2>'
+    head = (
+        '<th>check, and what to do where it is not good</th><th>figure</th><th class="text">verdict</th>'
+        '<th class="limit">good</th><th class="limit">fair</th>'
+    )
+    return section(
+        "figures",
+        "How good it is, on presses that it has not seen",
         "<p class='lead'>Each press was read by a model made from other presses. Small figures: the 95 % interval "
         "over presses (drawn with replacement). No scale is fitted anywhere.</p>"
-        f'<div class="cards">{"".join(cards)}</div><h3>What was checked</h3><div class="scroll"><table><thead><tr>'
-        '<th>check, and what to do where it is not good</th><th>figure</th><th class="text">verdict</th>'
-        '<th class="limit">good</th><th class="limit">fair</th></tr></thead>'
-        f"<tbody>{rows}</tbody></table></div></section>"
+        f'<div class="cards">{"".join(cards)}</div><h3>What was checked</h3>',
+        table(head, "".join(_check_row(check) for check in content["checks"])),
     )
 
 
@@ -84,20 +104,24 @@ def coverage_section(content: dict[str, Any]) -> str:
     places = "".join(
         f"<li>{escape(place_in_words(place, facts['mm_per_px']))}</li>" for place in coverage["next"]
     )
-    return (
-        '<section id="coverage"><h2>Where presses are missing</h2>'
+    filled = (
+        f'<i style="background:var(--accent);opacity:{opacity}"></i>{count}'
+        for count, opacity in zip(("one", "two", "three or more"), SUPPORT_OPACITY[1:])
+    )
+    key = _key(
+        '<i style="background:var(--card);border:1px solid var(--line)"></i>no press',
+        *filled,
+    )
+    return section(
+        "coverage",
+        "Where presses are missing",
         f"<p class='lead'>The lights are near, so a colour means another slope at another place: every place should be "
         f"pressed from all sides. {100 * coverage['covered']:.0f} % of the places and slope directions have been seen. "
         "A petal is a slope direction; it is empty where no press has shown it, and full from three presses on. "
         "The dashed circles are where another press of the same ball would take most from the error: few presses "
         "there, and large errors on held-out ones.</p>"
-        f'<div class="two"><div>{coverage_map(coverage, facts["image_shape"])}'
-        '<ul class="key"><li><i style="background:var(--card);border:1px solid var(--line)"></i>no press</li>'
-        + "".join(
-            f'<li><i style="background:var(--accent);opacity:{opacity}"></i>{count}</li>'
-            for count, opacity in (("one", 0.3), ("two", 0.55), ("three or more", 0.85))
-        )
-        + f"</ul></div><div><h3>Press here next</h3><ol>{places}</ol></div></div></section>"
+        f'<div class="two"><div>{coverage_map(coverage, facts["image_shape"])}{key}'
+        f"</div><div><h3>Press here next</h3><ol>{places}</ol></div></div>",
     )
 
 
@@ -108,29 +132,28 @@ def models_section(content: dict[str, Any]) -> str:
     keys = [key for key in COLUMNS if key in tried] + sorted(tried - COLUMNS.keys())
     head = "".join(f"<th>{_column(key)}</th>" for key in keys)
     end = 1.1 * max(row["normal_free_deg"] for row in rows)
-    body = "".join(
-        f"<tr{CHOSEN if row['chosen'] else ''}><td>{escape(row['candidate'])}{' ← chosen' if row['chosen'] else ''}"
-        f"</td>{''.join(f'<td>{_with_error(row, key)}</td>' for key in keys)}<td>{range_bar(row, end)}</td></tr>"
-        for row in rows
-    )
-    return (
-        '<section id="models"><h2>The color models that were tried</h2>'
-        f"<p class='lead'>{_how_chosen(rows)}</p>"
-        f'<div class="scroll"><table class="tight"><thead><tr><th>model</th>{head}'
-        '<th class="text">normals, from 0°</th></tr></thead>'
-        f"<tbody>{body}</tbody></table></div></section>"
+    body = ""
+    for row in rows:
+        kind, chosen = (' class="chosen"', " ← chosen") if row["chosen"] else ("", "")
+        figures = "".join(f"<td>{_with_error(row, key)}</td>" for key in keys)
+        body += f"<tr{kind}><td>{escape(row['candidate'])}{chosen}</td>{figures}<td>{range_bar(row, end)}</td></tr>"
+    return section(
+        "models",
+        "The color models that were tried",
+        f"<p class='lead'>{_how_chosen(rows)}</p>",
+        table(f'<th>model</th>{head}<th class="text">normals, from 0°</th>', body, ' class="tight"'),
     )
 
 
 def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
-    said = (
+    dealt = (
         "The presses are dealt into folds; each model is fitted on the other folds, refined without it, and its "
         "slopes are compared with the ball's on presses that it has not seen, inside the edge of the contact. A step is a "
         "correction of the slopes by the forward response: the color that a slope gives at a place and a depth. "
     )
     if len(rows) < 2:
-        return said + "Only one was tried."
-    return said + (
+        return dealt + "Only one was tried."
+    return dealt + (
         "The smallest typical slope error (geometric mean over presses) decides among the settings of one color model; its "
         "step is chosen then, in the same way."
     )
@@ -154,142 +177,35 @@ def errors_section(content: dict[str, Any], caps: str) -> str:
     """Held-out slope errors over the frame, and depth minus the cap of every press."""
     errors = content["error_map"]
     limit = scale_of_errors(errors)
-    return (
-        '<section id="errors"><h2>Where the errors are</h2><div class="two"><div>'
-        f"{slope_error_map(errors, content['calibration']['image_shape'])}</div><div>"
+    shades = (
+        f'<i style="background:var(--poor);opacity:{0.04 + 0.9 * part:.2f}"></i>{part * limit:.2f} mm/mm'
+        for part in (0.25, 0.5, 1)
+    )
+    key = _key(*shades, f"an arrow over a whole cell: {limit / 0.9:.2f} mm/mm", "blank: no held-out press")
+    return section(
+        "errors",
+        "Where the errors are",
+        f'<div class="two"><div>{slope_error_map(errors, content["calibration"]["image_shape"])}</div><div>'
         "<p>Error of the held-out slopes by place. The shade is its RMS size; an arrow is the mean error, "
         "which more pixels do not average out: arrows that agree over a region mean that the model does not know that "
-        "region's light.</p>"
-        '<ul class="key">'
-        + "".join(
-            f'<li><i style="background:var(--poor);opacity:{0.04 + 0.9 * share:.2f}"></i>{share * limit:.2f} mm/mm</li>'
-            for share in (0.25, 0.5, 1)
-        )
-        + f"<li>an arrow over a whole cell: {limit / 0.9:.2f} mm/mm</li>"
-        f"<li>blank: no held-out press</li></ul></div></div>{caps}</section>"
+        f"region's light.</p>{key}</div></div>{caps}",
     )
-
-
-def gain_section(content: dict[str, Any]) -> str:
-    """Recovered over true slope."""
-    gain = content["gain"]
-    return (
-        '<section id="gain"><h2>Are slopes read at their full size?</h2><div class="two">'
-        f"<div>{gain_chart(gain)}{_lines_key(gain['contact_radius_ratio'])}</div>"
-        "<div><p>Recovered over true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1 slopes are read "
-        "too flat (noise pulls them to the mean, or such slopes were never pressed), above 1 too steep. Bands are 95 % "
-        "intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel has "
-        "already left the ball, so the ball is steeper than the gel: that this line falls is expected, and it is not an "
-        "error of the color model alone.</p></div></div></section>"
-    )
-
-
-def _lines_key(zone: float) -> str:
-    return (
-        '<ul class="key"><li><i style="background:var(--accent);height:3px"></i>inside the edge of the contact, '
-        f"{zone:.2f} of the visible radius"
-        '</li><li><i style="background:var(--second);height:3px"></i>up to the visible rim</li></ul>'
-    )
-
-
-def learning_section(content: dict[str, Any]) -> str:
-    """Error by number of presses, and what more would bring."""
-    learning = content["learning"]
-    if learning is None:
-        return (
-            '<section id="learning"><h2>How many presses?</h2>'
-            "<p>There is no learning curve: with so few presses none can be held out of it.</p></section>"
-        )
-    low, high = learning["expected"]["more_deg_range"]
-    points = "".join(
-        f"<tr><td>{p['presses']}</td><td>{p['mean_deg']:.2f}°</td><td>{min(p['draws_deg']):.2f} – "
-        f'{max(p["draws_deg"]):.2f}°</td><td class="text">{escape(p["model"])}</td></tr>'
-        for p in learning["points"]
-    )
-    return (
-        f'<section id="learning"><h2>How many presses?</h2><p><strong>{escape(learning["sentence"])}</strong></p>'
-        f'<div class="two"><div>{learning_chart(learning)}</div><div><p class="muted">Each time '
-        f"{learning['held_out_presses']} presses are held out and some of the others train, their circles refined by "
-        "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
-        "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
-        f"other: {low:.2f} – {high:.2f}°). “May” is said where a single draw would change the answer. The figures at "
-        "the top are of models that trained on four fifths of the presses.</p>"
-        '<div class="scroll"><table><thead><tr><th>presses</th><th>normals</th><th>draws</th><th class="text">model</th>'
-        f"</tr></thead><tbody>{points}</tbody></table></div></div></div></section>"
-    )
-
-
-def sigma_section(content: dict[str, Any]) -> str:
-    """Whether the stated uncertainty of the slopes is right."""
-    sigma, shape = content["sigma"], content["calibration"]["image_shape"]
-    return (
-        '<section id="sigma"><h2>Is the stated uncertainty right?</h2>'
-        "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
-        "60–76 % is good. Less means that the calibration promises too much there, more that it is too careful. "
-        f"Overall {100 * sigma['all']:.0f} %. Outside the edge of the contact the gel has left the ball, and nothing "
-        "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
-        "worse.</p>"
-        f'<div class="two"><div>{sigma_chart(sigma)}</div><div>{share_map(sigma, shape)}'
-        "<p class='muted'>The same by place.</p></div></div></section>"
-    )
-
-
-def history_section(content: dict[str, Any], background: NDArray[np.float32]) -> str:
-    """What this calibration is of, and its untouched image."""
-    rows = "".join(f"<dt>{escape(name)}</dt><dd>{value}</dd>" for name, value in _facts(content))
-    notes = "".join(f"<li>{escape(note)}</li>" for note in content["notes"])
-    picture = jpeg_url(np.clip(np.round(background), 0, 255).astype(np.uint8), 320)
-    return (
-        '<section id="history"><h2>What it is</h2><div class="two">'
-        f'<dl>{rows}</dl><div><img class="photo" src="{picture}" alt="the untouched gel">'
-        "<p class='muted'>The background: the untouched gel. Frames whose background looks otherwise are warned of or "
-        "refused.</p></div></div>"
-        f'<h3>Notes</h3><ul class="notes">{notes}</ul></section>'
-    )
-
-
-def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
-    """Names and values, as HTML."""
-    facts, background = content["calibration"], content["background"]
-    sigma = facts["mm_per_px_sigma"]
-    scale = f"{facts['mm_per_px']:.5g} mm per pixel" + (
-        f" ± {sigma:.2g}" if sigma is not None else "; its uncertainty is not known"
-    )
-    noise = ", ".join(f"{value:.2f}" for value in background["noise"])
-    settings = ", ".join(f"{key} {setting_in_words(value)}" for key, value in facts["settings"].items())
-    listed: list[tuple[str, Any]] = [
-        ("Sensor", facts["sensor_name"]),
-        ("Serial number", facts["serial"] or "not written down"),
-        ("Gel", facts["gel_id"] or "not written down"),
-        ("Image", f"{facts['image_shape'][0]} × {facts['image_shape'][1]} px"),
-        ("Scale", scale),
-        ("Balls", ", ".join(f"{ball:g} mm" for ball in facts["ball_diameters_mm"])),
-        ("Color model", f"{facts['color_model']} ({settings})"),
-        ("Made", f"{facts['created_utc'][:16].replace('T', ' ')} UTC, in {content['seconds']:.0f} s"),
-        ("Background noise", f"{noise} grey levels (R, G, B)"),
-        (
-            "Background clipped",
-            f"{background['saturated_percent']:.1f} % saturated, {background['dark_percent']:.1f} % dark",
-        ),
-        ("Library", f"gelform {facts['library_version']}"),
-    ]
-    told = [(name, escape(str(value))) for name, value in listed]
-    return [*told, ("Digest", f"<code>{escape(facts['digest'])}</code>")]
 
 
 def where_section(content: dict[str, Any]) -> str:
     """Normal errors inside the contact and up to the visible rim, by slope and by place, as two tables."""
     where = content["where"]
     zone = "up to the rim"
-    return (
-        '<section id="where"><h2>At which slopes and places?</h2>'
+    return section(
+        "where",
+        "At which slopes and places?",
         "<p class='lead'>Mean angle between the normals of the solved depth and the ball's, over held-out pixels: "
         f"{_deg(where['contact']['normal_deg'])} inside the edge of the contact, at {where['contact_radius_ratio']:.2f} of "
         f"the visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has "
         "left the ball: that difference is mostly not the color model's.</p>"
-        f'<div class="two"><div class="scroll">{_slope_table(where, zone)}</div>'
+        f'<div class="two">{_slope_table(where, zone)}'
         f'<div class="scroll">{_place_table(where)}<p class="muted">The image in cells, row by row: contact / '
-        f"{zone}, degrees. A dash: hardly a held-out press.</p></div></div></section>"
+        f"{zone}, degrees. A dash: hardly a held-out press.</p></div></div>",
     )
 
 
@@ -302,10 +218,8 @@ def _slope_table(where: dict[str, Any], zone: str) -> str:
             f"<tr><td>{b['slope_from']:g} – {b['slope_to']:g}</td><td>{_deg(b['normal_deg'])}</td>"
             f"<td>{_deg(part['normal_deg'] if part else None)}</td><td>{b['gain']:.2f}</td><td>{b['pixels']}</td></tr>"
         )
-    return (
-        f"<table><thead><tr><th>the ball's slope</th><th>contact</th><th>{zone}</th><th>gain, contact</th>"
-        f"<th>pixels</th></tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    )
+    head = f"<th>the ball's slope</th><th>contact</th><th>{zone}</th><th>gain, contact</th><th>pixels</th>"
+    return table(head, "".join(rows))
 
 
 def _place_table(where: dict[str, Any]) -> str:
@@ -320,7 +234,109 @@ def _deg(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}°"
 
 
-DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
+def gain_section(content: dict[str, Any]) -> str:
+    """Recovered over true slope."""
+    gain = content["gain"]
+    key = _key(
+        '<i style="background:var(--accent);height:3px"></i>inside the edge of the contact, '
+        f"{gain['contact_radius_ratio']:.2f} of the visible radius",
+        '<i style="background:var(--second);height:3px"></i>up to the visible rim',
+    )
+    return section(
+        "gain",
+        "Are slopes read at their full size?",
+        f'<div class="two"><div>{gain_chart(gain)}{key}</div>'
+        "<div><p>Recovered over true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1 slopes are read "
+        "too flat (noise pulls them to the mean, or such slopes were never pressed), above 1 too steep. Bands are 95 % "
+        "intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel has "
+        "already left the ball, so the ball is steeper than the gel: that this line falls is expected, and it is not an "
+        "error of the color model alone.</p></div></div>",
+    )
+
+
+def learning_section(content: dict[str, Any]) -> str:
+    """Error by number of presses, and what more would bring."""
+    learning, title = content["learning"], "How many presses?"
+    if learning is None:
+        return section(
+            "learning",
+            title,
+            "<p>There is no learning curve: with so few presses none can be held out of it.</p>",
+        )
+    low, high = learning["expected"]["more_deg_range"]
+    points = "".join(
+        f"<tr><td>{p['presses']}</td><td>{p['mean_deg']:.2f}°</td><td>{min(p['draws_deg']):.2f} – "
+        f'{max(p["draws_deg"]):.2f}°</td><td class="text">{escape(p["model"])}</td></tr>'
+        for p in learning["points"]
+    )
+    return section(
+        "learning",
+        title,
+        f"<p><strong>{escape(learning['sentence'])}</strong></p>"
+        f'<div class="two"><div>{learning_chart(learning)}</div><div><p class="muted">Each time '
+        f"{learning['held_out_presses']} presses are held out and some of the others train, their circles refined by "
+        "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
+        "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
+        f"other: {low:.2f} – {high:.2f}°). “May” is said where a single draw would change the answer. The figures at "
+        "the top are of models that trained on four fifths of the presses.</p>",
+        table('<th>presses</th><th>normals</th><th>draws</th><th class="text">model</th>', points),
+        "</div></div>",
+    )
+
+
+def sigma_section(content: dict[str, Any]) -> str:
+    """Whether the stated uncertainty of the slopes is right."""
+    sigma, shape = content["sigma"], content["calibration"]["image_shape"]
+    return section(
+        "sigma",
+        "Is the stated uncertainty right?",
+        "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
+        "60–76 % is good. Less means that the calibration promises too much there, more that it is too careful. "
+        f"Overall {100 * sigma['all']:.0f} %. Outside the edge of the contact the gel has left the ball, and nothing "
+        "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
+        "worse.</p>"
+        f'<div class="two"><div>{sigma_chart(sigma)}</div><div>{share_map(sigma, shape)}'
+        "<p class='muted'>The same by place.</p></div></div>",
+    )
+
+
+def history_section(content: dict[str, Any], background: NDArray[np.float32]) -> str:
+    """What this calibration is of, and its untouched image."""
+    rows = "".join(f"<dt>{escape(name)}</dt><dd>{value}</dd>" for name, value in _facts(content))
+    notes = "".join(f"<li>{escape(note)}</li>" for note in content["notes"])
+    picture = jpeg_url(np.clip(np.round(background), 0, 255).astype(np.uint8), BACKGROUND_WIDTH_PX)
+    return section(
+        "history",
+        "What it is",
+        f'<div class="two"><dl>{rows}</dl><div><img class="photo" src="{picture}" alt="the untouched gel">'
+        "<p class='muted'>The background: the untouched gel. Frames whose background looks otherwise are warned of or "
+        f'refused.</p></div></div><h3>Notes</h3><ul class="notes">{notes}</ul>',
+    )
+
+
+def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Names and values, as HTML."""
+    facts, background = content["calibration"], content["background"]
+    sigma = facts["mm_per_px_sigma"]
+    known = f" ± {sigma:.2g}" if sigma is not None else "; its uncertainty is not known"
+    noise = ", ".join(f"{value:.2f}" for value in background["noise"])
+    settings = ", ".join(f"{key} {setting_in_words(value)}" for key, value in facts["settings"].items())
+    clipped = f"{background['saturated_percent']:.1f} % saturated, {background['dark_percent']:.1f} % dark"
+    listed: list[tuple[str, Any]] = [
+        ("Sensor", facts["sensor_name"]),
+        ("Serial number", facts["serial"] or "not written down"),
+        ("Gel", facts["gel_id"] or "not written down"),
+        ("Image", f"{facts['image_shape'][0]} × {facts['image_shape'][1]} px"),
+        ("Scale", f"{facts['mm_per_px']:.5g} mm per pixel{known}"),
+        ("Balls", ", ".join(f"{ball:g} mm" for ball in facts["ball_diameters_mm"])),
+        ("Color model", f"{facts['color_model']} ({settings})"),
+        ("Made", f"{facts['created_utc'][:16].replace('T', ' ')} UTC, in {content['seconds']:.0f} s"),
+        ("Background noise", f"{noise} grey levels (R, G, B)"),
+        ("Background clipped", clipped),
+        ("Library", f"gelform {facts['library_version']}"),
+    ]
+    escaped = [(name, escape(str(value))) for name, value in listed]
+    return [*escaped, ("Digest", f"<code>{escape(facts['digest'])}</code>")]
 
 
 def digits(value: float) -> str:
