@@ -106,7 +106,7 @@ def clients(live: Live, seconds: float) -> dict[str, Any]:
         one.start()
     time.sleep(SETTLE_S)
     measured = {"first": alone, "second": others[0], "two_hz": others[1]}
-    counts, seen = {name: one.pictures for name, one in measured.items()}, len(alone.results)
+    counts, before = {name: one.pictures for name, one in measured.items()}, len(alone.results)
     memory = [live.resident_mb()]
     for _ in range(4):
         time.sleep(seconds / 4)
@@ -115,7 +115,7 @@ def clients(live: Live, seconds: float) -> dict[str, Any]:
     found = {
         "alone_hz": alone_hz,
         "shown_hz": {name: (one.pictures - counts[name]) / seconds for name, one in measured.items()},
-        "results_told_hz": (len(alone.results) - seen) / seconds,
+        "results_told_hz": (len(alone.results) - before) / seconds,
         "reconstructed_hz": station["rate_hz"],
         "reconstruction_ms": station["took_ms"],
         "age_at_client_ms": statistics.median(alone.ages_ms[-200:]),

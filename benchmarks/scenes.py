@@ -140,23 +140,23 @@ class Corrupted(NamedTuple):
     valid: NDArray[np.bool_]
 
 
-def with_outliers(gradients: Array, share: float, rng: np.random.Generator) -> Corrupted:
-    """Slopes with specks (0 to 2 px in radius) that lie until `share` of the pixels do: dust, highlights.
+def with_outliers(gradients: Array, fraction: float, rng: np.random.Generator) -> Corrupted:
+    """Slopes with specks (0 to 2 px in radius) that lie until `fraction` of the pixels do: dust, highlights.
 
     The wrong slopes scatter by 0.7 about the true ones plus (0.15, 0.1): lies that lean one way are what
     tilts depth over the whole frame.
     """
     height, width = gradients.shape[:2]
     valid = np.ones((height, width), dtype=bool)
-    while np.count_nonzero(~valid) < share * valid.size:
+    while np.count_nonzero(~valid) < fraction * valid.size:
         for _ in range(max(1, valid.size // 500)):
             _clear_disc(valid, rng.integers(0, height), rng.integers(0, width), rng.integers(0, 3))
     lies = gradients + (0.15, 0.1) + 0.7 * rng.standard_normal(gradients.shape)
     return Corrupted(np.where(valid[..., None], gradients, lies), valid)
 
 
-def with_patches(gradients: Array, share: float, rng: np.random.Generator) -> Corrupted:
-    """Slopes with discs (2 to 9 px in radius) that lie coherently until `share` of the pixels do: shadows.
+def with_patches(gradients: Array, fraction: float, rng: np.random.Generator) -> Corrupted:
+    """Slopes with discs (2 to 9 px in radius) that lie coherently until `fraction` of the pixels do: shadows.
 
     Half of the discs carry one wrong slope (scatter 0.85) throughout, a quarter lost their slopes (0), a
     quarter are independent noise. A coherent lie is nearly a surface: only its rim shows.
@@ -164,7 +164,7 @@ def with_patches(gradients: Array, share: float, rng: np.random.Generator) -> Co
     height, width = gradients.shape[:2]
     valid = np.ones((height, width), dtype=bool)
     corrupt = gradients.copy()
-    while np.count_nonzero(~valid) < share * valid.size:
+    while np.count_nonzero(~valid) < fraction * valid.size:
         disc = np.ones((height, width), dtype=bool)
         _clear_disc(disc, rng.integers(0, height), rng.integers(0, width), rng.integers(2, 10))
         kind = rng.integers(0, 4)

@@ -96,9 +96,9 @@ def gain(bench: Bench) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     for name, (calibration, test) in zip(("even -> odd", "odd -> even"), bench.halves()):
         found = [_true_and_found(bench, calibration, i) for i in test]
-        true, seen = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
+        true, recovered = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
         bins = np.digitize(np.linalg.norm(true, axis=1), SLOPES)
-        gains = {f"{b / 10:g}-": _gain(true[bins == b], seen[bins == b]) for b in np.unique(bins)}
+        gains = {f"{b / 10:g}-": _gain(true[bins == b], recovered[bins == b]) for b in np.unique(bins)}
         figures[name] = {"gain": gains, "correction": _correction(calibration)}
         print(f"\n{name}: gain by true slope " + ", ".join(f"{k} {v:.3f}" for k, v in gains.items()))
         print("  a correction changes the normal error of held-out presses by "
@@ -119,8 +119,8 @@ def _true_and_found(
     return score.true_gradients, gradients[zone]
 
 
-def _gain(true: np.ndarray, seen: np.ndarray) -> float:
-    return float((true * seen).sum() / (true * true).sum())
+def _gain(true: np.ndarray, recovered: np.ndarray) -> float:
+    return float((true * recovered).sum() / (true * true).sum())
 
 
 def _correction(calibration: gelform.Calibration) -> dict[str, float]:
@@ -133,13 +133,13 @@ def _correction(calibration: gelform.Calibration) -> dict[str, float]:
             for j, s in enumerate(samples)
             if j % 5 != k % 5
         ]
-        true, seen = (
+        true, recovered = (
             np.concatenate([getattr(s, a) for s in others]) for a in ("true_gradients", "gradients")
         )
         size = np.linalg.norm(true, axis=1)
         edges = np.quantile(size, np.linspace(0, 1, 9))
         bins = np.clip(np.digitize(size, edges[1:-1]), 0, 7)
-        gains = np.array([_gain(true[bins == b], seen[bins == b]) for b in range(8)])
+        gains = np.array([_gain(true[bins == b], recovered[bins == b]) for b in range(8)])
         measured = np.maximum.accumulate(gains * np.array([size[bins == b].mean() for b in range(8)]))
         factor = np.interp(np.linalg.norm(sample.gradients, axis=1), measured, 1 / gains)[:, None]
         errors = [

@@ -174,9 +174,9 @@ def lossy(folder: Path, rounds: int) -> dict[str, Any]:
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
             file.mux(stream.encode())
         with av.open(str(path)) as file:
-            seen = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+            decoded = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
         errors = []
-        for image, truth in zip(seen, exact, strict=True):
+        for image, truth in zip(decoded, exact, strict=True):
             difference = reconstruct.from_image(image).depth_mm - truth.depth_mm
             errors.append(1e3 * np.sqrt(np.mean(difference[truth.contact] ** 2)))
         label = f"{codec} {pixels} {' '.join(f'{name} {value}' for name, value in options.items())}"

@@ -116,12 +116,12 @@ def printed(
     return replace(calibration, background=background), np.rint(image * left[..., None]).astype(np.uint8)
 
 
-def corrupted(image: Image, rng: np.random.Generator, share: float) -> tuple[Image, NDArray[np.bool_]]:
-    """An image of which a share of the pixels is spoilt by saturated, dark, shadowed, mirroring and dirty spots."""
+def corrupted(image: Image, rng: np.random.Generator, fraction: float) -> tuple[Image, NDArray[np.bool_]]:
+    """An image of which a fraction of the pixels is spoilt by saturated, dark, shadowed, mirroring and dirty spots."""
     changed = image
     while True:
         fault = rng.choice(["saturated", "dark", "shadow", "specular", "off_gamut"])
         changed = FAULTS[str(fault)](changed, rng)
         spoilt = np.abs(changed.astype(int) - image).max(axis=-1) > 8
-        if spoilt.mean() >= share:
+        if spoilt.mean() >= fraction:
             return changed, spoilt

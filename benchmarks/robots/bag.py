@@ -76,23 +76,23 @@ def read_back(pairs: list[tuple[Frame, Reconstruction]]) -> dict[str, Any]:
     """Values of a bag that mcap-ros2-support decodes differently from those that were written; 0 is right."""
     from mcap_ros2.reader import read_ros2_messages
 
-    different, compared, seen = 0, 0, dict.fromkeys(("image_raw", "indentation", "points"), 0)
+    different, compared, counts = 0, 0, dict.fromkeys(("image_raw", "indentation", "points"), 0)
     with tempfile.TemporaryDirectory() as folder:
         with BagFile(Path(folder) / "bag", "gel") as bag:
             for frame, result in pairs:
                 bag.write(frame, result, frame.wall_time_ns)
         for message in read_ros2_messages(str(Path(folder) / "bag" / "bag.mcap")):
             name = message.channel.topic.rpartition("/")[2]
-            if name not in seen:
+            if name not in counts:
                 continue
-            frame, result = pairs[seen[name]]
+            frame, result = pairs[counts[name]]
             wanted = _wanted(name, frame, result)
             got = np.frombuffer(bytes(message.ros_msg.data), wanted.dtype)
             same = (got == wanted) | (np.isnan(got) & np.isnan(wanted))
             different += int(np.count_nonzero(~same)) + (message.log_time_ns != frame.wall_time_ns)
             compared += got.size
-            seen[name] += 1
-    assert set(seen.values()) == {len(pairs)}, seen
+            counts[name] += 1
+    assert set(counts.values()) == {len(pairs)}, counts
     return {"values": compared, "different": different}
 
 

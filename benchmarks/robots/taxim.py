@@ -79,9 +79,9 @@ def _errors(
     forward = image_from_color_change(
         calibration.color_from_gradients(slopes), calibration.background, calibration.change
     )
-    seen = image[inside].astype(float)
+    real = image[inside].astype(float)
     return tuple(
-        float(np.abs(shown[inside] - seen).mean()) for shown in (taxim_image(table, sphere), forward)
+        float(np.abs(shown[inside] - real).mean()) for shown in (taxim_image(table, sphere), forward)
     )  # type: ignore[return-value]
 
 

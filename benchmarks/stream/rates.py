@@ -27,7 +27,7 @@ def live(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
             if time.monotonic() - start > seconds:
                 break
         stats, spent = stream.stats, time.monotonic() - start
-        share = (time.process_time() - busy) / spent
+        busy_cores = (time.process_time() - busy) / spent
     return {
         "asked": {"rate_hz": RATE_HZ, "latency_ms": 15},
         "rate_hz": (stats.results - before.results) / spent,
@@ -35,7 +35,7 @@ def live(calibration: gelform.Calibration, seconds: float) -> dict[str, Any]:
         "latency_ms": stats.latency_ms,
         "at_the_loop_ms": {f"{q:g}": float(np.quantile(ages_ms, q)) for q in (0.5, 0.9, 0.99, 1)},
         "stage_ms": stats.stage_ms,
-        "busy_cores_of_2": share,
+        "busy_cores_of_2": busy_cores,
         "load_average": os.getloadavg()[0],
     }
 

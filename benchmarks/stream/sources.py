@@ -58,23 +58,23 @@ def restarts(calibration: gelform.Calibration, count: int, settled_s: float = SE
         film = Path(folder) / "gel.mjpeg"
         _film_of_gel(film, calibration.image_shape, SMALL_HZ, quality=95)
         with _camera(film, SMALL_HZ) as camera, gelform.stream(camera.url, calibration) as stream:
-            seen = stream.newest(timeout_s=20)
+            newest = stream.newest(timeout_s=20)
             time.sleep(settled_s)
             memory_mb.append(resident_mb())
             for k in range(count):
-                assert seen is not None
+                assert newest is not None
                 camera.kill()
                 time.sleep(OFF_S[k % len(OFF_S)])
                 said += stream.stats.state == "reconnecting"
                 last = stream.newest(timeout_s=0)
                 assert last is not None
                 returned = camera.start()
-                seen = stream.newest(last.index, timeout_s=20)
+                newest = stream.newest(last.index, timeout_s=20)
                 back_s.append(time.monotonic() - returned)
                 time.sleep(0.5)
                 gc.collect()
                 memory_mb.append(resident_mb())
-            known = float(np.mean(seen.result.known))
+            known = float(np.mean(newest.result.known))
     return {
         "asked": {"back_s": 0.4},
         "restarts": count,
@@ -112,13 +112,13 @@ def _reconstructed(film: Path, calibration: gelform.Calibration, seconds: float)
         before, busy, started = stream.stats, time.process_time(), time.monotonic()
         time.sleep(seconds)
         after, wall = stream.stats, time.monotonic() - started
-        seen = stream.newest(timeout_s=20)
-        assert seen is not None
+        newest = stream.newest(timeout_s=20)
+        assert newest is not None
         return {
             "rate_hz": (after.results - before.results) / wall,
             "busy_share_of_a_core": (time.process_time() - busy) / wall,
             "latency_ms": after.latency_ms,
-            "known_share_of_the_last_result": float(np.mean(seen.result.known)),
+            "known_share_of_the_last_result": float(np.mean(newest.result.known)),
         }
 
 

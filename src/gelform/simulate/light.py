@@ -21,7 +21,7 @@ _irradiance = Kernel(
     "f64[w] x, f64[h] y, f64[h,w] z, f64[h,w,2] gradients, f32[h,w,2]? texture, f32[lights,10] leds, "
     "f32[lights,rows,columns]? visible, out f32[rows,columns,3] out, f32 specular, i32 doublings, i32 oversample",
 )
-SHARPEST = 1e-4  # of a sample: the penumbra of a light without size
+SHARPEST = 1e-4  # samples: the penumbra of a light without size
 
 _visible_lights = Kernel(
     "visible_lights",
@@ -140,9 +140,9 @@ def visible_from_surface(surface: Surface, leds: tuple[Led, ...]) -> NDArray[np.
     table = np.array([(*led.position_mm, led.size_mm) for led in leds], dtype=np.float64)
     table[:, 0] = (table[:, 0] - surface.x_mm[0, 0]) / pitch
     table[:, 1] = (table[:, 1] - surface.y_mm[0, 0]) / pitch
-    seen = np.ones((len(leds), *depth.shape), dtype=np.float32)
-    hidden = _visible_lights(depth, table, _reach(table, depth.shape, top), seen, top, SHARPEST * pitch)
-    return seen if hidden else None
+    visible = np.ones((len(leds), *depth.shape), dtype=np.float32)
+    hidden = _visible_lights(depth, table, _reach(table, depth.shape, top), visible, top, SHARPEST * pitch)
+    return visible if hidden else None
 
 
 def shadowed_from_surface(

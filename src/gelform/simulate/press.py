@@ -20,7 +20,7 @@ from gelform.simulate.gel.gel import (
 from gelform.simulate.indenters.faces import Ball, Indenter
 from gelform.simulate.indenters.pose import Pose, Posed
 from gelform.simulate.render import Rendered, render
-from gelform.simulate.sensor.camera import px_seen
+from gelform.simulate.sensor.camera import px_from_mm
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
 
@@ -40,7 +40,7 @@ class SimulatedPress(Rendered):
     press_depth_mm : float
         How far its foremost point stood in the gel.
     contact_radius_px : float or None
-        Of the circle in which gel and ball touch; None for other indenters.
+        Radius of the circle in which gel and ball touch; None for other indenters.
     albedo : (H, W) float32, reflectance with dust and markers; 1 is the clean coating
     shadowed : (H, W) bool, where at least half of some light is lost to the surface
     saturated : (H, W) bool, where some channel is cut at 0 or 255
@@ -67,7 +67,7 @@ class SimulatedPress(Rendered):
 
     @property
     def ball_diameter_mm(self) -> float:
-        """Of the ball that was pressed; an error for anything else."""
+        """Diameter of the ball that was pressed; an error for anything else."""
         if not isinstance(self.indenter, Ball):
             raise ValueError(f"Expected the press of a ball, got one of a {type(self.indenter).__name__}.")
         return 2 * self.indenter.radius_mm
@@ -95,11 +95,11 @@ def simulate_press(
     depth_mm : float
         How far the indenter's foremost point stands in the gel.
     center_mm : (x, y)
-        Of the indenter, from the gel's centre, x to the right, y down.
+        Place of the indenter, from the gel's centre, x to the right, y down.
     rng : Generator or None
         For the noise; None makes none.
     spin_deg, tilt_deg : float, (about x, about y)
-        Of the indenter; see `Posed`.
+        Turn of the indenter; see `Posed`.
     oversample : odd int
     quantise : bool
         False: float64 levels, neither rounded nor cut at 0 and 255.
@@ -161,7 +161,7 @@ def simulate_pose(
         time_s=time_s,
     )
     radius_mm, rim_mm = _rim(sensor, indenter, pose.depth_mm)
-    center = px_seen(sensor, np.array([pose.center_mm]), rim_mm)[0]
+    center = px_from_mm(sensor, np.array([pose.center_mm]), rim_mm)[0]
     return SimulatedPress(
         **vars(rendered),
         indenter=indenter,

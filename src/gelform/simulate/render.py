@@ -21,7 +21,7 @@ from gelform.simulate.sensor.camera import (
     image_from_levels,
     levels_from_irradiance,
     maps_from_depth,
-    px_seen,
+    px_from_mm,
     saturated_from_levels,
 )
 from gelform.simulate.sensor.coating import albedo_map, texture_gradients, with_markers
@@ -92,7 +92,7 @@ def render(
         albedo=albedo,
         shadowed=shadowed,
         saturated=saturated_from_levels(levels),
-        markers_px=px_seen(sensor, markers),
+        markers_px=px_from_mm(sensor, markers),
     )
 
 

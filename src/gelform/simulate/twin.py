@@ -20,9 +20,7 @@ from gelform.simulate.sensor.camera import draws, normal_table, saturated_from_l
 from gelform.simulate.sensor.sensor import Led, SimulatedSensor
 from gelform.simulate.sets import SimulatedPresses, simulate_ball_presses
 
-STEEPEST_RENDERED = (
-    1.2  # slope: calibrations are fitted up to about 1, and a cubic response says nothing beyond
-)
+STEEPEST_RENDERED = 1.2  # slope; calibrations are fitted up to about 1, beyond that a cubic says nothing
 GEL = Gel(thickness_mm=3.5, bulge=0.5)  # a GelSight Mini's, found on ball presses
 RELAXATION_MM = 0.5  # of that gel, from the same presses
 

@@ -11,7 +11,7 @@ from gelform.simulate.sensor.camera import (
     draws,
     maps_from_depth,
     normal_table,
-    px_seen,
+    px_from_mm,
     saturated_from_levels,
 )
 from kernel_agreement import assert_kernel_agrees
@@ -69,10 +69,10 @@ def test_a_pinhole_sees_what_is_pressed_larger():
 def test_distortion_moves_points_as_its_formula_says(k1):
     sensor = replace(PLAIN, optics=Optics(distortion=(k1, 0.02)))
     maps = maps_from_depth(sensor, np.zeros(PLAIN.shape))
-    corner = px_seen(sensor, [(2.0, -1.5)])[0]
+    corner = px_from_mm(sensor, [(2.0, -1.5)])[0]
     j, i = np.round(corner).astype(int)
     looked_at = np.array([maps[0][i, j], maps[1][i, j]])
-    straight = px_seen(PLAIN, [(2.0, -1.5)])[0]
+    straight = px_from_mm(PLAIN, [(2.0, -1.5)])[0]
     assert np.linalg.norm(corner - straight) > 0.5
     np.testing.assert_allclose(looked_at - straight, [j, i] - corner, atol=0.2)
 

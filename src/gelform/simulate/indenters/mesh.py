@@ -12,8 +12,8 @@ from gelform._native import Kernel
 from gelform.checks import check_finite
 from gelform.simulate.indenters.faces import MAX_SIZE_MM
 
-MAX_TRIANGLES = 5_000_000
-MIN_SIZE_MM = 0.01
+MAX_TRIANGLES = 5_000_000  # of a mesh: a guard against files that were meant for something else
+MIN_SIZE_MM = 0.01  # of a mesh: below, its unit is mistaken
 
 _rasterise = Kernel(
     "rasterise",

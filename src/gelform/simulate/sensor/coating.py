@@ -31,7 +31,7 @@ class Coating:
     specular : float, >= 0
         Strength of the gloss relative to the diffuse light (Blinn-Phong).
     shininess : int, 1-1024, a power of two
-        Of the gloss: larger is sharper.
+        Exponent of the gloss: larger is sharper.
     scattering : float, 0-1, scattering_mm : float
         This part of the light spreads in the gel before it is seen, over this length (standard deviation).
     interreflection : float, 0-1, interreflection_mm : float
@@ -44,11 +44,11 @@ class Coating:
     marker_pitch_mm, marker_radius_mm : float
         Dark dots on a grid; 0 pitch: none.
     marker_missing, marker_broken, marker_jitter : float, 0-1
-        Share of dots that are not there; of those that lost a piece; how far dots stand from the grid, of the pitch.
+        Fractions of dots that are missing and that lost a piece; how far dots stand from the grid, in pitches.
     albedo : (h, w) or None
         Reflectance 0-1 over the image, stretched to its size.
     seed : int
-        Of this gel's own roughness, scratches and dust: another gel, another seed.
+        What this gel's own roughness, scratches and dust are drawn from: another gel, another seed.
     """
 
     specular: float = 0.0

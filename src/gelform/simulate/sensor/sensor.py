@@ -118,7 +118,7 @@ class Optics:
     Attributes
     ----------
     height_mm : float or None
-        Of a pinhole over the gel: pressed surface is nearer and looks larger. None: orthographic.
+        Height of a pinhole over the gel: pressed surface is nearer and looks larger. None: orthographic.
     distortion : (k1, k2)
         Radial, Brown's model: a point at distance r from the middle appears at r (1 + k1 r^2 + k2 r^4), r in
         units of half the image's diagonal; k1 < 0 is a barrel.
@@ -127,7 +127,7 @@ class Optics:
     exposure : float
         Times the light; noise follows, as its signal does.
     jpeg_quality : int 1-100, or None
-        Of the camera's compression; None: none.
+        Quality of the camera's compression; None: none.
     """
 
     height_mm: float | None = None
@@ -171,7 +171,7 @@ class Timing:
     drift : (red, green, blue), drift_time_s : float
         The light moves by this part of itself in the end, exponentially with this time (warming up).
     drop_probability : float, 0-1
-        Of each frame to be lost; its index is skipped.
+        Probability of each frame to be lost; its index is skipped.
     """
 
     frame_rate_hz: float = 25.0
