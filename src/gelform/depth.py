@@ -177,10 +177,7 @@ def integrate_unchecked(
 ) -> Integration:
     """`integrate` of one frame that a Reconstructor made: its values were checked where they came in.
 
-    Parameters
-    ----------
-    gradients : (H, W, 2), C order, that `check_slopes` lets pass
-    weights, anchor : (H, W), C order, finite, >= 0
+    The gradients are in C order and pass `check_slopes`; weights and anchor (H, W) are in C order, finite and >= 0.
     """
     request = _Request(
         gradients=gradients,

@@ -20,18 +20,9 @@ _medians_where = Kernel(
 def medians_where(
     values: NDArray[np.float32], chosen: NDArray[np.bool_] | None = None, step: int = 1
 ) -> tuple[NDArray[np.float32], int]:
-    """Median of each channel of a map, over the chosen pixels of every `step`-th row and column.
+    """Median (C,) of each channel of a map (H, W, C) over chosen pixels of every `step`-th row and column; how many.
 
-    Parameters
-    ----------
-    values : (H, W, C) float32, C order, without NaN
-    chosen : (H, W), all pixels by default
-    step : >= 1
-
-    Returns
-    -------
-    medians : (C,) float32, the mean of the two middle values where their number is even; 0 where none is chosen
-    count : over how many pixels
+    The map is float32, in C order and without NaN. All pixels are chosen by default; where none is, medians are 0.
     """
     height, width, channels = values.shape
     medians = np.empty(channels, dtype=np.float32)

@@ -18,18 +18,11 @@ def box_centres(
 ) -> tuple[NDArray[Any], slice, int]:
     """Where image pixels lie along one axis of a frame, in boxes of whole frame pixels.
 
-    Parameters
-    ----------
-    start, length : of the part of the frame that the image shows, frame px
-    available : size of the frame, px
-    count : of image pixels
-    flipped : whether the first image pixel is at the part's end
-
-    Returns
-    -------
-    centres : (count,) of the image pixels, in boxes from the cut's first frame pixel on
-    cut : slice of the frame's pixels that are needed
-    box : int, frame pixels in a box: the integer part of the reduction, at least 1
+    Of `count` image pixels that show a part of a frame of `available` px; flipped, the first of them is at the part's
+    end.
+    Gives their centres in boxes, the cut of the frame that is needed, and the frame pixels in a box, the integer part of
+    the
+    reduction.
     """
     scale = length / count
     box = max(1, int(scale + 0.5))

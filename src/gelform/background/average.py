@@ -129,18 +129,9 @@ def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
 
 
 def trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Mean of frames of the untouched gel without each pixel's fifth highest and lowest values, and their noise.
+    """Mean of untouched frames without each pixel's fifth highest and lowest values, and their noise (3,), grey levels.
 
     No frame is left out: for frames that are known to be untouched.
-
-    Parameters
-    ----------
-    images : (H, W, 3) each, of one size
-
-    Returns
-    -------
-    background : (H, W, 3) float32
-    noise : (3,) float64, standard deviation of a pixel in one frame, grey levels
     """
     if len(images) == 1:
         return images[0].astype(np.float32), noise_from_image(images[0])

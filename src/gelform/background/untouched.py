@@ -48,12 +48,9 @@ def reference_from_color_change(
 ) -> Reference:
     """What the untouched pixels of a frame have in common, from a lattice of some 5000 pixels.
 
-    Parameters
-    ----------
-    color_change : (H, W, 3)
-    gradients : (H, W, 2), as the color model reads them
-    threshold : color changes smaller than this mean: not touched
-    hidden : (H, W), pixels that markers hide: never untouched
+    Of a color change (H, W, 3) and the slopes (H, W, 2) that a color model read; changes smaller than the threshold mean
+    not
+    touched, and pixels that markers hide (H, W) are never untouched.
     """
     common = medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
     height, width = gradients.shape[:2]

@@ -124,11 +124,9 @@ class ForwardResponse:
     ) -> list[ForwardResponse]:
         """One response for each ridge, by penalised Huber regression of the color change.
 
-        Parameters
-        ----------
-        samples : with `depth_px`, the depth of the frame that the color model reads there
-        ridges : > 0, of a coefficient that is the same everywhere, relative to the samples' weight
-        step_sigma : of the response
+        The samples need `depth_px`, of the frame that the color model reads; a ridge is that of a coefficient that is the
+        same
+        everywhere, relative to the samples' weight.
         """
         assert samples.depth_px is not None
         regression = VaryingRegression.of(
@@ -212,14 +210,11 @@ class PreparedStep:
         depth_px: NDArray[np.float32],
         clipped: NDArray[np.uint8] | None = None,
     ) -> Step:
-        """The step at every pixel.
+        """The step of a frame, from the gradients (H, W, 2) that a color model read of a color change (H, W, 3).
 
-        Parameters
-        ----------
-        color_change : (H, W, 3)
-        gradients : (H, W, 2), as the color model read them
-        depth_px : (rows, columns) over the same frame, px, coarser
-        clipped : (H, W, 3), not 0 where a channel says nothing: there the other two take two steps, with a prior of 0.3
+        The depth (rows, columns), px, is coarser. Where a channel is `clipped` (H, W, 3) it says nothing: there the other
+        two take
+        two steps, with a prior of 0.3.
         """
         stepped = np.empty_like(gradients)
         variance, residual = (np.empty(gradients.shape[:2], np.float32) for _ in range(2))
@@ -259,12 +254,8 @@ def older_response(
 ) -> ForwardResponse:
     """The response without a step: it renders, says what a fault is, and reads no slopes.
 
-    Parameters
-    ----------
-    arrays : `coefficients` (terms, 3), of the slopes and, behind them, of normal and depth; `noise` (3,)
-    settings : `position_degrees`, and `held_out_noise`, the RMS of the channels' noise on held-out presses, if known
-    shape : (H, W)
-    mm_per_px : of the calibration; depths were in mm
+    Of `coefficients` (terms, 3) of the slopes and, behind them, of normal and depth in mm, `noise` (3,), and the settings
+    `position_degrees` and, where it is known, `held_out_noise`, the RMS of the channels' noise on held-out presses.
     """
     coefficients, degrees = np.asarray(arrays["coefficients"]), tuple(settings["position_degrees"])
     noise = np.maximum(np.asarray(arrays["noise"], dtype=np.float64), 1e-6)

@@ -25,13 +25,7 @@ CG_TOLERANCE = 1e-3  # of the residual over the right side
 
 
 def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...]) -> scipy.sparse.csr_matrix:
-    """Matrix (N, nodes) of multilinear weights; beyond the grid the nearest face counts.
-
-    Parameters
-    ----------
-    coordinates : per axis the positions (N,) of the samples, in nodes
-    sizes : number of nodes per axis
-    """
+    """Multilinear weights (N, nodes) at positions (N,) along each axis, in nodes; beyond the grid those of its face."""
     count = len(coordinates[0])
     low, part = [], []
     for at, size in zip(coordinates, sizes):
@@ -55,11 +49,8 @@ def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...
 class Lattice:
     """Least squares on the nodes of a grid over (y, x, R, G, B), of slopes that are 0 at no change of colour.
 
-    Parameters
-    ----------
-    sizes : number of nodes per axis
-    zero : the node of no change on the three color axes
-    smoothness : weight of the squared second differences, relative to the samples
+    `zero` is the node of no change on the color axes, `smoothness` the weight of second differences relative to the
+    samples.
     """
 
     def __init__(self, sizes: tuple[int, ...], zero: tuple[int, ...], smoothness: float) -> None:
@@ -75,14 +66,7 @@ class Lattice:
     def fitted(
         self, corners: scipy.sparse.csr_matrix, target: NDArray[np.float64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Slopes (nodes, 2) by conjugate gradients, reweighted by Huber's loss.
-
-        Parameters
-        ----------
-        corners : from `corner_weights`
-        target : (N, 2), the samples' slopes
-        weight : (N,), >= 0
-        """
+        """Slopes (nodes, 2) of samples (N, 2) at `corner_weights`, by conjugate gradients, reweighted by Huber's loss."""
         slopes, current = np.zeros((corners.shape[1], 2)), weight
         scale = self.smoothness * float(weight.sum()) / len(self.free)
         part = corners[:, self.free]

@@ -71,16 +71,7 @@ def light_ratio(
     mixture: NDArray[np.float64],
     falloff: float,
 ) -> NDArray[np.float64]:
-    """Light of each channel over that at rest, (N, 3); a light behind the surface gives nothing.
-
-    Parameters
-    ----------
-    normals : (N, 3)
-    x, y : (N,)
-    positions : (3, 3) of the lights
-    mixture : (3, 3), row: channel, column: light
-    falloff : exponent of the distance
-    """
+    """Light of each channel over that at rest, (N, 3), of normals (N, 3); a light behind the surface gives nothing."""
     light = Toward.of(x, y, positions, falloff).light
     lit = np.maximum(np.einsum("nlk,nk->nl", light, normals), 0)
     ratio: NDArray[np.float64] = lit @ mixture.T / (light[..., 2] @ mixture.T)

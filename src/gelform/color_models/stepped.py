@@ -24,13 +24,7 @@ def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, f
 
 
 class FrameDepth:
-    """Least-squares depth of frames of one shape; immutable, shared by threads.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    untouched : color changes up to it say untouched gel, where depth is 0
-    """
+    """Least-squares depth of frames; immutable. Color changes up to `untouched` say untouched gel, where depth is 0."""
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
         self._square = np.float32(untouched**2)
@@ -45,11 +39,9 @@ class FrameDepth:
     ) -> NDArray[np.float32]:
         """Depth (rows, columns) on the coarser grid, px: 0 in the median of the untouched samples, and nowhere less.
 
-        Parameters
-        ----------
-        color_change : (H, W, 3)
-        gradients : (H, W, 2), as a color model reads them
-        hidden : (H, W), pixels that show no gel: the slopes around are carried on across them
+        Of a color change (H, W, 3) and the gradients (H, W, 2) that a color model reads; across hidden pixels (H, W) the
+        slopes
+        around are carried on.
         """
         change, slopes = self._made_coarse(color_change), self._made_coarse(gradients)
         if hidden is not None and hidden.any():
@@ -90,11 +82,7 @@ class FrameDepth:
 class SteppedSlopes:
     """Steps of the frames of one calibration; immutable, shared by threads.
 
-    Parameters
-    ----------
-    forward : None, or one without `step_sigma`: slopes stay as they were read
-    shape : (H, W)
-    untouched : color changes up to it say untouched gel
+    None is taken without a response or its `step_sigma`: slopes stay as they were read.
     """
 
     def __init__(self, forward: ForwardResponse | None, shape: tuple[int, int], untouched: float) -> None:
@@ -113,14 +101,9 @@ class SteppedSlopes:
         hidden: NDArray[np.bool_] | None = None,
         clipped: NDArray[np.uint8] | None = None,
     ) -> Step | None:
-        """The step of a frame; None where none is taken.
+        """The step of a frame, from the gradients (H, W, 2) as the color model read them; None where none is taken.
 
-        Parameters
-        ----------
-        color_change : (H, W, 3)
-        gradients : (H, W, 2), as the color model read them
-        hidden : (H, W) bool, pixels that show no gel
-        clipped : (H, W, 3), channels that say nothing
+        Pixels that show no gel are `hidden` (H, W), channels that say nothing are `clipped` (H, W, 3).
         """
         if self._step is None:
             return None

@@ -166,14 +166,9 @@ class PreparedCauses:
     ) -> dict[str, NDArray[np.float32]]:
         """What each cause of `CAUSES` adds (H, W), in squares, to the sigma of slopes, mm/mm.
 
-        Parameters
-        ----------
-        maps : from the call
-        sigma : (H, W), before it was raised
-        image : (H, W, 3), 0-255, the raw image
-        clipped : (H, W, 3), channels that say nothing
-        markers, lost : (H, W) bool, pixels that markers hide, and parts that were lost
-        color_change : (H, W, 3), which says what kind outliers are
+        Of the maps from the call, the sigma (H, W) before it was raised and the raw image; of channels that say nothing,
+        pixels
+        that markers hide, parts that were lost, and the color change (H, W, 3), which says what kind outliers are.
         """
         nothing, unseen = np.zeros(sigma.shape, np.float32), np.float32(UNSEEN * self._clean)
         found = {name: maps.get(name, nothing) for name in CAUSES}
@@ -247,12 +242,8 @@ def added_levels(pixels: NDArray[np.uint8], rest: NDArray[np.uint8], usual_level
 
     Blocks of 8x8 pixels that were rounded apart from each other jump where they meet: such columns come every 8 pixels,
     at a place that depends on the crop. Their jumps' excess over the other columns' is twice the blocks' variance.
-
-    Parameters
-    ----------
-    pixels, rest : (H, W, 3), the image and the untouched one
-    usual_levels : standard deviation of a pixel of the calibrated images against the untouched one; more than that
-        is counted, and nothing where it is infinite
+    Nothing
+    counts where the usual deviation of a pixel from the untouched image is infinite.
     """
     width = pixels.shape[1]
     if (width - 1) // JPEG_BLOCK_PX < LEAST_BLOCKS:

@@ -45,22 +45,12 @@ class PreparedSigma:
         hidden: NDArray[np.bool_] | None = None,
         variance: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        """Which pixels are untouched, and standard deviation of the slopes.
+        """Which pixels (H, W) are untouched, and standard deviation (H, W) of the slopes, alike for both components.
 
-        Untouched pixels have the deviation of rest.
-
-        Parameters
-        ----------
-        color_change : (H, W, 3)
-        gradients : (H, W, 2); the reference's bias is subtracted from them, in place
-        reference : what untouched pixels have in common
-        hidden : (H, W), pixels that markers hide: not untouched
-        variance : (H, W), of each slope by the step of the forward response; None where none is taken: 1
-
-        Returns
-        -------
-        untouched : (H, W) bool
-        sigma : (H, W) float32, alike for both components
+        Untouched pixels have the deviation of rest. The reference's bias is subtracted from the gradients (H, W, 2), in
+        place;
+        hidden pixels are not untouched; `variance` (H, W) is that of the step of the forward response, 1 where none is
+        taken.
 
         Raises
         ------
@@ -107,19 +97,10 @@ def with_model_sigma(
     model_sigma: NDArray[np.float32] | None,
     clean: float,
 ) -> tuple[NDArray[np.float32] | None, NDArray[np.float32]]:
-    """Standard deviation of both components and confidence, where the color model states a deviation of its own.
+    """Standard deviation (H, W, 2) and confidence (H, W), where the color model states a deviation (H, W, 2) of its own.
 
-    Parameters
-    ----------
-    sigma : (H, W), the calibration's, alike for both components; None where nobody knows
-    confidence : (H, W)
-    model_sigma : (H, W, 2), the color model's; None where it states none
-    clean : deviation up to which confidence is 1
-
-    Returns
-    -------
-    gradients_sigma : (H, W, 2), the larger of both; None where there is neither
-    confidence : (H, W), the smaller of both
+    Of two deviations the larger counts, of two confidences the smaller; `clean` is the deviation up to which confidence
+    is 1.
     """
     both = None if sigma is None else for_both(sigma)
     if model_sigma is None:

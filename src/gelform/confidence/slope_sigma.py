@@ -238,13 +238,9 @@ def place_factors(
 ) -> NDArray[np.float64]:
     """Factors of `PLACES`, each drawn towards that of the whole frame where few presses touched the place.
 
-    Parameters
-    ----------
-    held_out : errors with their places and presses
-    ratio, size_of : (N, 2), errors over those predicted, and the factor that so many of them (M, 2) tell
-    prior : presses that count for the whole frame
-    among : (N,), errors that count
-    whole : factor of the whole frame
+    `ratio` (N, 2) are errors over those predicted, `size_of` gives the factor that some of them tell; `prior` presses
+    count for
+    the whole frame.
     """
     rows, columns = PLACES
     row = np.clip((held_out.y * rows).astype(int), 0, rows - 1)

@@ -76,12 +76,7 @@ def fading_within_blocks(aspect: float, block: int) -> tuple[float, float, float
     """How `variance_within_blocks` gets less where an anchor holds: coefficients of a ratio of polynomials.
 
     Anchor over weight, x, adds to every eigenvalue: what a grid of blocks misses is then nearly
-    `(1 + c0 x)/(1 + c1 x + c2 x^2 + c3 x^3)` of what it misses without.
-
-    Returns
-    -------
-    c0, c1, c2, c3 : float
-        Good to 2 % for x from 0 to 100.
+    `(1 + c0 x)/(1 + c1 x + c2 x^2 + c3 x^3)` of what it misses without, good to 2 % for x from 0 to 100.
     """
     x = np.concatenate([[0], np.logspace(-4, 2, 30)])
     left = _missed(aspect, block, x)

@@ -118,15 +118,11 @@ class ProbeSolver:
         problem: Problem,
         median: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Depths (H, W, N) to some percent, each up to a constant without an anchor.
+        """Depths (H, W, N) to some percent, up to a constant without an anchor; the problem's slopes do not count.
 
-        Parameters
-        ----------
-        white, common : (H, W, 2), mm/mm
-            Standard deviation of the slopes: of errors that are white, and of correlated ones.
-        problem : couplings and anchor; its slopes count for nothing
-        median : (H, W, 2), optional
-            How much each slope counts in the median that is subtracted from all.
+        The slopes' standard deviations (H, W, 2) are of errors that are white, and of correlated ones; `median` (H, W, 2)
+        says how
+        much each slope counts in the median that is subtracted from all.
         """
         bias = np.zeros((2, self._white.shape[-1]), dtype=np.float32)
         if median is not None:

@@ -214,11 +214,9 @@ class DepthSigma:
     ) -> NDArray[np.float32]:
         """The same of a frame that a Reconstructor made: its values were checked where they came in.
 
-        Parameters
-        ----------
-        gradients_sigma : (H, W, 1 or 2), as `checked_sigma` gives it
-        weights, anchor, rest : (H, W), C order; without NaN
-        zero : (H, W); needed without an anchor
+        `gradients_sigma` (H, W, 1 or 2) is as `checked_sigma` gives it, the maps (H, W) are in C order; without an anchor
+        `zero` is
+        needed.
         """
         weight = constant_map(self.shape, 1.0) if weights is None else weights
         return self._of_pixels(gradients_sigma, weight, None, anchor, zero, rest)

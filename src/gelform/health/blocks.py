@@ -100,13 +100,7 @@ class Levels:
     def __call__(
         self, blocks: Blocks, torn: NDArray[np.bool_] | None = None
     ) -> tuple[tuple[Finding, ...], NDArray[np.bool_] | None]:
-        """Findings `dark` and `saturated`, and the blocks (h, w) concerned; None where there are none.
-
-        Parameters
-        ----------
-        blocks : of the frame
-        torn : (h, w) blocks that are counted elsewhere
-        """
+        """Findings `dark` and `saturated`, and the blocks (h, w) concerned but for torn ones; None: there are none."""
         dark = blocks.means < self.dark_to
         saturated = blocks.means >= self.saturated_from
         if not (dark.any() or saturated.any()):
@@ -142,13 +136,7 @@ APART_ROWS = 3  # between equal rows: video that halves the colour's rows makes 
 
 
 class Torn:
-    """Finds parts of frames that are no picture; prepared once for an untouched image.
-
-    Parameters
-    ----------
-    background : (H, W, 3), 0-255, the untouched image
-    rest : its blocks
-    """
+    """Finds parts of frames that are no picture; prepared once for an untouched image and its blocks."""
 
     def __init__(self, background: NDArray[Any], rest: Blocks) -> None:
         self._background = background

@@ -259,14 +259,7 @@ LEAST = 0.35  # of the typical dot's response
 
 
 class CandidateFinder:
-    """Prepared for dots of one size and darkness.
-
-    Parameters
-    ----------
-    logs : (H, W) float32, logarithm of the untouched image
-    centers_px : (N, 2) its dots
-    radius_px : of a dot
-    """
+    """Where a dot could be: darker than what is around, by a dot's size. Prepared for one gel."""
 
     def __init__(self, logs: NDArray[np.float32], centers_px: NDArray[Any], radius_px: float) -> None:
         self._inner, self._outer = (max(1, round(share * radius_px)) | 1 for share in (INNER, OUTER))

@@ -25,16 +25,7 @@ MOST_ASTRAY = 0.45  # of the spacing: further from its neighbours' motion, a dot
 
 
 class Neighbours:
-    """The neighbours of dots at rest.
-
-    Parameters
-    ----------
-    rest_px : (N, 2)
-
-    Attributes
-    ----------
-    spacing_px : median distance to the nearest dot
-    """
+    """A dot's neighbours: the gel's surface moves smoothly, so a dot moves nearly as they do."""
 
     def __init__(self, rest_px: NDArray[Any]) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)

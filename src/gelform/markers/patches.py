@@ -152,13 +152,7 @@ LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), t
 
 
 class StretchedPatches:
-    """Prepared for the dots of one gel.
-
-    Parameters
-    ----------
-    logs : (H, W) float32, of the untouched image: `logs_from_image`
-    patches : of its dots
-    """
+    """The dots of one gel, sought with an affine map; `logs` (H, W) are those of the untouched image."""
 
     def __init__(self, logs: NDArray[np.float32], patches: Patches) -> None:
         self._logs, self._patches = logs, patches

@@ -61,22 +61,12 @@ def _trusted(weights: NDArray[Any], mask: NDArray[np.bool_] | None) -> NDArray[n
 def confidence_from_curl(
     gradients: NDArray[Any], mm_per_px: tuple[float, float], trusted: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float32]:
-    """1 where slopes can be those of a surface, 0 where they cannot.
+    """1 where slopes (H, W, 2) can be those of a surface, 0 where they cannot, (H, W) float32.
 
     Around the four loops of edges that meet at a pixel, a surface's slopes add up to 0, but for what the
     pixels make of a contact's rim. What is usual comes from the median over the frame, so up to half of it
-    may be outliers. Patches of outliers that agree among themselves are found by their rims.
-
-    Parameters
-    ----------
-    gradients : (H, W, 2), mm/mm
-    mm_per_px : (x, y), mm
-    trusted : (H, W) bool, optional
-        Pixels whose slopes are trusted: the others say nothing about their neighbours.
-
-    Returns
-    -------
-    confidence : (H, W) float32, 0 or 1
+    may be outliers. Patches of outliers that agree among themselves are found by their rims. Pixels that are not trusted
+    (H, W) say nothing about their neighbours.
     """
     g = np.ascontiguousarray(gradients, dtype=np.float32)
     height, width = g.shape[:2]
@@ -154,14 +144,8 @@ def patches_from_jumps(
 ) -> Patches | None:
     """Judge the regions of a frame; None where nothing jumps.
 
-    Parameters
-    ----------
-    circulation : (H-1, W-1)
-        Sum of the edge slopes around each loop of four pixels.
-    jumps : (H, W-1) and (H-1, W)
-        Squares of the differences of slope between neighbours.
-    usual : float
-        Standard deviation of circulation that noise makes.
+    By the circulation (H-1, W-1) around each loop of four pixels, its usual standard deviation, and the squares of the
+    differences of slope between neighbours, (H, W-1) and (H-1, W).
     """
     across, down = jumps
     limit = np.float32(max(JUMP * usual, LEAST_JUMP) ** 2)

@@ -83,21 +83,9 @@ class Grid:
         start: NDArray[np.float32] | None = None,
         whole: float = 0.0,
     ) -> tuple[NDArray[np.float32], int, float]:
-        """Depth for the loaded right side, added to a start that left it.
+        """Depth (H, W) for the loaded right side, added to a start that left it; iterations; estimated largest error.
 
-        Parameters
-        ----------
-        tolerance, max_iterations : when to stop
-        start : (H, W), optional
-        whole : float
-            What errors are a share of; 0: the range of the first answer.
-
-        Returns
-        -------
-        depth : (H, W) float32
-        iterations : int
-        error : float
-            Estimated largest error, as a share.
+        The error is a fraction of `whole`; 0 stands for the range of the first answer.
 
         Raises
         ------

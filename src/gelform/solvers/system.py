@@ -28,16 +28,9 @@ _residual_squares = Kernel(
 
 
 def edges_from_gradients(gradients: NDArray[Any], *, order: int = 2) -> Pair:
-    """Edge slopes, mm/mm: the mean of the two pixels (order 2, trapezoid) or the four-pixel rule (order 4).
+    """Edge slopes (..., H, W-1) and (..., H-1, W) of gradients, mm/mm.
 
-    Parameters
-    ----------
-    gradients : (..., H, W, 2)
-
-    Returns
-    -------
-    ex : (..., H, W-1)
-    ey : (..., H-1, W)
+    The mean of the two pixels (order 2, trapezoid) or the four-pixel rule (order 4).
     """
     rule = _trapezoid if order == 2 else _four_pixels
     edge_y = rule(np.swapaxes(gradients[..., 1], -1, -2))

@@ -22,10 +22,7 @@ from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medi
 class FrameDepth(nn.Module):
     """Least-squares depth of frames on a grid that is four times coarser, 0 in the median of untouched gel.
 
-    Parameters
-    ----------
-    shape : (H, W)
-    untouched : color changes up to it say untouched gel, where depth is 0
+    Color changes up to `untouched` say untouched gel.
     """
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
@@ -64,13 +61,7 @@ ROUNDING = 1e-6  # what float32 leaves of a determinant, over the product of its
 
 
 class ForwardStep(nn.Module):
-    """Gradients (N, 2, H, W) after one step from those that a color model read.
-
-    Parameters
-    ----------
-    forward : with a `step_sigma`
-    untouched : color changes up to it say untouched gel
-    """
+    """Gradients (N, 2, H, W) after one step from those that a color model read; the response has a `step_sigma`."""
 
     def __init__(self, forward: ForwardResponse, untouched: float) -> None:
         super().__init__()

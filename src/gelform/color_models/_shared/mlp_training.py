@@ -30,14 +30,9 @@ def train(
 ) -> Layers:
     """Layers whose answer to (change, place) minus that to (0, place) is the gradient, in Huber's loss.
 
-    AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019), one thread, all randomness from `seed`.
-
-    Parameters
-    ----------
-    change : (N, 3), about 1 in size
-    place : (N, 2), -1 to 1
-    gradients : (N, 2), mm/mm
-    weight : (N,), >= 0
+    AdamW with a cosine schedule (Loshchilov and Hutter, ICLR 2019), one thread, all randomness from `seed`. Of N samples:
+    a
+    color change (N, 3) about 1 in size, a place (N, 2) of -1 to 1, gradients (N, 2) and weights (N,) >= 0.
     """
     torch = _torch()
     if not hidden or steps < 1 or len(change) < 2:
