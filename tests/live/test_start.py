@@ -23,24 +23,18 @@ def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
         hub.close()
 
 
-def test_calibrations_are_for_all_sources_or_one_for_each(tmp_path, calibration):
-    with pytest.raises(DataError, match="one for each of the 3"):
-        start(Options(["simulated"] * 3, [tmp_path / "a.npz", tmp_path / "b.npz"]))
-
-
-def test_a_calibration_that_cannot_be_read_is_said_at_once(tmp_path):
-    with pytest.raises(CalibrationError, match=r"missing\.npz"):
-        start(Options(calibrations=[tmp_path / "missing.npz"]))
-
-
-def test_an_unknown_simulated_sensor_gets_the_nearest_one_suggested():
-    with pytest.raises(ValueError, match="three-edges"):
-        start(Options(["simulated:three-edge"]))
-
-
-def test_a_file_that_is_not_there_is_said_at_once(tmp_path):
-    with pytest.raises(DataError, match=r"none\.mp4"):
-        start(Options([str(tmp_path / "none.mp4")]))
+@pytest.mark.parametrize(
+    ("sources", "calibrations", "error", "said"),
+    [
+        (["simulated"] * 3, ["a.npz", "b.npz"], DataError, "one for each of the 3"),
+        (["simulated"], ["missing.npz"], CalibrationError, r"missing\.npz"),
+        (["simulated:three-edge"], [], ValueError, "three-edges"),
+        (["nowhere/none.mp4"], [], DataError, r"none\.mp4"),
+    ],
+)
+def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said):
+    with pytest.raises(error, match=said):
+        start(Options(sources, [tmp_path / name for name in calibrations]))
 
 
 def test_a_camera_that_is_not_there_is_said_and_waited_for():

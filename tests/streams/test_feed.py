@@ -20,17 +20,7 @@ def test_a_recording_gives_every_frame_in_order(at_rest):
     assert feed.reason
 
 
-def test_a_live_source_gives_frames_newer_than_the_last(at_rest):
-    feed = feed_from_source(lambda: ImageSource(at_rest))
-    assert not feed.every
-    first = feed.next(-1)
-    assert feed.next(first.index).index > first.index
-    assert feed.state == "running"
-    feed.close()
-    assert feed.state == "ended"
-
-
-def test_a_live_source_is_opened_once(at_rest):
+def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_rest):
     """A camera cannot be opened twice."""
     opened = []
 
@@ -39,10 +29,13 @@ def test_a_live_source_is_opened_once(at_rest):
         return opened[-1]
 
     feed = feed_from_source(open_it)
-    assert feed.next(-1) is not None
+    assert not feed.every
+    first = feed.next(-1)
+    assert feed.next(first.index).index > first.index
+    assert feed.state == "running"
     feed.close()
-    assert len(opened) == 1
-    assert opened[0].closed
+    assert feed.state == "ended"
+    assert [one.closed for one in opened] == [True]
 
 
 def test_a_folder_is_read_from_its_first_image(at_rest, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from threading import Event, Thread
 
@@ -267,12 +266,3 @@ def test_a_recording_teaches_the_same_each_time(reconstruct, at_rest):
     np.testing.assert_array_equal(depth, again)
     np.testing.assert_array_equal(background, background_again)
     assert np.abs(background - reconstruct.background).max() > 1  # it learned
-
-
-def test_the_helper_ends_with_the_pipeline(reconstruct, at_rest):
-    pipeline = Pipeline(feed_from_source(ImageSource(at_rest)), Memory(reconstruct))
-    pipeline.start()
-    pipeline.results.newest(timeout_s=60)
-    assert any(thread.name.startswith("gelform sigma") for thread in threading.enumerate())
-    pipeline.close()
-    assert not any(thread.name.startswith("gelform") for thread in threading.enumerate())

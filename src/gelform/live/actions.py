@@ -20,7 +20,7 @@ from gelform.live.lists import Origin
 from gelform.live.player import Player, ReplayedFrame
 from gelform.live.recorder import Recorder, named_by_time
 from gelform.live.recorder import share as share_file
-from gelform.live.setup import Setup
+from gelform.live.setup import BACKGROUND_FRAMES, Setup
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.progress import Progress
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from gelform.live.guide.guide import Asked
     from gelform.live.guide.session import GuideSession
 
-BACKGROUND_FRAMES, ZERO_FRAMES = 15, 8  # that are averaged
+ZERO_FRAMES = 8  # that are averaged
 
 
 def take_background(hub: Hub, station: int) -> None:

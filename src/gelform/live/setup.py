@@ -17,6 +17,8 @@ from gelform.reconstruction import Reconstruction
 from gelform.streams.memory import Memory, of_frame, result_from_image
 from gelform.view import View, image_from_frame
 
+BACKGROUND_FRAMES = 15  # of the untouched gel that are averaged
+
 
 @dataclass(frozen=True)
 class Setup:

@@ -19,7 +19,7 @@ from gelform.live.hub import Hub
 from gelform.live.shown import Shown
 
 HOST = "127.0.0.1"
-RERUN_PORT, FOXGLOVE_PORT = 9876, 8767
+RERUN_PORT, FOXGLOVE_PORT = 9876, 8767  # Rerun's own; one that nothing else is known for
 PER_METRE = 1000.0  # depth is mm
 BACKLOG = 16  # messages that wait for a slow client; the oldest are dropped (1024 would be 300 MB)
 

@@ -21,9 +21,7 @@ from gelform.streams.smooth_light import FIT_ROUNDS, tukey_weights
 FROZEN = "frozen"
 FROZEN_S, FROZEN_FRAMES = 0.25, 3  # videos repeat a frame now and then; noise makes no two images alike
 ROWS_APART = 16  # of a first look whether images are equal
-BRIGHTER = (
-    0.08  # logarithm of the gain of all channels: calibrated slopes stay good, but something has changed
-)
+BRIGHTER = 0.08  # logarithm of all channels' gain: slopes stay good, but something has changed
 COLORED = 0.03  # of one channel against the others
 OUTSIDE_LEVELS = 3.0  # grey levels that were added to all channels alike
 LEAST_PIXELS = 2_000  # without contact, for light from outside to be looked for

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-DEGREE = 3
+DEGREE = 3  # of the polynomial
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x and y
 FIT_ROUNDS = 3  # of reweighting
 TUKEY_SIGMAS = 4.0  # deviations of noise from which on a value no longer counts (Tukey's biweight)

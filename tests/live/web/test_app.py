@@ -44,9 +44,9 @@ def test_files_come_with_their_type_and_the_headers(serving):
         assert client.get("/js/main.js").headers["content-type"].startswith("text/javascript")
 
 
-@pytest.mark.parametrize(
-    ("headers", "status"),
-    [
+def test_other_pages_and_names_are_refused(serving):
+    url = serving().url + "/"
+    for headers, status in (
         (OWN["same"], 200),
         (OWN["link"], 200),
         ({"host": "evil.example"}, 421),
@@ -55,14 +55,11 @@ def test_files_come_with_their_type_and_the_headers(serving):
         ({"origin": "null"}, 403),
         ({"sec-fetch-site": "cross-site"}, 403),
         ({"sec-fetch-site": "same-site", "sec-fetch-mode": "no-cors"}, 403),
-    ],
-)
-def test_other_pages_and_names_are_refused(serving, headers, status):
-    answer = httpx.get(serving().url + "/", headers=headers)
-    assert answer.status_code == status
-    assert answer.headers["x-content-type-options"] == "nosniff"
-    if status != 200:
-        assert b"gelform" not in answer.content
+    ):
+        answer = httpx.get(url, headers=headers)
+        assert answer.status_code == status, headers
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert status == 200 or b"gelform" not in answer.content
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -114,10 +111,10 @@ def test_a_large_body_is_refused_and_the_server_lives(serving):
     assert httpx.get(running.url + "/").status_code == 200
 
 
-@pytest.mark.parametrize("sent", TORN)
-def test_torn_and_oversized_requests_leave_the_server_alive(one_server, sent):
-    raw(one_server, sent)
-    assert httpx.get(one_server.url + "/").status_code == 200
+def test_torn_and_oversized_requests_leave_the_server_alive(one_server):
+    for sent in TORN:
+        raw(one_server, sent)
+        assert httpx.get(one_server.url + "/").status_code == 200, sent[:40]
 
 
 def test_a_snapshot_is_fetched_under_the_servers_own_name(serving, hub):
@@ -147,17 +144,7 @@ def test_recordings_are_fetched_by_their_place_in_the_list_alone(serving, hub, t
         assert answer.headers[name.decode()] == value.decode()
     assert httpx.get(f"{open_url}/recordings/1", headers={"origin": "http://evil.example"}).status_code == 403
     file.unlink()
-    for path in (
-        "0",
-        "1",
-        "2",
-        "-1",
-        "1e9",
-        "99999999999999999999",
-        "session.mcap",
-        "..%2fsecret.txt",
-        "1/../1",
-    ):
+    for path in ("0", "1", "2", "-1", "1e9", "9" * 20, "session.mcap", "..%2fsecret.txt", "1/../1"):
         gone = httpx.get(f"{open_url}/recordings/{path}")
         assert gone.status_code == 404, path
         assert str(tmp_path) not in gone.text

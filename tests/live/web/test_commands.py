@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gelform.errors import GelformError
 from gelform.live.hub import Hub
 from gelform.live.web.commands import COMMANDS, MAX_BYTES, MessageError, done, parsed
 
@@ -36,8 +37,6 @@ def test_whatever_is_no_message_is_refused_as_one(message):
 )
 def test_fields_are_checked_before_anything_happens(name, fields):
     """The hub has no station: what passes the checks can only be told so."""
-    from gelform.errors import GelformError
-
     with pytest.raises(GelformError):
         done(Hub(), {"do": name, **fields})
 

@@ -17,14 +17,14 @@ from gelform.calibration.presses.press_set import Press, Presses
 from gelform.errors import GelformError
 from gelform.frames import Frame, pixels_digest
 from gelform.live.guide.judge import Circle, Forecast, Judge, Look
+from gelform.live.setup import BACKGROUND_FRAMES
 from gelform.view import View, image_from_frame
 
-WANTED = 12
-LEAST = 5
-BACKGROUND_FRAMES = 15
-LOOK_EVERY_S = 0.08
-STILL_LOOKS = 3
-TILES_LONGER = 6
+WANTED, LEAST = 12, 5  # presses: enough to begin with, and for a fit at all
+LOOK_EVERY_S = 0.08  # at a frame: a look takes some 10 ms
+STILL_LOOKS = 3  # in a row, for a press to count
+TILES_LONGER = 6  # tiles of the coverage along the longer side
+FIRST_RADIUS = 0.55  # of the target over the ball's radius, before the first press
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class Guide:
     def _radius(self) -> float:
         if self._circles:
             return float(np.median([radius for _, _, radius in self._circles]))
-        return 0.55 * self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
+        return FIRST_RADIUS * self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
 
     def _coverage(self) -> dict[str, Any] | None:
         """Which of eight slope directions each tile has shown, and the share of all."""
@@ -227,5 +227,5 @@ class Guide:
         shape = self._shape()
         tiles = square_tiles(shape, TILES_LONGER)
         found = coverage_from_circles(self._circles, shape, tiles=tiles)
-        seen = (found.counts > 0).sum(axis=-1)
-        return {"tiles": list(tiles), "directions": seen.ravel().tolist(), "share": found.fraction}
+        directions = (found.counts > 0).sum(axis=-1)
+        return {"tiles": list(tiles), "directions": directions.ravel().tolist(), "share": found.fraction}

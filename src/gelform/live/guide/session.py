@@ -24,11 +24,10 @@ from gelform.live.station import Station
 from gelform.npz_files import written_file
 from gelform.progress import Progress
 
-DEPTH_RATIO = 0.9  # of the simulated presses: depth over radius x share^2 (a cap: 0.5)
-RIM_SHARES = (0.45, 0.6, 0.52)  # of the simulated presses in turn: contact radius over ball radius
-GAP_S = 0.5
+DEPTH_RATIO = 0.9  # of the simulated presses: depth over radius x fraction^2 (a cap: 0.5)
+RIM_FRACTIONS = (0.45, 0.6, 0.52)  # of the simulated presses in turn: contact radius over ball radius
+GAP_S = 0.5  # between simulated presses
 HELD_S = 20.0  # a simulated press: lifted once it is accepted, on a slow machine after many a look
-REPORT_SEED = 0
 
 
 class GuideSession:
@@ -75,7 +74,7 @@ class GuideSession:
         try:
             presses = guide.presses()
             calibration = calibrate(presses, progress=progress)
-            content = report_content(presses, calibration, rng=np.random.default_rng(REPORT_SEED))
+            content = report_content(presses, calibration, rng=np.random.default_rng(0))
             self.name = self._written(presses, calibration, content)
         except GelformError as problem:
             guide.step, guide.hint = before, f"The fit did not succeed. {problem}"
@@ -103,8 +102,8 @@ class GuideSession:
             return
         self._pressed_s = now
         radius = guide.asked.ball_diameter_mm / 2
-        share = RIM_SHARES[guide.count % len(RIM_SHARES)]
-        depth = DEPTH_RATIO * radius * share**2 + 0.05
+        fraction = RIM_FRACTIONS[guide.count % len(RIM_FRACTIONS)]
+        depth = DEPTH_RATIO * radius * fraction**2 + 0.05
         self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)
 
     def _forecast(self) -> None:

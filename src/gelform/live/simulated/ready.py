@@ -20,7 +20,7 @@ from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
 
-BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11
+BALLS_MM, COUNT, SEED = (4.0, 6.0), 16, 11  # of the presses: diameters, how many of each, their places
 SHIPPED = f"{DEFAULT_SENSOR}.npz"  # made by `benchmarks/live.py --calibration`
 COLOR_MODEL = "polynomial"  # half the time that choosing takes; 0.2 degrees worse than the best here
 

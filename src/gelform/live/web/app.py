@@ -19,9 +19,9 @@ from gelform.live.hub import Hub
 from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
 
-MAX_CLIENTS = 16
-MAX_BODY = 1024
-TICK_S = 0.25
+MAX_CLIENTS = 16  # pages that are open at once
+MAX_BODY = 1024  # bytes of a request: a token has 43
+TICK_S = 0.25  # between looks whether there is news where no frames come
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",

@@ -23,12 +23,12 @@ from gelform.live.web.commands import MessageError, done, parsed, station
 from gelform.live.web.wire import ENCODINGS, message
 
 MAX_CREDIT = 4  # for each station
-SURFACE = ("depth",)
-MAX_REPLIES = 32
-STATE_EVERY_S = 0.25
-MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0
-MAX_NUMBERS = 240
-POLICY, TOO_MANY = 1008, 1013
+SURFACE = ("depth",)  # planes of stations of which no more is shown
+MAX_REPLIES = 32  # that wait for a client
+STATE_EVERY_S = 0.25  # how often a client hears how things are
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # of a client: a page that draws 60 times a second sends 70
+MAX_NUMBERS = 240  # rows of a frame for the curves
+POLICY, TOO_MANY = 1008, 1013  # codes of a close: RFC 6455, 7.4.1
 
 
 @dataclass

@@ -12,8 +12,7 @@ from gelform.errors import GelformError
 from gelform.live import actions
 from gelform.live.hub import Hub
 
-MAX_BYTES = 16 * 1024
-MAX_TEXT = 200
+MAX_BYTES, MAX_TEXT = 16 * 1024, 200  # of a message, and letters of a name
 
 
 class MessageError(GelformError):

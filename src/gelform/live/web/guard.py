@@ -15,7 +15,7 @@ from typing import Any
 
 from starlette.responses import PlainTextResponse
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names of this machine
 OPEN_PATHS = ("/session",)  # the page's files are open too: there is nothing secret in them
 HEADERS = {
     b"content-security-policy": b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "

@@ -12,9 +12,9 @@ from typing import Any
 from gelform.errors import GelformError
 from gelform.live.hub import Hub
 
-PORT, PORTS_TRIED = 8765, 20
-MAX_MESSAGE = 64 * 1024
-MAX_CONNECTIONS = 128
+PORT, PORTS_TRIED = 8765, 20  # the first one, and how many are tried
+MAX_MESSAGE = 64 * 1024  # bytes, of a page
+MAX_CONNECTIONS = 128  # 16 pages with their files
 ALL_ADDRESSES = ("0.0.0.0", "::")
 
 

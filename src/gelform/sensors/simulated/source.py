@@ -29,9 +29,7 @@ from gelform.simulate import (
 from gelform.simulate.sensor.camera import image_from_levels
 
 RATE_HZ = 60.0  # frames a second
-IMAGE_RATE_HZ = (
-    30.0  # images of the programme shown in a second: a frame shows the latest one with its own noise
-)
+IMAGE_RATE_HZ = 30.0  # images of the programme that are shown in a second
 REST_IMAGES = 12  # of the untouched gel before each object
 BALL = Ball(2.5)
 ROLL = 0.3  # fraction of the image's width and height: how far the ball rolls from the middle
