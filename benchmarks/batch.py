@@ -27,9 +27,8 @@ from batch.rates import DIFFERENT, SETTINGS, make_input, rate, rates
 from batch.stages import stages_of_a_frame
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
-from gelform.batch.records import PartRecord, write_record
+from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.run import BatchSummary, _not_done
-from gelform.batch.table import COLUMNS
 from report import recorded, write
 
 

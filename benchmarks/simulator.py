@@ -24,7 +24,7 @@ import numpy as np
 from scipy.fft import dctn, idctn
 
 import gelform
-from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
+from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 from gelform.gradients import gradients_from_normals
 from gelform.importers.tables import TaximLook, read_taxim_forward
 from gelform.normals import normals_from_image

@@ -1,5 +1,9 @@
 """Every error of gelform's own can be caught by one name, and none passes for a wrong argument."""
 
+import json
+
+import pytest
+
 from gelform import errors
 
 
@@ -9,3 +13,9 @@ def test_one_base():
     assert all(issubclass(one, errors.GelformError) for one in own)
     assert not any(issubclass(one, ValueError | TypeError | OSError) for one in own)
     assert all(one.__doc__ for one in own)
+
+
+def test_a_package_that_is_not_installed_names_its_extra():
+    assert errors.needed("json", "none", "JSON") is json
+    with pytest.raises(errors.DataError, match=r'Cubes needs the extra cube: pip install "gelform\[cube\]"'):
+        errors.needed("gelform_cubes", "cube", "Cubes")

@@ -23,8 +23,7 @@ from gelform.batch import BatchSettings
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import Part, plan_of
 from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
-from gelform.batch.outputs.maps import facts_of
-from gelform.batch.outputs.places import Place
+from gelform.batch.outputs.files import PartTarget, facts_of
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.work import Job, Worker
 
@@ -84,8 +83,8 @@ def by_stage(worker: Worker, part: Part, of: Callable[[str], AbstractContextMana
     """What `Worker.do` does of a frame, in its order."""
     job, frames, reconstruct = worker.job, frames_of_part(part), worker._prepared(part)
     facts = {"mm_per_px": job.calibration.mm_per_px, "calibration_digest": job.calibration.digest}
-    place = Place(job.output, part, job.settings, job.calibration.image_shape, facts)
-    with WRITERS[job.settings.form](place) as writer:
+    place = PartTarget(job.output, part, job.settings, job.calibration.image_shape, facts)
+    with WRITERS[job.settings.form].writer(place) as writer:
         for _ in part.images:
             with of("read"):
                 named = next(frames)

@@ -1,5 +1,8 @@
 """What gelform raises beside ValueError and TypeError."""
 
+from importlib import import_module
+from typing import Any
+
 
 class GelformError(Exception):
     """Base of every error that is gelform's own; the command line shows it as one line."""
@@ -27,3 +30,17 @@ class StaleError(SensorError):
 
 class DataError(GelformError):
     """A file or folder is missing, unreadable, incomplete, altered or already there."""
+
+
+def needed(module: str, extra: str, what: str) -> Any:
+    """Import a module of an extra where it is used; `what` needs it, such as "HDF5".
+
+    Raises
+    ------
+    DataError
+        It is not installed; the message says how to.
+    """
+    try:
+        return import_module(module)
+    except ImportError as missing:
+        raise DataError(f'{what} needs the extra {extra}: pip install "gelform[{extra}]".') from missing

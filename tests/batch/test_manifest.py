@@ -1,10 +1,11 @@
 """A manifest: the same goes on, anything else is refused by name, a damaged one says what to do."""
 
 import dataclasses
+from contextlib import nullcontext
 
 import pytest
 
-from gelform.batch.manifest import Manifest, begin, read_manifest
+from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 
@@ -53,18 +54,32 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
     assert (tmp_path / "thesis.tex").exists()
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
+def test_a_manifest_that_cannot_be_read_says_what_to_do(output):
+    for content, said in (
         ("", "is damaged. Give another output folder, or begin anew with --overwrite"),
         ('{"format": "gelform batch", "format_ver', "is damaged"),
         ("[]", "is damaged"),
         ('{"format": "gelform batch", "format_version": 1}', "is damaged"),
         ('{"format": "a web app", "format_version": 1}', "is no manifest of a batch"),
         ('{"format": "gelform batch", "format_version": 9, "gelform_version": "7"}', "of gelform 7. Install"),
-    ],
-)
-def test_a_manifest_that_cannot_be_read_says_what_to_do(output, content, said):
-    (output / "manifest.json").write_text(content)
-    with pytest.raises(DataError, match=said):
-        begin(output, THERE, overwrite=False)
+    ):
+        (output / "manifest.json").write_text(content)
+        with pytest.raises(DataError, match=said):
+            begin(output, THERE, overwrite=False)
+
+
+def test_who_may_run_together(tmp_path):
+    pytest.importorskip("fcntl")
+    whole = (1, 1)
+    for first, second, together in (
+        (whole, whole, False),
+        (whole, (1, 2), False),
+        ((1, 2), whole, False),
+        ((1, 2), (2, 2), True),
+        ((1, 2), (1, 2), False),
+    ):
+        refused = nullcontext() if together else pytest.raises(DataError, match=r"now\. Wait for it")
+        with only_run(tmp_path, first), refused, only_run(tmp_path, second):
+            pass
+        with only_run(tmp_path, second) as alone:  # the lock is let go
+            assert alone == (second == whole)

@@ -1,6 +1,11 @@
-"""Each file holds the surface: axes, signs, mm; an STL is closed and its volume is the depth's."""
+"""Each file holds the surface: axes, signs, units; an STL is closed and its volume is the depth's; what a reader finds in
+X3P by the standard's letter is the surface in metres, with its checksums."""
 
+import hashlib
+import io
+import zipfile
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -8,7 +13,7 @@ import pytest
 
 from gelform.errors import DataError
 from gelform.exporters.quantised import depth_from_levels
-from gelform.exporters.surface import BASE_SHARE, SURFACES, points_from_result, save_surface
+from gelform.exporters.surface import BASE_SHARE, SURFACES, points_from_result, save_surface, x3p_bytes
 from gelform.reconstruction import Reconstruction
 
 SHAPE, PITCH = (30, 40), 0.1
@@ -25,6 +30,43 @@ def result():
     return Reconstruction(
         depth, None, gradients, None, np.ones(SHAPE, np.float32), depth > 0, known, mm_per_px=PITCH
     )
+
+
+def read(content):
+    """Heights (SizeY, SizeX) and pitches, m; every checksum looked at."""
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        main = file.read("main.xml")
+        digest, name = file.read("md5checksum.hex").decode().split()
+        assert (digest, name) == (hashlib.md5(main).hexdigest(), "*main.xml")
+        root = ElementTree.fromstring(main)
+        assert root.tag == "{http://www.opengps.eu/2008/ISO5436_2}ISO5436_2"
+        data = file.read(root.findtext("Record3/DataLink/PointDataLink"))
+        assert hashlib.md5(data).hexdigest() == root.findtext("Record3/DataLink/MD5ChecksumPointData")
+    assert root.findtext("Record1/FeatureType") == "SUR"
+    assert root.findtext("Record1/Axes/CZ/DataType") == "D"
+    size = [int(root.findtext(f"Record3/MatrixDimension/Size{axis}")) for axis in "XYZ"]
+    pitch = [float(root.findtext(f"Record1/Axes/C{axis}/Increment")) for axis in "XYZ"]
+    return np.frombuffer(data, "<f8").reshape(size[2], size[1], size[0])[0] * pitch[2], pitch[:2]
+
+
+def test_the_surface_in_metres(result):
+    heights, pitch = read(x3p_bytes(result))
+    assert pitch == pytest.approx([PITCH * 1e-3] * 2)
+    assert heights.shape == SHAPE
+    upright = heights[::-1]  # y up
+    np.testing.assert_allclose(upright[result.known] * 1e3, result.depth_mm[result.known], rtol=1e-12)
+    assert np.isnan(upright[~result.known]).all()
+
+
+def test_a_deep_point_low_in_the_image_has_a_small_y(result):
+    heights, _ = read(x3p_bytes(result))
+    row = np.unravel_index(np.nanargmax(heights), SHAPE)[0]
+    assert row == pytest.approx(SHAPE[0] - 1 - 8)
+
+
+def test_by_its_ending_and_the_same_bytes_twice(result, tmp_path):
+    path = save_surface(result, tmp_path / "a.x3p")
+    assert path.read_bytes() == x3p_bytes(result)
 
 
 def test_points_are_of_the_optical_frame(result):

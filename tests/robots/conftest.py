@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import json
+import socket
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from gelform.robots.bag import save_bag
+from gelform.robots.send import save_bag
 from gelform.simulate import Ball, Pose, simulate_pose
 
 START_NS, RATE_HZ = 1_700_000_000_123_456_789, 50
@@ -53,3 +56,23 @@ def messages(bag):
         (one.channel.topic, one.log_time_ns, one.ros_msg)
         for one in reader.read_ros2_messages(str(bag / "press.mcap"))
     ]
+
+
+@pytest.fixture(scope="session")
+def router():
+    """A zenoh router: its address, its session, and `opened`, which opens others."""
+    zenoh = pytest.importorskip("zenoh", reason="the extra zenoh is not installed")
+    pytest.importorskip("rosbags", reason="the extra zenoh is not installed")
+
+    def opened(**settings):
+        config = zenoh.Config()
+        for key, value in {"scouting/multicast/enabled": False, **settings}.items():
+            config.insert_json5(key, json.dumps(value))
+        return zenoh.open(config)
+
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{one.getsockname()[1]}"
+    session = opened(mode="router", **{"listen/endpoints": [address]})
+    yield SimpleNamespace(address=address, session=session, opened=opened)
+    session.close()

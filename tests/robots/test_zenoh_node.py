@@ -1,8 +1,7 @@
-"""A node, a router and a subscriber that talk over zenoh's own sockets."""
+"""Keys and tokens against those that rmw_zenoh's own documentation and other implementations of it publish; a node, a
+router and a subscriber that talk over zenoh's own sockets."""
 
-import json
 import queue
-import socket
 import struct
 import threading
 from dataclasses import replace
@@ -14,13 +13,38 @@ from gelform.errors import GelformError
 from gelform.findings import Finding
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
-
-pytest.importorskip("zenoh", reason="the extra zenoh is not installed")
-pytest.importorskip("rosbags", reason="the extra zenoh is not installed")
-import zenoh
-
 from gelform.robots.ros_messages import typestore
-from gelform.robots.zenoh_node import ZenohNode
+from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
+
+IMAGE = "sensor_msgs/msg/Image"
+HASH = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
+
+
+def test_the_key_of_a_topic():
+    key = Node(7, "a1b2", "n").topic_key("/left/image_raw", IMAGE, HASH)
+    assert key == f"7/left/image_raw/sensor_msgs::msg::dds_::Image_/{HASH}"
+    assert "//" not in key
+
+
+def test_tokens_have_the_thirteen_parts_that_rmw_zenoh_reads():
+    node = Node(0, "a1b2", "gelform_left")
+    assert node.token.split("/") == ["@ros2_lv", "0", "a1b2", "0", "0", "NN", "%", "%", "gelform_left"]
+    parts = node.publisher_token(3, "/left/image_raw", IMAGE, HASH).split("/")
+    assert parts[:9] == ["@ros2_lv", "0", "a1b2", "0", "3", "MP", "%", "%", "gelform_left"]
+    assert parts[9:12] == ["%left%image_raw", dds_type(IMAGE), HASH]
+    reliability, durability, history, *others = parts[12].split(":")
+    assert (reliability, durability, history) == ("", "", ",10")  # rmw_zenoh's default, but for the depth
+    assert others == [",", ",", ",,"]
+
+
+def test_an_attachment_is_number_time_and_gid_little_endian():
+    gid = gid_from_token("some token")
+    made = attachment(1, 2**40, gid)
+    assert struct.unpack("<qqB", made[:17]) == (1, 2**40, 16)
+    assert made[17:] == gid
+    assert len(gid) == 16
+    assert gid != gid_from_token("another token")
+
 
 SHAPE, STAMP_NS = (6, 8), 1_700_000_000_000_000_009
 TYPES = {  # as `ros2 topic info --verbose` prints them, Jazzy
@@ -31,30 +55,9 @@ TYPES = {  # as `ros2 topic info --verbose` prints them, Jazzy
 WAIT_S = 20
 
 
-def opened(**settings):
-    config = zenoh.Config()
-    for key, value in {"scouting/multicast/enabled": False, **settings}.items():
-        config.insert_json5(key, json.dumps(value))
-    return zenoh.open(config)
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
-def address():
-    address = f"tcp/127.0.0.1:{free_port()}"
-    router = opened(mode="router", **{"listen/endpoints": [address]})
-    yield address
-    router.close()
-
-
-@pytest.fixture(scope="module")
-def listener(address):
-    session = opened(mode="client", **{"connect/endpoints": [address]})
+def listener(router):
+    session = router.opened(mode="client", **{"connect/endpoints": [router.address]})
     yield session
     session.close()
 
@@ -101,18 +104,19 @@ def collected(got, wanted):
     return found
 
 
-def test_a_subscriber_gets_every_value(address, listener):
-    with ZenohNode("left", router=address, domain=3) as node:
+@pytest.mark.slow
+def test_a_subscriber_gets_every_value(router, listener):
+    with ZenohNode("left", router=router.address, domain=3) as node:
         got, subscription = subscribed(listener, node)
         pairs = published(node, 5)
         found = collected(got, 4 * len(pairs))
         subscription.undeclare()
     of = {}
-    for key, attachment, message in found:
-        of.setdefault(key.split("/", 1)[1].rsplit("/", 2)[0], []).append((attachment, message))
+    for key, attached, message in found:
+        of.setdefault(key.split("/", 1)[1].rsplit("/", 2)[0], []).append((attached, message))
     assert set(of) == {"left/image_raw", "left/indentation", "left/points", "diagnostics"}
     for name, messages in of.items():
-        numbers = [struct.unpack("<q", attachment[:8])[0] for attachment, _ in messages]
+        numbers = [struct.unpack("<q", attached[:8])[0] for attached, _ in messages]
         assert numbers == list(range(numbers[0], numbers[0] + 5)), name
     for (frame, result), (_, image), (_, depth), (_, said) in zip(
         pairs, of["left/image_raw"], of["left/indentation"], of["diagnostics"], strict=True
@@ -122,11 +126,11 @@ def test_a_subscriber_gets_every_value(address, listener):
         assert said.status[0].values[0].key == result.health[0].name
 
 
-def test_nodes_and_topics_are_in_the_graph_while_it_runs(address, listener):
+def test_nodes_and_topics_are_in_the_graph_while_it_runs(router, listener):
     def tokens():
         return [str(reply.ok.key_expr) for reply in listener.liveliness().get("@ros2_lv/5/**")]
 
-    with ZenohNode("left", router=address, domain=5, topics=("image", "points")) as node:
+    with ZenohNode("left", router=router.address, domain=5, topics=("image", "points")) as node:
         for _ in range(100):
             if len(found := tokens()) == 3:
                 break
@@ -140,12 +144,12 @@ def test_nodes_and_topics_are_in_the_graph_while_it_runs(address, listener):
     assert tokens() == []
 
 
-def test_what_cannot_be_is_said(address):
-    with pytest.raises(GelformError, match=r"No zenoh router answers at tcp/127\.0\.0\.1:\d+\. Start one"):
-        ZenohNode("left", router=f"tcp/127.0.0.1:{free_port()}")
+def test_what_cannot_be_is_said(router):
+    with pytest.raises(GelformError, match=r"No zenoh router answers at tcp/127\.0\.0\.1:1\. Start one"):
+        ZenohNode("left", router="tcp/127.0.0.1:1")
     with pytest.raises(ValueError, match="address of a zenoh router such as tcp/localhost:7447, got '7447'"):
         ZenohNode("left", router="7447")
     with pytest.raises(ValueError, match="domain from 0 to 232, got 233"):
-        ZenohNode("left", router=address, domain=233)
+        ZenohNode("left", router=router.address, domain=233)
     with pytest.raises(ValueError, match="name of ROS"):
-        ZenohNode("Left", router=address)
+        ZenohNode("Left", router=router.address)

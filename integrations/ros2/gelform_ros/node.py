@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image, PointCloud2
 
 import gelform
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.stamped import StampedResults
+from gelform.robots.send import StampedResults
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
 
 TYPES = {

@@ -1,8 +1,8 @@
 """Data sets: every frame of a folder tree, of videos and recordings to depth, resumable, on several processes."""
 
 from gelform.batch.engines import Engine
+from gelform.batch.inputs.containers import Sequence
 from gelform.batch.inputs.listing import Listing, listing_of
-from gelform.batch.inputs.sequences import Sequence
 from gelform.batch.run import BatchSummary, run_batch
 from gelform.batch.settings import KEPT, BatchSettings
 from gelform.batch.verify import Problem, verify_output

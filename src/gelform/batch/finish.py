@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from gelform.batch.manifest import Manifest
-from gelform.batch.outputs.writers import finish_of
-from gelform.batch.records import files_of
-from gelform.batch.sheet import NAME as SHEET
-from gelform.batch.sheet import sheet_bytes, write_sheet
-from gelform.batch.table import TABLES, table_is_whole, tables_there, write_table
+from gelform.batch.outputs.writers import WRITERS, depth_of_row
+from gelform.batch.records import TABLES, files_of, read_record, table_is_whole, tables_there, write_table
+from gelform.errors import DataError
+from gelform.npz_files import written_file
+
+SHEET, COLUMNS, ROWS, TILE_PX, LABEL_PX = "sheet.png", 6, 4, 200, 34
+LEAST_RANGE_MM = 0.1  # of a tile's colours: an untouched gel stays dark
 
 
 def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again: bool) -> None:
@@ -20,7 +27,7 @@ def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again:
     table : a form of TABLES
     source : the folder of the input
     """
-    last, parts = finish_of(manifest.settings["form"]), manifest.parts
+    last, parts = WRITERS[manifest.settings["form"]].finish, manifest.parts
     if again or last.missing(output):
         last.write(output, files_of(output, parts), source)
     if again or not (output / TABLES[table]).exists():
@@ -32,7 +39,7 @@ def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again:
 def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
     """Files of it that are missing, or do not say what the parts say."""
     parts = manifest.parts
-    wrong = finish_of(manifest.settings["form"]).wrong(output, files_of(output, parts))
+    wrong = WRITERS[manifest.settings["form"]].finish.wrong(output, files_of(output, parts))
     tables = tables_there(output)
     bad = [output / TABLES[one] for one in tables if not table_is_whole(output, parts, one)]
     if not tables:
@@ -41,3 +48,62 @@ def problems_of_finish(output: Path, manifest: Manifest) -> list[Path]:
     if (sheet.read_bytes() if sheet.is_file() else b"") != sheet_bytes(output, manifest):
         bad.append(sheet)
     return [path for path in (wrong, *bad) if path is not None]
+
+
+def write_sheet(output: Path, manifest: Manifest) -> None:
+    """Write `sheet.png`; nothing where depth was not kept."""
+    content = sheet_bytes(output, manifest)
+    if content:
+        with written_file(output / SHEET, overwrite=True) as file:
+            file.write(content)
+
+
+def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
+    """A PNG of up to 24 frames, each from 0 (dark) to its own deepest point; empty where depth was not kept.
+
+    The choice follows from the list of inputs, so that the same data set has the same sheet.
+    """
+    tiles = [_tile(depth, row) for depth, row in _chosen(output, manifest)]
+    if not tiles:
+        return b""
+    blank = np.zeros_like(tiles[0])
+    tiles += [blank] * (-len(tiles) % COLUMNS)
+    lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
+    done, encoded = cv2.imencode(".png", np.vstack(lines))
+    if not done:
+        raise DataError("OpenCV cannot encode the contact sheet as PNG.")
+    return bytes(encoded.tobytes())
+
+
+def _chosen(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:
+    """Depth and row of frames at random: parts are drawn first, so that no more records are read than frames are shown."""
+    rng = np.random.default_rng(int(manifest.listing_digest[:16], 16))
+    wanted, form = COLUMNS * ROWS, manifest.settings["form"]
+    numbers = np.sort(rng.permutation(manifest.parts)[:wanted])
+    each = -(-wanted // len(numbers))
+    chosen = []
+    for number in numbers.tolist():
+        record = read_record(output, number)
+        rows = [row for row in record.rows if row["output"]] if record else []
+        for k in np.sort(rng.permutation(len(rows))[:each]):
+            depth = depth_of_row(output, form, rows[k])
+            if depth is not None:
+                chosen.append((depth, rows[k]))
+    return chosen[:wanted]
+
+
+def _tile(depth: NDArray[Any], row: dict[str, Any]) -> NDArray[np.uint8]:
+    """Depth as colours with two lines of text below: which frame, and how deep."""
+    depth = np.nan_to_num(depth, nan=0.0)
+    levels = np.clip(255 * depth / max(float(depth.max()), LEAST_RANGE_MM), 0, 255).astype(np.uint8)
+    height = round(TILE_PX * depth.shape[0] / depth.shape[1])
+    small = cv2.resize(levels, (TILE_PX, height), interpolation=cv2.INTER_AREA)
+    tile = np.vstack(
+        [cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS), np.zeros((LABEL_PX, TILE_PX, 3), np.uint8)]
+    )
+    name = f"{row['sequence']}/{row['frame']}".encode("ascii", "replace").decode()
+    for text, y in ((name[-32:], 14), (f"{row['deepest_mm']:.3f} mm {row['health']}"[:32], 28)):
+        cv2.putText(
+            tile, text, (4, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
+        )
+    return np.asarray(tile)

@@ -10,20 +10,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from gelform.batch.engines.engine import Engine
+from gelform.batch.engines import Engine
 from gelform.batch.finish import finish
-from gelform.batch.inputs.backgrounds import backgrounds_of
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import Part, plan_of, shard_of
-from gelform.batch.inputs.reading import frames_of_part, image_of_calibration
-from gelform.batch.locks import only_run
-from gelform.batch.manifest import Manifest, begin
-from gelform.batch.outputs.lerobot_out import check_lerobot_source
-from gelform.batch.outputs.maps import check_names
-from gelform.batch.outputs.places import FRAMES, PARTS
-from gelform.batch.records import outputs_there, read_record, record_path
+from gelform.batch.inputs.reading import backgrounds_of, frames_of_part, image_of_calibration
+from gelform.batch.manifest import Manifest, begin, only_run
+from gelform.batch.outputs.files import FRAMES, PARTS, check_names
+from gelform.batch.outputs.lerobot import check_lerobot_source
+from gelform.batch.records import TABLES, outputs_there, read_record, record_path, table_form
 from gelform.batch.settings import BatchSettings
-from gelform.batch.table import TABLES, table_form
 from gelform.batch.work import Job
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.checks import check_path

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from gelform.batch.finish import problems_of_finish
 from gelform.batch.manifest import read_manifest
-from gelform.batch.outputs.places import FRAMES, output_file
-from gelform.batch.outputs.writers import finish_of
+from gelform.batch.outputs.files import FRAMES, output_file
+from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import PartRecord, read_record
 from gelform.checks import check_path
 from gelform.errors import DataError
@@ -48,7 +48,7 @@ def verify_output(
     if manifest is None:
         raise DataError(f"{output} has no manifest.json. Expected the output folder of gelform batch.")
     problems: list[Problem] = []
-    expected = finish_of(manifest.settings["form"]).names(output)
+    expected = WRITERS[manifest.settings["form"]].finish.names(output)
     good = errors = missing = 0
     for number in range(manifest.parts):
         progress(number, manifest.parts, "verifying")

@@ -9,20 +9,18 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gelform.batch.inputs.backgrounds import background_of_file
 from gelform.batch.inputs.plan import Part
 from gelform.batch.inputs.reading import (
     NamedFrame,
+    background_of_file,
     background_of_sequence,
     frames_of_part,
     image_of_calibration,
 )
-from gelform.batch.outputs.maps import facts_of
-from gelform.batch.outputs.places import Place
-from gelform.batch.outputs.writers import WRITERS, PartWriter
-from gelform.batch.records import PartRecord, write_record
+from gelform.batch.outputs.files import PartTarget, PartWriter, facts_of
+from gelform.batch.outputs.writers import WRITERS
+from gelform.batch.records import COLUMNS, PartRecord, write_record
 from gelform.batch.settings import BatchSettings
-from gelform.batch.table import COLUMNS
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.reconstruct import Reconstructor
@@ -63,7 +61,7 @@ class Worker:
             `stop()` said so; no record is written then.
         """
         digest, rows = part.input_digest(), []
-        with WRITERS[self.job.settings.form](self._place(part)) as writer:
+        with WRITERS[self.job.settings.form].writer(self._target(part)) as writer:
             for named in frames_of_part(part):
                 if stop():
                     raise Stopped
@@ -72,10 +70,10 @@ class Worker:
         write_record(self.job.output, part.number, record)
         return record
 
-    def _place(self, part: Part) -> Place:
+    def _target(self, part: Part) -> PartTarget:
         calibration = self.job.calibration
         facts = {"mm_per_px": calibration.mm_per_px, "calibration_digest": calibration.digest}
-        return Place(self.job.output, part, self.job.settings, calibration.image_shape, facts)
+        return PartTarget(self.job.output, part, self.job.settings, calibration.image_shape, facts)
 
     def _row(self, part: Part, named: NamedFrame, writer: PartWriter) -> dict[str, Any]:
         """What the table and the record say of a frame, its output written."""

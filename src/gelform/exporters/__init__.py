@@ -2,8 +2,7 @@
 
 from gelform.exporters.folders import written_whole
 from gelform.exporters.press_folder import save_press_folder, save_simulated_presses
-from gelform.exporters.simulated_press import save_simulated_press
-from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
+from gelform.exporters.simulated import SetOfPresses, save_simulated_press, save_simulated_set
 
 __all__ = [
     "SetOfPresses",

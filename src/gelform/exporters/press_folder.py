@@ -18,7 +18,7 @@ from gelform.checks import (
     check_positive,
 )
 from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
-from gelform.exporters.simulated_press import truth_from_press
+from gelform.exporters.simulated import truth_from_press
 from gelform.progress import Progress, no_progress
 from gelform.simulate import SimulatedPresses
 

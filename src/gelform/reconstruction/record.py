@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import base64
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_mask, check_mm_per_px
 from gelform.contact import Contact, contacts_from_mask
-from gelform.errors import GelformError
+from gelform.errors import DataError, GelformError
 from gelform.findings import Finding
 from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
 from gelform.reconstruction.maps import BESIDE_DEPTH
-from gelform.reconstruction.shown import shown_in_notebook
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +194,7 @@ class Reconstruction:
     def _repr_html_(self) -> str:
         """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
         findings = ((finding.name, finding.message) for finding in self.health)
-        return shown_in_notebook(self.depth, (*self._figures().items(), *findings))
+        return _shown_in_notebook(self.depth, (*self._figures().items(), *findings))
 
     def _figures(self) -> dict[str, str]:
         markers = {} if self.markers is None else {"markers": self.markers.in_words()}
@@ -221,3 +222,31 @@ class Reconstruction:
 
 def _counted(area: float, unit: str, count: int) -> str:
     return f"{count} of {area} {unit}" + (" together" if count > 1 else "") if count else "none"
+
+
+def _shown_in_notebook(depth: NDArray[np.float32], rows: Iterable[tuple[str, str]]) -> str:
+    """HTML of a depth map (H, W) and a table of (name, text); nothing in it is fetched from outside."""
+    import html  # its table of characters takes longer to load than a frame
+
+    picture = base64.b64encode(_depth_png(depth)).decode("ascii")
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
+        for name, text in rows
+    )
+    return (
+        "<div style='display:flex;gap:1em;align-items:flex-start'>"
+        f"<img alt='depth' src='data:image/png;base64,{picture}'/><table>{cells}</table></div>"
+    )
+
+
+def _depth_png(depth: NDArray[np.float32], width_px: int = 240) -> bytes:
+    """A small picture of the depth: dark at rest, bright where deep."""
+    low, high = float(depth.min()), float(depth.max())
+    levels = ((depth - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
+    scale = width_px / depth.shape[1]
+    size = (width_px, max(1, round(depth.shape[0] * scale)))
+    small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    done, png = cv2.imencode(".png", cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
+    if not done:
+        raise DataError(f"OpenCV cannot encode a picture of {depth.shape[0]}x{depth.shape[1]} px as PNG.")
+    return bytes(png.tobytes())

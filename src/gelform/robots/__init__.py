@@ -5,11 +5,9 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "bag": ["save_bag"],
         "bag_file": ["BagFile"],
         "lerobot_depth": ["depth_from_lerobot_levels", "lerobot_levels_from_depth"],
-        "publish": ["publish"],
-        "stamped": ["SentStats"],
+        "send": ["SentStats", "publish", "save_bag"],
         "topics": ["TOPICS"],
         "zenoh_node": ["ZenohNode"],
     },

@@ -1,10 +1,23 @@
-"""What a dataset holds for a frame becomes an RGB image, or is refused with what to do."""
+"""What a dataset holds for a frame becomes an RGB image, or is refused with what to do; the depth of every frame in
+HDF5 (robomimic's, ALOHA's) and Zarr (diffusion policies') is that of the same image in a file of its own."""
 
 import cv2
 import numpy as np
 import pytest
 
-from gelform.batch.inputs.containers import blocks, image_from_values, is_frames, matching
+import gelform
+from gelform.batch import BatchSettings, run_batch
+from gelform.batch.inputs.containers import (
+    blocks,
+    hdf5_sequences,
+    hdf5_values,
+    image_from_values,
+    is_frames,
+    matching,
+    natural,
+    zarr_sequences,
+)
+from gelform.batch.inputs.listing import listing_of
 from gelform.errors import DataError
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
@@ -21,9 +34,8 @@ def test_kinds_of_frames():
         np.testing.assert_array_equal(image_from_values(values), IMAGE)
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
+def test_refused():
+    for values, said in (
         (IMAGE / 255, "Expected whole numbers from 0 to 255"),
         (IMAGE.astype(np.float32) * 2, "Expected whole numbers from 0 to 255"),
         (np.full((6, 8, 3), np.nan), "Expected whole numbers"),
@@ -31,11 +43,9 @@ def test_kinds_of_frames():
         (np.zeros(0, np.uint8), "bytes that are no image"),
         (np.arange(90, dtype=np.uint8), "bytes that are no image"),
         (DataError("chunk 3 is damaged"), "chunk 3 is damaged"),
-    ],
-)
-def test_refused(values, said):
-    with pytest.raises(DataError, match=said):
-        image_from_values(values)
+    ):
+        with pytest.raises(DataError, match=said):
+            image_from_values(values)
 
 
 def test_a_star_stands_for_one_name(tmp_path):
@@ -71,10 +81,149 @@ def test_one_frame_that_cannot_be_read_is_one():
     assert [one[0, 0, 0] for one in found[4:]] == [5, 6]
 
 
-@pytest.mark.parametrize(
-    ("shape", "dtype", "yes"),
-    [((9, 6, 8, 3), "u1", True), ((9, 6, 8, 3), "f4", True), ((9, 700), "u1", True), ((9,), "O", True),
-     ((9, 6, 8, 1), "u1", False), ((9, 7), "f4", False), ((9,), "f8", False)],
-)  # fmt: skip
-def test_what_may_be_frames(shape, dtype, yes):
-    assert is_frames(shape, np.dtype(dtype)) == yes
+def test_what_may_be_frames():
+    yes = (((9, 6, 8, 3), "u1"), ((9, 6, 8, 3), "f4"), ((9, 700), "u1"), ((9,), "O"))
+    no = (((9, 6, 8, 1), "u1"), ((9, 7), "f4"), ((9,), "f8"))
+    assert all(is_frames(shape, np.dtype(dtype)) for shape, dtype in yes)
+    assert not any(is_frames(shape, np.dtype(dtype)) for shape, dtype in no)
+
+
+def test_numbers_count():
+    for names in (["image2", "image10"], ["a", "a1", "a01b"], ["demo_9/x", "demo_10/x"], ["1", "a"]):
+        assert sorted(set(names), key=natural) == names
+
+
+@pytest.fixture
+def h5py():
+    return pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
+
+
+@pytest.fixture
+def demos(h5py, tmp_path, images):
+    """As robomimic writes them: ten demonstrations and one more, with images of 3 and 4 frames."""
+    path = tmp_path / "demos.hdf5"
+    with h5py.File(path, "w") as file:
+        for k in (0, 2, 10):
+            file[f"data/demo_{k}/obs/gelsight"] = np.stack(images[: 3 + (k == 10)])
+            file[f"data/demo_{k}/actions"] = np.zeros((3, 7))
+    return path
+
+
+def test_demonstrations_are_sequences_in_their_order(demos):
+    found = hdf5_sequences(demos, "demos.hdf5", "data/*/obs/gelsight")
+    assert [one.name for one in found] == [f"demos.hdf5/data/demo_{k}/obs/gelsight" for k in (0, 2, 10)]
+    assert [one.count for one in found] == [3, 3, 4]
+
+
+def test_hdf5_gives_the_same_depth_as_by_hand(demos, cal, images, tmp_path):
+    settings = BatchSettings(part_frames=3)
+    summary = run_batch(demos, cal, tmp_path / "out", settings, dataset="data/*/obs/gelsight")
+    assert (summary.complete, summary.frames, summary.errors) == (True, 10, 0)
+    with np.load(tmp_path / "out/frames/demos.hdf5/data/demo_10/obs/gelsight/000003.npz") as file:
+        truth = gelform.Reconstructor(cal).from_image(images[3]).depth_mm
+        np.testing.assert_array_equal(file["depth_mm"], truth)
+    assert run_batch(demos, cal, tmp_path / "out", settings, dataset="data/*/obs/gelsight").frames == 0
+
+
+def test_compressed_images_and_one_that_is_torn(h5py, tmp_path, cal, images):
+    """As ALOHA compresses them: JPEGs padded with zeros to one length. PNG here, for exact pixels."""
+    coded = [cv2.imencode(".png", image[..., ::-1])[1].reshape(-1) for image in images]
+    length = max(map(len, coded)) + 5
+    padded = np.stack([np.pad(one, (0, length - len(one))) for one in coded])
+    padded[1, 60:] = 0
+    for k in range(2):
+        with h5py.File(tmp_path / f"episode_{k}.hdf5", "w") as file:
+            file["observations/images/gel"] = padded
+    background = BatchSettings(background_frames=1)
+    summary = run_batch(
+        tmp_path / "episode_*.hdf5", cal, tmp_path / "out", dataset="observations/images/gel", table="csv"
+    )
+    assert (summary.complete, summary.frames, summary.errors) == (True, 8, 2)
+    assert "no image" in (tmp_path / "out/frames.csv").read_text()
+    summary = run_batch(
+        tmp_path / "episode_0.hdf5", cal, tmp_path / "b", background, dataset="observations/images/gel"
+    )
+    assert summary.frames == 4
+
+
+def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
+    for source in (demos, tmp_path):
+        with pytest.raises(DataError, match=r"there are data/demo_\*/obs/gelsight \(3 of uint8 3x64x80x3\)"):
+            listing_of(source, dataset="data/*/obs/gelsihgt")
+    with pytest.raises(DataError, match="may hold several datasets"):
+        listing_of(demos)
+    with pytest.raises(DataError, match="say with --dataset which dataset"):
+        listing_of(tmp_path)
+    with pytest.raises(DataError, match="got none"):
+        next(hdf5_values(demos, "data/demo_1/obs/gelsight", 0, 1))
+    demos.write_bytes(demos.read_bytes()[:900])
+    with pytest.raises(DataError, match="It is damaged, cut off"):
+        listing_of(demos, dataset="data/*/obs/gelsight")
+
+
+def test_among_others_a_damaged_file_is_a_row(demos, cal, tmp_path):
+    (tmp_path / "in").mkdir()
+    demos.rename(tmp_path / "in/a.hdf5")
+    (tmp_path / "in/b.hdf5").write_bytes(b"no HDF5")
+    summary = run_batch(tmp_path / "in", cal, tmp_path / "out", dataset="data/*/obs/gelsight", table="csv")
+    assert (summary.complete, summary.frames, summary.errors) == (True, 11, 1)
+    assert "b.hdf5 as HDF5" in (tmp_path / "out/frames.csv").read_text().splitlines()[-1]
+
+
+@pytest.fixture
+def zarr():
+    return pytest.importorskip("zarr", minversion="3", reason="the extra zarr is not installed")
+
+
+@pytest.fixture(params=[2, 3])
+def replay(zarr, tmp_path, images, request):
+    path = tmp_path / "in" / "replay.zarr"
+    group = zarr.open_group(str(path), mode="w", zarr_format=request.param)
+    frames = np.stack([*images, images[0]])
+    array = group.create_array("data/gel", shape=frames.shape, chunks=(2, *frames.shape[1:]), dtype="f4")
+    array[:] = frames
+    ends = group.create_array("meta/episode_ends", shape=(2,), dtype="i8")
+    ends[:] = [3, 5]
+    return path
+
+
+def test_episodes_are_sequences(replay):
+    found = zarr_sequences(replay, "replay.zarr", "data/gel")
+    assert [(one.name, one.offset, one.count) for one in found] == [
+        ("replay.zarr/data/gel/000000", 0, 3),
+        ("replay.zarr/data/gel/000001", 3, 2),
+    ]
+
+
+def test_zarr_gives_the_same_depth_as_by_hand(zarr, replay, cal, images, tmp_path):
+    settings = BatchSettings("zarr", keep=("depth",), part_frames=2)
+    for source, output in ((replay, "a"), (replay.parent, "b")):
+        summary = run_batch(source, cal, tmp_path / output, settings, dataset="data/*")
+        assert (summary.complete, summary.frames, summary.errors) == (True, 5, 0)
+    depth = zarr.open_group(str(tmp_path / "a/frames"))["replay.zarr/data/gel/000001/depth_mm"]
+    assert depth.shape[0] == 2
+    np.testing.assert_array_equal(depth[0], gelform.Reconstructor(cal).from_image(images[3]).depth_mm)
+
+
+def test_zarr_that_cannot_be_is_said(zarr, replay):
+    with pytest.raises(DataError, match=r"there are data/gel \(one of float32 5x64x80x3\)"):
+        listing_of(replay, dataset="data/img")
+    zarr.open_group(str(replay))["meta/episode_ends"][:] = [3, 4]
+    with pytest.raises(DataError, match="to end at the 5 frames"):
+        listing_of(replay, dataset="data/gel")
+
+
+def test_a_chunk_that_is_damaged_costs_its_frames_alone(replay, cal, tmp_path):
+    names = ("data.gel.1.0.0.0", "data.gel.c.1.0.0.0")  # of Zarr 2 and 3
+    paths = {".".join(path.relative_to(replay).parts): path for path in replay.rglob("*")}
+    (chunk,) = [paths[name] for name in names if name in paths]
+    chunk.write_bytes(chunk.read_bytes()[:50])
+    summary = run_batch(replay, cal, tmp_path / "out", dataset="data/gel")
+    assert (summary.complete, summary.frames, summary.errors) == (True, 5, 2)
+
+
+def test_a_folder_that_is_no_group(zarr, tmp_path):
+    (tmp_path / "a.zarr").mkdir()
+    (tmp_path / "a.zarr/.zgroup").write_text("{")
+    with pytest.raises(DataError, match="as a Zarr group"):
+        listing_of(tmp_path / "a.zarr", dataset="data/gel")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from gelform.batch.inputs.containers import Sequence
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import plan_of, shard_of
-from gelform.batch.inputs.sequences import Sequence
 from gelform.errors import DataError
 
 IMAGES = tuple(f"{k}.png" for k in range(10))

@@ -4,7 +4,7 @@ import pytest
 
 import gelform
 from gelform.batch.inputs.plan import Part
-from gelform.batch.outputs.places import Place
+from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.settings import BatchSettings
 from made.small_gel import MM_PER_PX, SHAPE
@@ -37,8 +37,10 @@ def written(results, tmp_path):
         images = tuple(map(str, range(COUNT))) if counted else ()
         part = Part(0, sequence, tmp_path, images=images, names=images, total=len(images), rate_hz=30)
         facts = {"mm_per_px": MM_PER_PX, "calibration_digest": "abc"}
-        place = Place(folder, part, BatchSettings(form, part_frames=part_frames, **settings), SHAPE, facts)
-        with WRITERS[form](place) as writer:
+        target = PartTarget(
+            folder, part, BatchSettings(form, part_frames=part_frames, **settings), SHAPE, facts
+        )
+        with WRITERS[form].writer(target) as writer:
             rows = [
                 writer.add(str(k), k, None if result is None else writer.prepared(result))
                 for k, result in enumerate(results)

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pytest
 
 import gelform
 from gelform.batch.settings import KEPT
@@ -36,8 +35,3 @@ def test_depth_in_16_bits(written, results, tmp_path):
     depth, known = depth_from_levels(cv2.imread(str(tmp_path / rows[0]["output"]), cv2.IMREAD_UNCHANGED))
     np.testing.assert_array_equal(known, results[0].known)
     assert np.abs(depth - results[0].depth_mm)[known].max() <= 0.51e-4
-
-
-@pytest.mark.parametrize("form", ["npz", "png"])
-def test_the_same_bytes_twice(written, tmp_path, form):
-    assert written(form, folder=tmp_path / "a")[1] == written(form, folder=tmp_path / "b")[1]

@@ -24,16 +24,6 @@ def test_every_map_as_h5py_reads_it(written, results, tmp_path, counted):
         assert file["depth_mm"].attrs["unit"] == "mm"
 
 
-def test_the_same_bytes_twice(written, tmp_path):
-    assert written("hdf5", folder=tmp_path / "a")[0].files == written("hdf5", folder=tmp_path / "b")[0].files
-
-
-def test_nothing_is_left_of_a_part_that_ended_early(written, tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        written("hdf5", interrupted=True)
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-
-
 def test_one_file_shows_every_sequence_as_a_whole(tree, cal, tmp_path):
     settings = BatchSettings("hdf5", keep=("depth",), dtype="uint16", part_frames=3)
     assert run_batch(tree, cal, tmp_path / "out", settings).complete

@@ -59,10 +59,6 @@ def test_an_altered_index_is_noticed_by_zarr(written, tmp_path):
         zarr.open_array(tmp_path / "frames/day/a/depth_mm", mode="r")[0]
 
 
-def test_the_same_bytes_twice(written, tmp_path):
-    assert written("zarr", folder=tmp_path / "a")[0].files == written("zarr", folder=tmp_path / "b")[0].files
-
-
 def test_every_file_is_recorded(written, tmp_path):
     writer, rows = written("zarr", keep=("depth",))
     there = {p.relative_to(tmp_path).as_posix() for p in (tmp_path / "frames").rglob("*") if p.is_file()}

@@ -1,10 +1,11 @@
-"""Files that hold many frames at a path inside: HDF5, Zarr, LeRobot; which sequences they have, and their frames."""
+"""Sequences of frames, and files that hold many at a path inside: which they have, and the frames of HDF5 and Zarr."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,45 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import DataError
+from gelform.errors import DataError, needed
 
 BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64
 DAMAGED = (OSError, ValueError, RuntimeError)  # of h5py and zarr, where a chunk cannot be decoded
+HDF5_SUFFIXES = (
+    ".h5",
+    ".hdf5",
+)  # robomimic's data/demo_0/obs/CAMERA, ALOHA's observations/images/CAMERA, or any
+NODES, ZIPPED = (".zgroup", ".zarray", "zarr.json"), ".zarr.zip"
+ENDS = "meta/episode_ends"  # beside data/CAMERA, as diffusion policies have it
 Shapes = Mapping[str, tuple[tuple[int, ...], str]]  # path inside -> (shape, dtype)
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Frames that belong together: the images of one folder, a video, a recording, or an episode in a larger file.
+
+    Attributes
+    ----------
+    name : its path below the input, with /; empty for the input's own folder
+    path : the folder of its images, the video, the recording, or the HDF5 file, Zarr store or LeRobot video
+    images : names of the images in natural order; empty for all others, of which a video's frames are not counted yet
+    dataset : path inside the file or store; of LeRobot the camera; empty for images, videos and recordings
+    offset, count : which frames of the dataset; count is 0 where the file cannot be read, which reading it says
+    rate_hz : frames a second of LeRobot's episodes; 0 of all others
+    """
+
+    name: str
+    path: Path
+    images: tuple[str, ...] = ()
+    dataset: str = ""
+    offset: int = 0
+    count: int = 0
+    rate_hz: int = 0
+
+
+def natural(name: str) -> tuple[list[str | int], str]:
+    """Sorts image2 before image10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
 
 
 class ContainerError(DataError):
@@ -128,3 +163,116 @@ def _listed(there: Shapes) -> str:
 
 def _shape(shape: Iterable[int]) -> str:
     return "x".join(map(str, shape))
+
+
+def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
+    """A sequence for each dataset of the file that is meant, in natural order.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read; no dataset of that name: what is there is listed.
+    """
+    there: dict[str, tuple[tuple[int, ...], str]] = {}
+    with _opened_hdf5(path) as file:
+
+        def look(inside: str, one: Any) -> None:
+            if hasattr(one, "shape") and is_frames(one.shape, one.dtype):
+                there[inside] = (one.shape, str(one.dtype))
+
+        file.visititems(look)
+    found = sorted(matching(path, there, wanted), key=natural)
+    return [Sequence(f"{name}/{one}", path, dataset=one, count=there[one][0][0]) for one in found]
+
+
+def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
+    """What the dataset holds for each frame of a range, or why that cannot be read.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, or has no such dataset any more.
+    """
+    with _opened_hdf5(path) as file:
+        if dataset not in file:
+            raise DataError(f"Expected {dataset} in {path}, got none.")
+        values = file[dataset]
+        yield from blocks(values, start, count, (values.chunks or (BLOCK_FRAMES,))[0])
+
+
+def _opened_hdf5(path: Path) -> Any:
+    h5py = needed("h5py", "hdf5", "HDF5")
+    try:
+        return h5py.File(path, "r")
+    except OSError as problem:
+        raise ContainerError(
+            f"Cannot read {path} as HDF5: {problem}. It is damaged, cut off, or of another kind."
+        ) from problem
+
+
+def is_zarr(path: Path) -> bool:
+    """Whether a path is a Zarr store: a folder with its metadata, or one in a zip."""
+    return path.name.endswith(ZIPPED) or any((path / name).is_file() for name in NODES)
+
+
+def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
+    """A sequence for each episode of each array that is meant.
+
+    Raises
+    ------
+    DataError
+        The store cannot be read; no array of that name: what is there is listed; its episodes are not those of the array.
+    """
+    group = _opened_zarr(path)
+    arrays = dict(_arrays(group))
+    there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
+    sequences: list[Sequence] = []
+    for one in sorted(matching(path, there, wanted), key=natural):
+        length = there[one][0][0]
+        if ENDS not in arrays:
+            sequences.append(Sequence(f"{name}/{one}", path, dataset=one, count=length))
+            continue
+        ends = np.asarray(arrays[ENDS][:]).tolist()
+        starts = [0, *ends[:-1]]
+        if sorted(ends) != ends or ends[-1:] != [length]:
+            raise DataError(
+                f"Expected {ENDS} of {path} to end at the {length} frames of {one}, got {ends[-1:]}."
+            )
+        sequences += [
+            Sequence(f"{name}/{one}/{k:06d}", path, dataset=one, offset=a, count=b - a)
+            for k, (a, b) in enumerate(zip(starts, ends))
+        ]
+    return sequences
+
+
+def zarr_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
+    """What the array holds for each frame of a range, or why that cannot be read.
+
+    Raises
+    ------
+    DataError
+        The store cannot be read, or has no such array any more.
+    """
+    array = dict(_arrays(_opened_zarr(path))).get(dataset)
+    if array is None:
+        raise DataError(f"Expected {dataset} in {path}, got none.")
+    yield from blocks(array, start, count, array.chunks[0])
+
+
+def _opened_zarr(path: Path) -> Any:
+    zarr = needed("zarr", "zarr", "Zarr")
+    try:
+        if path.suffix == ".zip":
+            return zarr.open_group(zarr.storage.ZipStore(path, mode="r"), mode="r")
+        return zarr.open_group(str(path), mode="r")
+    except Exception as problem:  # of a dozen kinds, by version of zarr
+        raise ContainerError(
+            f"Cannot read {path} as a Zarr group: {problem}. It is damaged, or of another kind."
+        ) from problem
+
+
+def _arrays(group: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, array in group.arrays():
+        yield f"{above}{name}", array
+    for name, inside in group.groups():
+        yield from _arrays(inside, f"{above}{name}/")

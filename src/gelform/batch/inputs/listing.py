@@ -9,11 +9,16 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gelform.batch.inputs.containers import ContainerError
-from gelform.batch.inputs.hdf5_datasets import HDF5_SUFFIXES, hdf5_sequences
-from gelform.batch.inputs.lerobot_set import is_lerobot_set, lerobot_sequences, lossy_warnings
-from gelform.batch.inputs.sequences import Sequence, natural
-from gelform.batch.inputs.zarr_datasets import is_zarr, zarr_sequences
+from gelform.batch.inputs.containers import (
+    HDF5_SUFFIXES,
+    ContainerError,
+    Sequence,
+    hdf5_sequences,
+    is_zarr,
+    natural,
+    zarr_sequences,
+)
+from gelform.batch.inputs.lerobot import is_lerobot_set, lerobot_sequences, lossy_warnings
 from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.sensors.files import IMAGE_SUFFIXES

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gelform.batch.inputs.containers import NODES, Sequence
 from gelform.batch.inputs.listing import Listing
-from gelform.batch.inputs.sequences import Sequence
-from gelform.batch.inputs.zarr_datasets import NODES
 from gelform.errors import DataError
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.outputs.maps import maps_of
-from gelform.batch.outputs.places import FlushedLater, OutputFile, Place, output_file
+from gelform.batch.outputs.files import FlushedLater, OutputFile, PartTarget, PartWriter, maps_of, output_file
 from gelform.errors import DataError
 from gelform.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
@@ -20,17 +20,16 @@ KIND, VERSION = "gelform maps", 1
 PNG_SETTINGS = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 
 
-class FrameFiles:
+class FrameFiles(PartWriter):
     """Writes frames/<sequence>/<frame>.npz or .png."""
 
-    def __init__(self, place: Place) -> None:
-        self.files: list[OutputFile] = []
-        self._place = place
-        self._later = FlushedLater(place.output)
+    def __init__(self, target: PartTarget) -> None:
+        super().__init__(target)
+        self._later = FlushedLater(target.output)
 
     def prepared(self, result: Reconstruction) -> bytes | Reconstruction:
         """The file's bytes; the whole result where all of it is kept."""
-        settings = self._place.settings
+        settings = self._target.settings
         if settings.form == "png":
             return _png(maps_of(result, settings)["depth_mm"])
         if settings.keep == ("all",):
@@ -41,22 +40,18 @@ class FrameFiles:
         """Write the frame's file; nothing where it has an error."""
         if prepared is None:
             return {}
-        path = self._place.folder / f"{name}.{self._place.settings.form}"
+        path = self._target.folder / f"{name}.{self._target.settings.form}"
         if isinstance(prepared, bytes):
-            return _row(self._later.write(path, prepared))
+            return _own_row(self._later.write(path, prepared))
         path.parent.mkdir(parents=True, exist_ok=True)
         save_result(prepared, path, overwrite=True)
-        return _row(output_file(self._place.output, path))
-
-    def __enter__(self) -> FrameFiles:
-        self._later.__enter__()
-        return self
+        return _own_row(output_file(self._target.output, path))
 
     def __exit__(self, *error: Any) -> None:
         self._later.__exit__(*error)
 
 
-def _row(file: OutputFile) -> dict[str, Any]:
+def _own_row(file: OutputFile) -> dict[str, Any]:
     return {"output": file.path, "bytes": file.bytes, "sha256": file.sha256}
 
 
@@ -72,3 +67,14 @@ def _png(levels: Any) -> bytes:
     if not done:
         raise DataError(f"OpenCV cannot encode {levels.shape[0]}x{levels.shape[1]} levels as PNG.")
     return bytes(encoded.tobytes())
+
+
+def read_npz(path: Path, index: int) -> NDArray[Any] | None:
+    """Depth of a frame, back from its file."""
+    with np.load(path) as file:
+        return np.asarray(file["depth_mm"]) if "depth_mm" in file else None
+
+
+def read_png(path: Path, index: int) -> NDArray[Any]:
+    """Levels of a frame, back from its file."""
+    return np.asarray(cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED))

@@ -11,39 +11,37 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from gelform.batch.extras import needed
-from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
-from gelform.batch.outputs.places import (
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.batch.outputs.files import (
     FRAMES,
     Maps,
-    OutputFile,
-    Place,
+    PartTarget,
+    PartWriter,
     RememberingFile,
+    attributes_of,
+    blank_maps,
     output_file,
     write_output,
 )
+from gelform.errors import needed
 from gelform.npz_files import written_file
-from gelform.reconstruction import Reconstruction
 
 INDEX = "frames.h5"
 COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # what every reader of HDF5 has
 
 
-class Hdf5Files:
+class Hdf5Files(PartWriter):
     """Writes a part's file frame by frame; it takes its name when the part is done."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, target: PartTarget) -> None:
+        super().__init__(target)
         self._h5py = needed("h5py", "hdf5", "HDF5")
-        self.files: list[OutputFile] = []
-        self._place = place
-        self._path = place.folder / f"{place.part.start:08d}.h5"
-        self._blank = blank_maps(place.settings, place.shape)
+        self._path = target.folder / f"{target.part.start:08d}.h5"
+        self._blank = blank_maps(target.settings, target.shape)
         self._open = ExitStack()
         self._count = 0
-
-    def prepared(self, result: Reconstruction) -> Maps:
-        """The maps."""
-        return maps_of(result, self._place.settings)
 
     def add(self, name: str, index: int, prepared: Maps | None) -> dict[str, Any]:
         """Write a frame's maps; NaN, False or level 0 where it has an error."""
@@ -54,7 +52,7 @@ class Hdf5Files:
             dataset[self._count] = values
         self._handle.check()
         self._count += 1
-        return {} if prepared is None else {"output": self._place.name_of(self._path)}
+        return self._row(self._path, prepared)
 
     def __enter__(self) -> Hdf5Files:
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,20 +62,20 @@ class Hdf5Files:
         for name, blank in self._blank.items():
             dataset = self._file.create_dataset(
                 name,
-                shape=(self._place.part.frames, *blank.shape),
+                shape=(self._target.part.frames, *blank.shape),
                 maxshape=(None, *blank.shape),
                 chunks=(1, *blank.shape),
                 dtype=blank.dtype,
                 fillvalue=blank.flat[0],
                 **COMPRESSION,
             )
-            dataset.attrs.update({**attributes_of(name, self._place.settings), **self._place.facts})
+            dataset.attrs.update({**attributes_of(name, self._target.settings), **self._target.facts})
         return self
 
     def __exit__(self, *error: Any) -> None:
         self._open.__exit__(*error)  # a full disk becomes a DataError of `written_file`
         if error[0] is None:
-            self.files.append(output_file(self._place.output, self._path))
+            self.files.append(output_file(self._target.output, self._path))
 
 
 def write_hdf5_index(output: Path, files: list[str], source: Path) -> None:
@@ -121,3 +119,9 @@ def _add_sequence(h5py: Any, group: Any, output: Path, files: list[str]) -> None
             layout[begin : begin + length] = h5py.VirtualSource(name, one, (length, *shape[1:]))
             begin += length
         group.create_virtual_dataset(one, layout, fillvalue=fill).attrs.update(attributes)
+
+
+def read_hdf5(path: Path, index: int) -> NDArray[Any] | None:
+    """Depth of a frame, or its levels, back from the part's file."""
+    with needed("h5py", "hdf5", "HDF5").File(path, "r") as file:
+        return np.asarray(file["depth_mm"][index - int(path.stem)]) if "depth_mm" in file else None

@@ -1,66 +1,38 @@
-"""The seam of outputs: what a writer of a part is, and the forms that there are."""
+"""The forms of outputs in one table: what writes a part, what reads a frame back, what is written at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-from gelform.batch.outputs.depth_video import DepthVideo
-from gelform.batch.outputs.frame_files import FrameFiles
-from gelform.batch.outputs.hdf5_files import Hdf5Files, no_hdf5_index, write_hdf5_index, wrong_hdf5_index
-from gelform.batch.outputs.lerobot_out import (
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.batch.outputs.files import PartTarget, PartWriter
+from gelform.batch.outputs.frame_files import FrameFiles, read_npz, read_png
+from gelform.batch.outputs.hdf5_files import (
+    Hdf5Files,
+    no_hdf5_index,
+    read_hdf5,
+    write_hdf5_index,
+    wrong_hdf5_index,
+)
+from gelform.batch.outputs.lerobot import (
+    LerobotVideo,
     names_of_set,
+    read_lerobot,
     set_is_missing,
     write_lerobot_set,
     wrong_file_of_set,
 )
-from gelform.batch.outputs.lerobot_video import LerobotVideo
-from gelform.batch.outputs.places import OutputFile, Place
-from gelform.batch.outputs.zarr_arrays import ZarrArrays
-from gelform.reconstruction import Reconstruction
-
-
-class PartWriter(Protocol):
-    """Writes the results of a part, frame by frame; a context manager.
-
-    Attributes
-    ----------
-    files : those that hold several frames, whole when the block has ended well. Where the block ends by an exception,
-        nothing half-written is left under its name.
-    """
-
-    files: list[OutputFile]
-
-    def prepared(self, result: Reconstruction) -> Any:
-        """What `add` takes; raises what the result itself forbids, such as depth beyond 16 bits (DataError)."""
-
-    def add(self, name: str, index: int, prepared: Any | None) -> dict[str, Any]:
-        """Write the next frame, None where it has an error; raises DataError where it cannot be written.
-
-        Gives what the row says: output, and bytes and sha256 where that is a file of its own.
-        """
-
-    def __enter__(self) -> PartWriter: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
-
-
-WRITERS: dict[str, Callable[[Place], PartWriter]] = {
-    "npz": FrameFiles,
-    "png": FrameFiles,
-    "zarr": ZarrArrays,
-    "hdf5": Hdf5Files,
-    "ffv1": DepthVideo,
-    "lerobot": LerobotVideo,
-}
+from gelform.batch.outputs.video import DepthVideo, read_ffv1
+from gelform.batch.outputs.zarr_arrays import ZarrArrays, read_zarr
+from gelform.exporters.quantised import depth_from_levels
 
 
 class Finish(NamedTuple):
-    """What a form has beside the parts' files, made when all of them are done.
+    """What a form has beside the parts' files, made when all of them are done; by default nothing.
 
     Attributes
     ----------
@@ -70,19 +42,44 @@ class Finish(NamedTuple):
     names : takes the output; the paths below it of what was written among the frames
     """
 
-    write: Callable[[Path, list[str], Path], None]
-    missing: Callable[[Path], bool]
-    wrong: Callable[[Path, list[str]], Path | None]
+    write: Callable[[Path, list[str], Path], None] = lambda *_: None
+    missing: Callable[[Path], bool] = lambda _: False
+    wrong: Callable[[Path, list[str]], Path | None] = lambda *_: None
     names: Callable[[Path], set[str]] = lambda _: set()
 
 
-FINISHED: dict[str, Finish] = {
-    "hdf5": Finish(write_hdf5_index, no_hdf5_index, wrong_hdf5_index),
-    "lerobot": Finish(write_lerobot_set, set_is_missing, wrong_file_of_set, names_of_set),
+class Form(NamedTuple):
+    """A form of outputs.
+
+    Attributes
+    ----------
+    writer : of a part
+    read : takes a row's output and index; the frame's depth, mm, or levels of it; None where it was not kept
+    finish : what it has beside the parts' files
+    """
+
+    writer: Callable[[PartTarget], PartWriter]
+    read: Callable[[Path, int], NDArray[Any] | None]
+    finish: Finish = Finish()
+
+
+HDF5_FINISH = Finish(write_hdf5_index, no_hdf5_index, wrong_hdf5_index)
+LEROBOT_FINISH = Finish(write_lerobot_set, set_is_missing, wrong_file_of_set, names_of_set)
+WRITERS: dict[str, Form] = {
+    "npz": Form(FrameFiles, read_npz),
+    "png": Form(FrameFiles, read_png),
+    "zarr": Form(ZarrArrays, read_zarr),
+    "hdf5": Form(Hdf5Files, read_hdf5, HDF5_FINISH),
+    "ffv1": Form(DepthVideo, read_ffv1),
+    "lerobot": Form(LerobotVideo, read_lerobot, LEROBOT_FINISH),
 }
-NO_FINISH = Finish(lambda *_: None, lambda _: False, lambda *_: None)
 
 
-def finish_of(form: str) -> Finish:
-    """That of a form; one that does nothing where the parts' files are all."""
-    return FINISHED.get(form, NO_FINISH)
+def depth_of_row(output: Path, form: str, row: Mapping[str, Any]) -> NDArray[np.float32] | None:
+    """Depth (H, W), mm, NaN or 0 where it is not known; None where the frame has an error or depth was not kept."""
+    if not row["output"]:
+        return None
+    values = WRITERS[form].read(output / row["output"], int(row["index"]))
+    if values is not None and values.dtype == np.uint16:
+        return depth_from_levels(values)[0]
+    return values

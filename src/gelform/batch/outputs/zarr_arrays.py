@@ -9,15 +9,22 @@ bytes depend on the frames alone, and zarr's own way took several times as long 
 from __future__ import annotations
 
 import json
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.extras import needed
-from gelform.batch.outputs.maps import attributes_of, blank_maps, maps_of
-from gelform.batch.outputs.places import FRAMES, FlushedLater, OutputFile, Place
+from gelform.batch.outputs.files import (
+    FRAMES,
+    FlushedLater,
+    PartTarget,
+    PartWriter,
+    attributes_of,
+    blank_maps,
+    maps_of,
+)
+from gelform.errors import needed
 from gelform.reconstruction import Reconstruction
 
 MOST_SHARD_FRAMES = 64
@@ -27,24 +34,23 @@ BLOSC: dict[str, Any] = {"cname": "lz4", "clevel": 1, "shuffle": "bitshuffle", "
 NODE = "zarr.json"
 
 
-class ZarrArrays:
+class ZarrArrays(PartWriter):
     """Writes frames/<sequence>/<map>/c/<shard>/..., a shard whenever it is full; so memory does not grow with a video."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, target: PartTarget) -> None:
+        super().__init__(target)
         blosc = needed("numcodecs.blosc", "zarr", "Zarr")
         needed("google_crc32c", "zarr", "Zarr")
         blosc.use_threads = False  # the same bytes, and no threads beside the workers
-        self.files: list[OutputFile] = []
-        self._place = place
-        self._later = FlushedLater(place.output)
-        self._length = shard_frames(place.settings.part_frames)
+        self._later = FlushedLater(target.output)
+        self._length = shard_frames(target.settings.part_frames)
         self._chunks: dict[str, list[bytes]] = {}
-        self._blank = blank_maps(place.settings, place.shape)
-        self._count = place.part.start
+        self._blank = blank_maps(target.settings, target.shape)
+        self._count = target.part.start
 
     def prepared(self, result: Reconstruction) -> dict[str, bytes]:
         """Each map as a compressed chunk."""
-        return {name: _compressed(values) for name, values in maps_of(result, self._place.settings).items()}
+        return {name: _compressed(values) for name, values in maps_of(result, self._target.settings).items()}
 
     def add(self, name: str, index: int, prepared: dict[str, bytes] | None) -> dict[str, Any]:
         """Take a frame; an error is a missing chunk, which reads as NaN, False or level 0."""
@@ -53,21 +59,18 @@ class ZarrArrays:
         self._count += 1
         if self._count % self._length == 0:
             self._write_shards()
-        return {} if prepared is None else {"output": self._place.name_of(self._place.folder)}
+        return self._row(self._target.folder, prepared)
 
     def _write_shards(self) -> None:
         number = (self._count - 1) // self._length
         for name, chunks in self._chunks.items():
             zeros = "/0" * self._blank[name].ndim
-            path = self._place.folder / name / f"c/{number}{zeros}"
+            path = self._target.folder / name / f"c/{number}{zeros}"
             if not any(chunks):
                 path.unlink(missing_ok=True)  # of frames that could be read when the part was done before
             else:
                 self.files.append(self._later.write(path, shard_bytes(chunks, self._length)))
         self._chunks = {}
-
-    def __enter__(self) -> ZarrArrays:
-        return self
 
     def __exit__(self, *error: Any) -> None:
         if error[0] is not None:
@@ -80,14 +83,14 @@ class ZarrArrays:
 
     def _write_nodes(self) -> None:
         """Metadata of the arrays and of the groups above; the same bytes by every part of a sequence."""
-        place, frames = self._place, self._place.part.total or self._count
+        target, frames = self._target, self._target.part.total or self._count
         for name, blank in self._blank.items():
-            attributes = {**attributes_of(name, place.settings), **place.facts}
+            attributes = {**attributes_of(name, target.settings), **target.facts}
             node = _array_node(blank, frames, self._length, attributes)
-            self.files.append(self._later.write(place.folder / name / NODE, _json(node)))
+            self.files.append(self._later.write(target.folder / name / NODE, _json(node)))
         group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
-        for above in (place.part.sequence, *map(str, PurePosixPath(place.part.sequence).parents)):
-            self.files.append(self._later.write(place.output / FRAMES / above / NODE, group))
+        for above in (target.part.sequence, *map(str, PurePosixPath(target.part.sequence).parents)):
+            self.files.append(self._later.write(target.output / FRAMES / above / NODE, group))
 
 
 def shard_frames(part_frames: int) -> int:
@@ -150,3 +153,17 @@ def _array_node(blank: NDArray[Any], frames: int, length: int, attributes: dict[
 
 def _json(content: dict[str, Any]) -> bytes:
     return (json.dumps(content, indent=1) + "\n").encode()
+
+
+def read_zarr(path: Path, index: int) -> NDArray[Any] | None:
+    """Depth of a frame, or its levels, back from its shard by the shard's own index."""
+    folder = path / "depth_mm"
+    if not folder.is_dir():
+        return None
+    node = json.loads((folder / NODE).read_bytes())
+    length, height, width = node["chunk_grid"]["configuration"]["chunk_shape"]
+    content = (folder / f"c/{index // length}/0/0").read_bytes()
+    index_in_file = np.frombuffer(content[-16 * length - 4 : -4], "<u8").reshape(length, 2)
+    offset, size = map(int, index_in_file[index % length])
+    values = needed("numcodecs.blosc", "zarr", "Zarr").decompress(content[offset : offset + size])
+    return np.frombuffer(values, node["data_type"]).reshape(height, width)

@@ -71,7 +71,7 @@ def bag(
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
     from gelform.calibration_file import load_calibration
-    from gelform.robots.bag import save_bag
+    from gelform.robots.send import save_bag
 
     wanted = sent.wanted()
     loaded = load_calibration(calibration)
@@ -108,7 +108,7 @@ def ros(
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
     from gelform.calibration_file import load_calibration
-    from gelform.robots.publish import publish
+    from gelform.robots.send import publish
 
     wanted = sent.wanted()
     loaded = load_calibration(calibration)

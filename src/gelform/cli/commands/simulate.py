@@ -120,11 +120,11 @@ def simulate(
     pressed = face.read()
     with shown.progress() as progress:
         if pressed is not None:
-            from gelform.exporters.simulated_press import save_simulated_press
+            from gelform.exporters.simulated import save_simulated_press
 
             save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
         else:
-            from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
+            from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 
             oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's centre
             diameters = tuple(balls.ball_diameter_mm)

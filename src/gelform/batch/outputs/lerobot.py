@@ -1,6 +1,10 @@
-"""A LeRobot data set (version 3.0) with depth: the input's files, copied, and a feature more in its tables.
+"""A LeRobot data set (version 3.0) with depth: the input's files, copied, and a video of depth for each episode.
 
-`frames/` of the output is the data set. `meta/info.json`, without which LeRobot finds none, comes last.
+The videos are HEVC of 12 bits without loss. `frames/` of the output is the data set. `meta/info.json`, without which
+LeRobot finds none, comes last. LeRobot reads 12-bit codes as `depth_min + code / 4095 x (depth_max - depth_min)` metres and
+rounds to whole mm. With 0 and 4.095 m a code is its number of "mm", which here are um: v = 1000 + depth in um comes back as
+it went in, up to 3.095 mm.
+(LeRobot's own logarithmic default reaches 9 mm, in steps of 1.5 to 4 um.)
 """
 
 from __future__ import annotations
@@ -10,19 +14,153 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from gelform.batch.extras import needed
-from gelform.batch.inputs.lerobot_set import EPISODES as EPISODE_TABLES
-from gelform.batch.inputs.lerobot_set import INFO, STATS, lerobot_info
-from gelform.batch.outputs.lerobot_video import EPISODES, QUANTILES, SUFFIX, VIDEO_PATH, place_of_video
-from gelform.batch.outputs.places import FRAMES, PARTS, OutputFile, output_file, write_output
-from gelform.errors import DataError
-from gelform.npz_files import written_file
+import numpy as np
+from numpy.typing import NDArray
 
+from gelform.batch.inputs.lerobot import EPISODES as EPISODE_TABLES
+from gelform.batch.inputs.lerobot import INFO, STATS, lerobot_info
+from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, PartTarget, output_file, write_output
+from gelform.batch.outputs.video import Codec, VideoWriter
+from gelform.errors import DataError, needed
+from gelform.npz_files import written_file
+from gelform.reconstruction import Reconstruction
+from gelform.robots.lerobot_depth import (
+    UM_PER_MM,
+    ZERO_LEVEL,
+    depth_from_lerobot_levels,
+    lerobot_levels_from_depth,
+)
+
+SUFFIX = "_depth"  # of the feature, as of the camera's
+MAX_CODE = 4095
+FILES_IN_A_CHUNK = 1000
+EPISODES = "lerobot"  # folder beside the records of parts: what the tables are to say of each episode
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 LISTED = f"{PARTS}/{EPISODES}/files.json"
 Episodes = dict[str, dict[int, dict[str, Any]]]  # camera -> episode -> what its part said
+X265 = "lossless=1"
+KEY_FRAMES = 2  # every other frame, as LeRobot's own videos: any frame is quick to reach
+CODEC = Codec(
+    "libx265",
+    "gray12le",
+    "mp4",
+    {
+        "g": str(KEY_FRAMES),
+        "preset": "ultrafast",
+        "x265-params": f"{X265}:bframes=0:pools=none:frame-threads=1:log-level=none",
+    },
+)
+
+
+class LerobotVideo(VideoWriter):
+    """Writes an episode's video, and its statistics and feature for the tables of the data set."""
+
+    def __init__(self, target: PartTarget) -> None:
+        self._key, self._episode = episode_of(target.part.sequence)
+        path = target.output / FRAMES / video_path(self._key + SUFFIX, self._episode)
+        super().__init__(target, path, CODEC, target.part.rate_hz, needed("av", "lerobot", "LeRobot"))
+        self._counts = np.zeros(MAX_CODE + 1, dtype=np.int64)
+
+    def prepared(self, result: Reconstruction) -> NDArray[np.uint16]:
+        """The levels, 1000 + depth in um."""
+        levels = lerobot_levels_from_depth(result.depth_mm)
+        if levels.max() > MAX_CODE:
+            raise DataError(
+                f"Expected depth up to {(MAX_CODE - ZERO_LEVEL) / UM_PER_MM:.3f} mm, which LeRobot's 12 bits hold in steps "
+                f"of 1 um, got {result.depth_mm.max():.3f} mm. Look at the frame: gels are not pressed so deep."
+            )
+        return levels
+
+    def add(self, name: str, index: int, prepared: NDArray[np.uint16] | None) -> dict[str, Any]:
+        """Encode the next frame; level 0, unknown, where it has an error."""
+        if prepared is None:
+            self._counts[0] += np.prod(self._target.shape)
+        else:
+            self._counts += np.bincount(prepared.ravel(), minlength=MAX_CODE + 1)
+        return super().add(name, index, prepared)
+
+    def __exit__(self, *error: Any) -> None:
+        super().__exit__(*error)
+        if error[0] is None:
+            facts = {
+                "key": self._key,
+                "episode_index": self._episode,
+                "length": self._count,
+                "feature": self._feature(),
+                "stats": statistics(self._counts, self._count),
+            }
+            path = self._target.output / PARTS / EPISODES / f"{self._target.part.sequence}.json"
+            self.files.append(self._target.write(path, json.dumps(facts).encode()))
+
+    def _feature(self) -> dict[str, Any]:
+        """What `meta/info.json` says of the depth: LeRobot's entries, and where it comes from."""
+        height, width = self._target.shape
+        video = {"height": height, "width": width, "codec": "hevc", "pix_fmt": CODEC.pix_fmt, "channels": 1}
+        encoder = {
+            "g": KEY_FRAMES,
+            "preset": CODEC.options["preset"],
+            "fast_decode": 0,
+            "video_backend": "pyav",
+        }
+        codes = {"depth_min": 0.0, "depth_max": MAX_CODE / 1000, "shift": 0.0, "use_log": False}
+        more = {"fps": self._target.part.rate_hz, "extra_options": {"x265-params": X265}}
+        said = {f"video.{name}": value for name, value in {**video, **more, **encoder, **codes}.items()}
+        ours = {f"gelform.{name}": value for name, value in self._target.facts.items()}
+        ours["gelform.encoding"] = "1000 + depth in um, which LeRobot calls mm; 0: unknown"
+        info = {**said, "has_audio": False, "is_depth_map": True, "depth_unit": "mm", **ours}
+        names = ["height", "width", "channels"]
+        return {"dtype": "video", "shape": [height, width, 1], "names": names, "info": info}
+
+
+def episode_of(sequence: str) -> tuple[str, int]:
+    """The camera and the episode that a sequence of a LeRobot data set is named for.
+
+    Raises
+    ------
+    DataError
+        It is none.
+    """
+    key, found, number = sequence.rpartition("/episode_")
+    if not (key and found and number.isdecimal()):
+        raise DataError(
+            f"Expected an episode of a LeRobot data set, got {sequence or 'a folder of images'}. Write another format."
+        )
+    return key, int(number)
+
+
+def place_of_video(episode: int) -> tuple[int, int]:
+    """Chunk and file of an episode's video."""
+    return divmod(episode, FILES_IN_A_CHUNK)
+
+
+def video_path(key: str, episode: int) -> str:
+    """Of an episode's video, below the data set."""
+    chunk, file = place_of_video(episode)
+    return VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=file)
+
+
+def statistics(counts: NDArray[np.int64], frames: int) -> dict[str, float]:
+    """Least, greatest, mean, standard deviation, number of frames and quantiles of levels that were counted."""
+    levels, total = np.arange(len(counts)), max(1, int(counts.sum()))
+    there = np.flatnonzero(counts)
+    if not len(there):
+        return {"count": 0}
+    mean = float(counts @ levels) / total
+    below = np.cumsum(counts)
+    quantiles = {name: float(np.searchsorted(below, part * total)) for name, part in QUANTILES.items()}
+    return {
+        "min": float(there[0]),
+        "max": float(there[-1]),
+        "mean": mean,
+        "std": float(np.sqrt(counts @ (levels - mean) ** 2 / total)),
+        "count": frames,
+        **quantiles,
+    }
 
 
 def check_lerobot_source(source: Path, keys: set[str]) -> None:
@@ -208,3 +346,11 @@ def _in_lists(stats: dict[str, float]) -> dict[str, Any]:
 
 def _json(content: Any) -> bytes:
     return (json.dumps(content, indent=4, ensure_ascii=False) + "\n").encode()
+
+
+def read_lerobot(path: Path, index: int) -> NDArray[np.float32]:
+    """Depth of a frame, mm, back from the video: its codes are not those of `exporters.quantised`."""
+    with needed("av", "lerobot", "LeRobot").open(str(path)) as file:
+        frames = file.decode(file.streams.video[0])
+        codes = next(islice(frames, index, None)).to_ndarray(format=CODEC.pix_fmt)
+    return depth_from_lerobot_levels(codes)

@@ -1,5 +1,8 @@
-"""A bag decoded by an independent reader: every value, stamp, frame and type; what cannot become one."""
+"""Stamps, counts and ends of a stream that is sent; a bag decoded by an independent reader: every value, stamp, frame and
+type; a recording to a subscriber of zenoh; what cannot be sent."""
 
+import threading
+import time
 from dataclasses import replace
 
 import cv2
@@ -7,14 +10,67 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import CalibrationError, DataError
+from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.exporters.surface import points_from_result
-from gelform.robots.bag import save_bag
+from gelform.robots.ros_messages import typestore
+from gelform.robots.send import StampedResults, publish, save_bag
 from made.recorded import frames
 
-pytest.importorskip("rosbags", reason="the extra ros is not installed")
-pytest.importorskip("mcap", reason="the extra mcap is not installed")
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
+
+
+def test_stamps_are_those_of_the_frames(recording, calibration):
+    with gelform.stream(recording, calibration) as running:
+        results = StampedResults(running, recording, None)
+        stamps = [stamp for _, stamp in results]
+        stats = results.stats("left")
+    assert stamps == [START_NS + k * 10**9 // RATE_HZ for k in range(4)]
+    assert (stats.sensor, stats.frames, stats.drops, stats.stamped) == ("left", 4, 0, True)
+    assert stats.duration_s == pytest.approx(3 / RATE_HZ)
+
+
+def test_seconds_end_it_before_the_frame_that_is_later(recording, calibration):
+    with gelform.stream(recording, calibration) as running:
+        results = StampedResults(running, recording, 1.5 / RATE_HZ)
+        assert len(list(results)) == results.stats("left").frames == 2
+
+
+def test_frames_without_a_time_are_stamped_from_now_on(recording, calibration, tmp_path):
+    for k in range(2):
+        (tmp_path / f"{k}.png").write_bytes((recording / f"{k:08d}.png").read_bytes())
+    before = time.time_ns()
+    with gelform.stream(tmp_path, calibration) as running:
+        results = StampedResults(running, tmp_path, None)
+        first, second = (stamp for _, stamp in results)
+    assert before <= first <= time.time_ns()
+    assert second - first == 10**9 // 25
+    assert not results.stats("left").stamped
+
+
+class Empty:
+    """A source that ends before its first frame."""
+
+    live, name, serial, settings = False, "empty", None, {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def close(self):
+        pass
+
+    def __iter__(self):
+        return iter(())
+
+
+def test_an_empty_source_is_an_error(calibration):
+    with (
+        gelform.stream(Empty(), calibration) as running,
+        pytest.raises(DataError, match="No frame came from here"),
+    ):
+        list(StampedResults(running, "here", None))
 
 
 @pytest.fixture(scope="module")
@@ -131,3 +187,38 @@ def test_what_cannot_become_a_bag_is_said_and_leaves_nothing(recording, calibrat
     with pytest.raises(DataError, match=r"small: .*Expected"):
         save_bag(small, calibration, tmp_path / "bag")
     assert {path.name for path in tmp_path.iterdir()} == {"small"}
+
+
+@pytest.mark.slow
+def test_results_of_a_recording_are_published(router, recording, calibration):
+    got, came = {}, threading.Event()
+    subscription = router.session.declare_subscriber(
+        "4/left/indentation/**", lambda sample: (got.update({len(got): sample}), came.set())
+    )
+    with gelform.stream(recording, calibration) as running:
+        wanted = [result.depth_mm * np.float32(1e-3) for result in running]
+    for _ in range(20):  # a subscription takes a moment to spread, and the recording lasts 0.06 s
+        stats = publish(
+            recording, calibration, topics=["indentation"], sensor="left", router=router.address, domain=4
+        )
+        if came.wait(0.5):
+            break
+    subscription.undeclare()
+    assert stats.stamped
+    assert stats.frames >= 1
+    message = typestore().deserialize_cdr(got[0].payload.to_bytes(), "sensor_msgs/msg/Image")
+    metres = np.nan_to_num(message.data.view("<f4").reshape(message.height, message.width))
+    assert any(
+        np.array_equal(metres, np.nan_to_num(one)) or np.abs(metres - one).max() < 1e-5 for one in wanted
+    )
+
+
+def test_what_cannot_be_published_is_said(router, recording, calibration, tmp_path):
+    with pytest.raises(CalibrationError, match="scale"):
+        publish(recording, replace(calibration, mm_per_px=None), router=router.address)
+    with pytest.raises(DataError, match="No video file"):
+        publish(tmp_path / "missing.mp4", calibration, router=router.address)
+    with pytest.raises(GelformError, match=r"No zenoh router answers at tcp/127\.0\.0\.1:1\."):
+        publish(recording, calibration, router="tcp/127.0.0.1:1")
+    with pytest.raises(ValueError, match="topics among"):
+        publish(recording, calibration, topics=["depth"], router=router.address)

@@ -1,17 +1,19 @@
-"""Simulated data sets: the same bytes whatever the number of workers, read like real ones."""
+"""Simulated presses as files, one and sets: the same bytes whatever the number of workers, read like real ones."""
 
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from gelform.calibration.presses.folder import read_presses
 from gelform.errors import DataError
-from gelform.exporters.simulated_sets import SetOfPresses, save_simulated_set
-from gelform.sensors.simulated.settings import sensor_from_settings
-from gelform.simulate import LAYOUTS, Coating, simulate_ball_presses
+from gelform.exporters import save_simulated_press
+from gelform.exporters.simulated import SetOfPresses, save_simulated_set
+from gelform.sensors import read_sensor_toml, sensor_from_settings
+from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
 
 SENSOR = replace(
     LAYOUTS["three-edges"],
@@ -21,6 +23,27 @@ SENSOR = replace(
     cast_shadows=True,
 )
 SET = SetOfPresses(SENSOR, (6.0, 9.0), count=5, seed=11)
+
+
+def test_a_press_is_written_with_its_truth_and_parameters(tmp_path):
+    folder = save_simulated_press(tmp_path / "coin", SENSOR, Coin(), depth_mm=0.3, seed=4)
+    press = simulate_press(SENSOR, Coin(), depth_mm=0.3, rng=np.random.default_rng(4))
+    np.testing.assert_array_equal(cv2.imread(str(folder / "image.png"))[..., ::-1], press.image)
+    with np.load(folder / "truth.npz") as truth:
+        np.testing.assert_array_equal(truth["depth_mm"], press.depth_mm.astype(np.float32))
+        np.testing.assert_array_equal(truth["shadowed"], press.shadowed)
+        assert truth["mm_per_px"] == 0.2
+        assert json.loads(str(truth["meta"]))["seed"] == 4
+    said = json.loads((folder / "parameters.json").read_text())
+    assert sensor_from_settings(said["sensor"]) == SENSOR
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == 0.2
+
+
+def test_a_twins_press_looks_like_its_calibration(tmp_path, calibration):
+    twin = Twin(calibration)
+    folder = save_simulated_press(tmp_path / "twin", twin.sensor, Coin(), depth_mm=0.3, twin=twin)
+    np.testing.assert_array_equal(cv2.imread(str(folder / "background.png"))[..., ::-1], twin.background)
+    assert json.loads((folder / "parameters.json").read_text())["like"] == calibration.sensor_name
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -80,16 +103,19 @@ def test_a_folder_with_content_is_refused_and_a_failure_leaves_nothing(tmp_path)
     (tmp_path / "full/mine.txt").write_text("mine")
     with pytest.raises(DataError, match="holds something"):
         save_simulated_set(tmp_path / "full", SET)
+    with pytest.raises(DataError, match="holds something"):
+        save_simulated_press(tmp_path / "full", SENSOR, Coin(), depth_mm=0.3)
     deep = replace(SET, ball_diameters_mm=(60.0,))
     with pytest.raises(ValueError, match="gel's thickness"):
         save_simulated_set(tmp_path / "deep", deep)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [({"count": 0}, "count >= 1"), ({"ball_diameters_mm": ()}, "a ball"), ({"seed": -1}, "seed >= 0")],
-)
-def test_bad_sets_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        replace(SET, **change)
+def test_bad_sets_are_refused():
+    for change, message in (
+        ({"count": 0}, "count >= 1"),
+        ({"ball_diameters_mm": ()}, "a ball"),
+        ({"seed": -1}, "seed >= 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(SET, **change)

@@ -1,0 +1,208 @@
+"""What does the parts of a batch: this process, others of this machine, or Ray; in whatever order they end.
+
+Ray's machines have to see the same files under the same paths.
+"""
+
+from __future__ import annotations
+
+import pickle
+import secrets
+import tempfile
+from collections.abc import Generator, Sequence
+from concurrent.futures import as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.sharedctypes import RawValue
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+
+from gelform.batch.inputs.plan import Part
+from gelform.batch.records import PartRecord
+from gelform.batch.work import Job, Stopped, Worker
+from gelform.errors import GelformError, needed
+from gelform.processes import WorkerLostError, interrupt_held, worker_processes
+
+NOTHING_LOST = "What is done is kept, and not done again."
+TRIES_AGAIN = 5  # of a part whose worker or machine is lost; it writes the same bytes each time
+WAITING_PER_CPU = 2  # so that a worker never waits for the driver, and no million tasks wait in memory
+MEMORY_BYTES = 600 << 20  # of a task, which Ray sets aside
+
+_worker: Worker | None = None
+_stop: Any = None
+_run: str | None = None  # of Ray, that the worker was made for
+
+
+class DoneParts(Protocol):
+    """Does parts; gives each with its number of frames and of errors as it is done.
+
+    Closing the iterator ends the work between two frames; parts that are not done leave no record. Raises WorkerLostError
+    where workers were killed, DataError where an output cannot be written.
+    """
+
+    def __call__(
+        self, job: Job, parts: Sequence[Part], workers: int, address: str | None = None
+    ) -> Generator[tuple[Part, int, int], None, None]: ...
+
+
+def done_parts(
+    job: Job, parts: Sequence[Part], workers: int, address: str | None = None
+) -> Generator[tuple[Part, int, int], None, None]:
+    """Do parts here, or in several processes of this machine, which has no address (see `DoneParts`)."""
+    if workers == 1:
+        worker = Worker(job)
+        for part in parts:
+            yield part, *_counts(worker.do(part))
+        return
+    stop = RawValue("b", 0)  # without a lock, which a killed worker would hold for ever
+    with tempfile.TemporaryDirectory(prefix="gelform-batch-") as folder:
+        shared = Path(folder) / "job"  # a file, since it may be large
+        shared.write_bytes(pickle.dumps(job))
+        with worker_processes(workers, _prepare, shared, stop, kept=NOTHING_LOST) as pool:
+            try:
+                with interrupt_held():
+                    waiting = {pool.submit(_do, part): part for part in parts}
+                for future in as_completed(waiting):
+                    yield waiting.pop(future), *future.result()
+            finally:
+                stop.value = 1
+
+
+def done_parts_on_ray(
+    job: Job, parts: Sequence[Part], workers: int, address: str | None = None
+) -> Generator[tuple[Part, int, int], None, None]:
+    """Do parts as Ray's tasks, of one CPU each (see `DoneParts`).
+
+    Parameters
+    ----------
+    workers : CPUs of a Ray that is started here and ended with the run
+    address : of one that runs already
+
+    Raises
+    ------
+    WorkerLostError
+        A part's worker was lost six times, or Ray cannot be reached.
+    DataError
+        Ray is not installed; an output cannot be written.
+    """
+    ray = needed("ray", "ray", "The engine ray")
+    with _connected(ray, workers, address):
+        do = ray.remote(num_cpus=1, memory=MEMORY_BYTES, max_retries=TRIES_AGAIN)(_do_on_ray)
+        run, shared, todo = secrets.token_hex(8), ray.put(job), iter(parts)
+        most = WAITING_PER_CPU * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        waiting: dict[Any, Part] = {}
+        try:
+            while True:
+                for part in todo:
+                    waiting[do.remote(run, shared, part)] = part
+                    if len(waiting) >= most:
+                        break
+                if not waiting:
+                    return
+                (done,), _ = ray.wait(list(waiting), num_returns=1)
+                yield waiting.pop(done), *_result(ray, done)
+        finally:
+            for one in waiting:
+                ray.cancel(one)
+            ray.wait(list(waiting), num_returns=len(waiting), timeout=10) if waiting else None
+
+
+ENGINES: dict[str, DoneParts] = {"pool": done_parts, "ray": done_parts_on_ray}
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Which engine, and how many parts at once.
+
+    Attributes
+    ----------
+    name : one of ENGINES
+    workers : processes of the pool; CPUs of Ray, where `address` is None
+    address : of a Ray cluster that runs, such as "auto" or "ray://head:10001"
+
+    Raises
+    ------
+    ValueError
+        Another name, fewer workers than one, or an address for the pool.
+    """
+
+    name: str = "pool"
+    workers: int = 1
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.name not in ENGINES:
+            raise ValueError(f"Expected an engine among {', '.join(ENGINES)}, got {self.name!r}.")
+        if self.workers < 1:
+            raise ValueError(f"Expected at least one worker, got {self.workers}.")
+        if self.address is not None and self.name != "ray":
+            raise ValueError(f"Expected an address with the engine ray, got one with {self.name}.")
+
+    def done(self, job: Job, parts: Sequence[Part]) -> Generator[tuple[Part, int, int], None, None]:
+        """Do parts (see `DoneParts`)."""
+        workers = min(self.workers, max(1, len(parts)))
+        return ENGINES[self.name](job, parts, workers, self.address)
+
+
+def _counts(record: PartRecord) -> tuple[int, int]:
+    return len(record.rows), record.errors
+
+
+def _prepare(shared: Path, stop: Any) -> None:
+    """What a worker process needs before its first part."""
+    global _worker, _stop
+    _worker, _stop = Worker(pickle.loads(shared.read_bytes())), stop
+
+
+def _do(part: Part) -> tuple[int, int]:
+    assert _worker is not None
+    try:
+        return _counts(_worker.do(part, lambda: bool(_stop.value)))
+    except Stopped:
+        return 0, 0
+
+
+def _do_on_ray(run: str, job: Job, part: Part) -> tuple[int, int]:
+    """A part, in a worker process of Ray; the Reconstructor is prepared once in each."""
+    global _worker, _run
+    if _worker is None or _run != run:
+        cv2.setNumThreads(1)
+        _worker, _run = Worker(job), run
+    return _counts(_worker.do(part))
+
+
+@contextmanager
+def _connected(ray: Any, workers: int, address: str | None) -> Any:
+    """Connected to Ray; one that was there before stays connected."""
+    if ray.is_initialized():
+        yield
+        return
+    local = {"num_cpus": workers, "include_dashboard": False} if address is None else {"address": address}
+    try:
+        ray.init(log_to_driver=False, logging_level="ERROR", **local)
+    except Exception as problem:  # Ray raises Exception itself where one of its own processes does not start
+        what = "start Ray here" if address is None else f"reach Ray at {address}"
+        said = str(problem).rstrip(".")
+        raise WorkerLostError(f"Cannot {what}: {said}. Look at: ray status.") from problem
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _result(ray: Any, done: Any) -> tuple[int, int]:
+    """What a task gave; an error of ours is raised as it was there."""
+    lost = ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError
+    try:
+        counts: tuple[int, int] = ray.get(done)
+        return counts
+    except ray.exceptions.RayTaskError as problem:
+        if isinstance(problem.cause, GelformError):
+            raise problem.cause from None
+        raise
+    except lost as problem:
+        raise WorkerLostError(
+            f"A part's worker was lost {TRIES_AGAIN + 1} times, perhaps for want of memory: {problem} {NOTHING_LOST} Run "
+            "the same command again."
+        ) from problem

@@ -1,0 +1,139 @@
+"""Depth as lossless video, one file per sequence, that appears whole or not at all: FFV1 of 16 bits in Matroska."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelform.batch.outputs.files import (
+    FRAMES,
+    PartTarget,
+    PartWriter,
+    RememberingFile,
+    maps_of,
+    output_file,
+)
+from gelform.errors import DataError, needed
+from gelform.exporters.quantised import UNKNOWN
+from gelform.npz_files import written_file
+from gelform.reconstruction import Reconstruction
+
+
+@dataclass(frozen=True)
+class Codec:
+    """How levels are kept without loss.
+
+    Attributes
+    ----------
+    encoder : ffmpeg's name of it, such as "ffv1"
+    pix_fmt : of one plane of little-endian uint16, such as "gray16le"
+    container : ffmpeg's name of the muxer, such as "matroska"
+    options : of the encoder
+    """
+
+    encoder: str
+    pix_fmt: str
+    container: str
+    options: Mapping[str, str] = field(default_factory=dict)
+
+
+RATE_HZ = 30  # nominal: when a frame was taken is in the table
+FFV1 = Codec("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slicecrc": "1"})
+
+
+class VideoWriter(PartWriter):
+    """Writes levels (H, W) uint16 as the frames of one video.
+
+    Parameters
+    ----------
+    target : of the part, which is a whole sequence
+    path : of the video; its folder is made
+    codec : how levels are kept
+    rate_hz : frames a second, which the times of the frames follow
+    av : the module
+
+    Raises
+    ------
+    DataError
+        av was built without the encoder; the disk is full.
+    """
+
+    def __init__(self, target: PartTarget, path: Path, codec: Codec, rate_hz: int, av: Any) -> None:
+        super().__init__(target)
+        self._path, self._codec, self._rate_hz, self._av = path, codec, rate_hz, av
+        self._open = ExitStack()
+        self._count = 0
+
+    def add(self, name: str, index: int, prepared: NDArray[np.uint16] | None) -> dict[str, Any]:
+        """Encode the next frame; level 0, unknown, where it has an error."""
+        height, width = self._target.shape
+        frame = self._av.VideoFrame(width, height, self._codec.pix_fmt)
+        plane = frame.planes[0]  # whose rows may be longer than the image's
+        rows = np.frombuffer(plane, dtype="<u2").reshape(-1, plane.line_size // 2)
+        rows[:height, :width] = UNKNOWN if prepared is None else prepared
+        frame.pts, frame.time_base = self._count, Fraction(1, self._rate_hz)
+        self._file.mux(self._stream.encode(frame))
+        self._handle.check()
+        self._count += 1
+        return self._row(self._path, prepared)
+
+    def __enter__(self) -> VideoWriter:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as opened:
+            self._handle = RememberingFile(opened.enter_context(written_file(self._path, overwrite=True)))
+            opened.callback(self._handle.check)
+            bitexact = {"fflags": "bitexact"}  # no random identifiers
+            self._file = opened.enter_context(
+                self._av.open(self._handle, "w", format=self._codec.container, options=bitexact)
+            )
+            self._stream = self._added_stream()
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if error[0] is None:
+            self._file.mux(self._stream.encode())
+        self._open.__exit__(*error)  # a full disk becomes a DataError of `written_file`
+        if error[0] is None:
+            self.files.append(output_file(self._target.output, self._path))
+
+    def _added_stream(self) -> Any:
+        codec = self._codec
+        try:
+            stream = self._file.add_stream(codec.encoder, rate=self._rate_hz, options=dict(codec.options))
+        except self._av.codec.codec.UnknownCodecError as problem:
+            raise DataError(
+                f"This build of av has no encoder {codec.encoder}. Install the wheel: pip install av."
+            ) from problem
+        stream.height, stream.width = self._target.shape
+        stream.pix_fmt = codec.pix_fmt
+        stream.thread_count = 1  # the same bytes, and no threads beside the workers
+        return stream
+
+
+class DepthVideo(VideoWriter):
+    """Writes frames/<sequence>.mkv, levels of depth (v - 32768) x 1e-4 mm."""
+
+    def __init__(self, target: PartTarget) -> None:
+        path = target.output / FRAMES / f"{target.part.sequence or 'frames'}.mkv"
+        super().__init__(target, path, FFV1, RATE_HZ, needed("av", "ffv1", "FFV1"))
+
+    def prepared(self, result: Reconstruction) -> NDArray[np.uint16]:
+        """The levels."""
+        return maps_of(result, self._target.settings)["depth_mm"]
+
+
+def read_ffv1(path: Path, index: int) -> NDArray[Any]:
+    """Levels of a frame, back from the video."""
+    with needed("av", "ffv1", "FFV1").open(str(path)) as file:
+        stream = file.streams.video[0]
+        file.seek(int(index / RATE_HZ / stream.time_base), stream=stream)
+        frames = (one for one in file.decode(stream) if round(one.time * RATE_HZ) >= index)
+        return np.asarray(next(frames).to_ndarray(format=FFV1.pix_fmt))

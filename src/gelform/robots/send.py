@@ -1,0 +1,224 @@
+"""A source through a calibration to ROS 2: into a bag, or live over zenoh (experimental)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from os import PathLike
+
+from numpy.typing import ArrayLike
+
+from gelform.calibration_file import Calibration, as_calibration
+from gelform.checks import check_positive
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.progress import Progress, no_progress
+from gelform.reconstruction import Reconstruction
+from gelform.robots.bag_file import BagFile
+from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, check_topics, sensor_name_from
+from gelform.robots.zenoh_node import ZenohNode
+from gelform.sensors.source import open_source
+from gelform.streams.memory import StreamFrame
+from gelform.streams.stream import Stream, stream
+
+
+@dataclass(frozen=True)
+class SentStats:
+    """What was written or published.
+
+    Attributes
+    ----------
+    sensor : the name that its topics begin with
+    frames, duration_s : how many, and s from the first to the last
+    drops : frames of the source that never became a result
+    stamped : whether frames said when they were taken; else stamps begin when the first one was sent
+    """
+
+    sensor: str
+    frames: int
+    duration_s: float
+    drops: int
+    stamped: bool
+
+
+class StampedResults:
+    """Loops over a running stream, until `seconds` have gone; counts what was asked for.
+
+    Parameters
+    ----------
+    running : of the source
+    source : as the user named it, for messages
+    seconds : how long, by the times of the frames; to the end where None
+    """
+
+    def __init__(self, running: Stream, source: object, seconds: float | None) -> None:
+        self._running, self._source, self._seconds = running, source, seconds
+        self._stamps = _Stamps()
+        self._count, self._last_s = 0, 0.0
+
+    def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
+        """Each result with its frame, and its stamp, ns.
+
+        Raises
+        ------
+        DataError
+            The source gives no frame, or frames of another size than the calibrated one.
+        """
+        try:
+            for seen in self._running.pairs():
+                stamp_ns = self._stamps(seen.frame)
+                if self._seconds is not None and seen.time_s - self._stamps.first_s >= self._seconds:
+                    break
+                self._count, self._last_s = self._count + 1, seen.time_s
+                yield seen, stamp_ns
+        except (ValueError, TypeError) as problem:
+            if self._count:
+                raise
+            raise DataError(f"{self._source}: {problem}") from problem
+        if not self._count:
+            raise DataError(f"No frame came from {self._source}: there is nothing to send.")
+
+    def send(
+        self, send: Callable[[Frame, Reconstruction, int], None], progress: Callable[[int], None]
+    ) -> None:
+        """Send each result with its frame and stamp; an interrupt (Ctrl-C), a camera's usual end, ends the loop."""
+        try:
+            for count, (one, stamp_ns) in enumerate(self, 1):
+                send(one.frame, one.result, stamp_ns)
+                progress(count)
+        except KeyboardInterrupt:
+            pass
+
+    def stats(self, sensor: str) -> SentStats:
+        """What the loop gave."""
+        duration_s = self._last_s - self._stamps.first_s if self._count else 0.0
+        return SentStats(sensor, self._count, duration_s, self._running.stats.drops, self._stamps.known)
+
+
+class _Stamps:
+    """When frames were taken, UTC, ns; where they do not say, from now on, as far apart as they were."""
+
+    def __init__(self) -> None:
+        self.known, self.first_s = True, 0.0
+        self._start_ns = 0
+
+    def __call__(self, frame: Frame) -> int:
+        if not self._start_ns:
+            self._start_ns, self.first_s, self.known = time.time_ns(), frame.time_s, frame.wall_time_ns > 0
+        if self.known:
+            return frame.wall_time_ns
+        return self._start_ns + round((frame.time_s - self.first_s) * 1e9)
+
+
+def save_bag(
+    source: str | PathLike[str],
+    calibration: Calibration | str | PathLike[str],
+    path: str | PathLike[str],
+    *,
+    topics: Iterable[str] = tuple(TOPICS),
+    sensor: str | None = None,
+    seconds: float | None = None,
+    background: ArrayLike | None = None,
+    progress: Progress = no_progress,
+) -> SentStats:
+    """Reconstruct what a source gives, and write frames and results as a rosbag2 folder.
+
+    Of a recording, a video or a folder every frame; of a camera the newest ones, until `seconds` have gone. An
+    interrupt (Ctrl-C) ends the bag as the source's end does.
+
+    Parameters
+    ----------
+    source : what `open_source` takes
+    calibration : of the sensor, or the path of its file
+    path : a new folder
+    topics : names of TOPICS
+    sensor : a name of ROS that topics and frames begin with; by default made of the calibration's sensor name
+    seconds : how long; without end where None
+    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
+    progress : is told frames
+
+    Raises
+    ------
+    SensorError, DataError
+        The source cannot be opened or gives no frame, or frames of another size; the path is there already or cannot
+        be written; the extra `ros` is not installed.
+    CalibrationError
+        The calibration cannot be read or is of another sensor, or it has no scale: indentation and points are metres.
+    ValueError
+        An unknown topic, no name of ROS, or seconds that are no time.
+    """
+    calibration, topics, name = _checked(calibration, topics, sensor, seconds)
+    with (
+        BagFile(path, name, topics=topics, hardware_id=calibration.serial or "") as bag,
+        stream(source, calibration, background=background) as running,
+    ):
+        results = StampedResults(running, source, seconds)
+        results.send(bag.write, lambda count: progress(count, count, "writing frames"))
+        return results.stats(name)
+
+
+def publish(
+    source: str | PathLike[str],
+    calibration: Calibration | str | PathLike[str],
+    *,
+    topics: Iterable[str] = tuple(TOPICS),
+    sensor: str | None = None,
+    router: str = ROUTER,
+    domain: int = 0,
+    seconds: float | None = None,
+    background: ArrayLike | None = None,
+    progress: Progress = no_progress,
+) -> SentStats:
+    """Reconstruct what a source gives, and publish the newest results as topics of ROS 2 until it ends.
+
+    Nodes whose middleware is rmw_zenoh (Jazzy and later) receive them. Recordings, videos and folders are played at
+    their own pace. An interrupt (Ctrl-C) ends it as the source's end does.
+
+    Parameters
+    ----------
+    source : what `open_source` takes
+    calibration : of the sensor, or the path of its file
+    topics : names of TOPICS
+    sensor : a name of ROS that topics and frames begin with; by default made of the calibration's sensor name
+    router : address of the zenoh router
+    domain : the number ROS_DOMAIN_ID of those who listen
+    seconds : how long; without end where None
+    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
+    progress : is told frames
+
+    Raises
+    ------
+    GelformError
+        No router answers.
+    SensorError, DataError
+        The source cannot be opened or gives no frame, or frames of another size; the extra `zenoh` is not installed.
+    CalibrationError
+        The calibration cannot be read or is of another sensor, or it has no scale: indentation and points are metres.
+    ValueError
+        An unknown topic, no name of ROS, no such domain, no address, or seconds that are no time.
+    """
+    calibration, topics, name = _checked(calibration, topics, sensor, seconds)
+    hardware_id = calibration.serial or ""
+    with (
+        ZenohNode(name, topics=topics, router=router, domain=domain, hardware_id=hardware_id) as node,
+        stream(lambda: open_source(source, paced=True), calibration, background=background) as running,
+    ):
+        results = StampedResults(running, source, seconds)
+        results.send(node.publish, lambda count: progress(count, count, "publishing frames"))
+        return results.stats(name)
+
+
+def _checked(
+    calibration: Calibration | str | PathLike[str],
+    topics: Iterable[str],
+    sensor: str | None,
+    seconds: float | None,
+) -> tuple[Calibration, tuple[str, ...], str]:
+    """What can be sent of a calibration: the topics, and the sensor's name in ROS."""
+    calibration, topics = as_calibration(calibration), check_topics(topics)
+    if set(topics) & set(NEEDS_SCALE):
+        _ = calibration.known_mm_per_px
+    if seconds is not None:
+        check_positive(seconds, "seconds")
+    return calibration, topics, sensor_name_from(calibration.sensor_name) if sensor is None else sensor

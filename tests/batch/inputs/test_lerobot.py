@@ -1,0 +1,151 @@
+"""LeRobot's version 3.0: episodes one after the other in one mp4, found by their times, or as images in tables."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gelform.batch import run_batch
+from gelform.batch.inputs.containers import image_from_values
+from gelform.batch.inputs.lerobot import (
+    compression_of,
+    is_lerobot_set,
+    lerobot_info,
+    lerobot_sequences,
+    stored_images,
+    video_frames,
+)
+from gelform.batch.inputs.listing import listing_of
+from gelform.errors import DataError
+
+KEY, STORED, FPS = "observation.images.gel", "observation.images.still", 30
+
+
+def changed(root, **more):
+    info = json.loads((root / "meta/info.json").read_text())
+    (root / "meta/info.json").write_text(json.dumps({**info, **more}))
+
+
+def test_episodes_are_sequences(lerobot):
+    root, _ = lerobot
+    assert is_lerobot_set(root)
+    found = lerobot_sequences(root, KEY)
+    assert [(one.name, one.offset, one.count) for one in found] == [
+        (f"{KEY}/episode_000000", 0, 3),
+        (f"{KEY}/episode_000001", 3, 4),
+        (f"{KEY}/episode_000002", 7, 2),
+    ]
+
+
+def test_the_frames_of_an_episode_from_anywhere_in_it(lerobot):
+    root, frames = lerobot
+    (path,) = root.rglob("*.mp4")
+    for start in range(4):
+        found = list(video_frames(path, 3, start, 4 - start))
+        assert [time for time, _ in found] == pytest.approx([k / FPS for k in range(start, 4)], abs=1e-4)
+        for k, (_, image) in enumerate(found, 3 + start):
+            np.testing.assert_array_equal(image, frames[k])
+
+
+def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, encode):
+    root, frames = lerobot
+    (path,) = root.rglob("*.mp4")
+    encode(path, frames[:5])
+    summary = run_batch(root, cal, tmp_path / "out", dataset=KEY, table="csv")
+    assert (summary.frames, summary.errors) == (9, 4)
+    assert "got 5. It is cut off" in (tmp_path / "out/frames.csv").read_text()
+
+
+def test_compression_in_words(lerobot):
+    root, _ = lerobot
+    assert compression_of(root, KEY) == ""
+    assert listing_of(root, dataset=KEY).warnings == ()
+    told = {"video.codec": "av1", "video.pix_fmt": "yuv420p", "video.crf": 30}
+    changed(root, features={KEY: {"dtype": "video", "shape": [64, 80, 3], "info": told}})
+    assert compression_of(root, KEY) == "av1 yuv420p crf 30"
+    (warning,) = listing_of(root, dataset=KEY).warnings
+    assert "av1 yuv420p crf 30, with loss" in warning
+    assert "27 um" in warning
+
+
+def test_what_cannot_be_is_said(lerobot):
+    root, _ = lerobot
+    with pytest.raises(
+        DataError, match=rf"there are {KEY} \(one of video 64x80x3\), .*still \(one of image 64x80x3\)"
+    ):
+        listing_of(root, dataset="observation.images.wrist")
+    changed(root, codebase_version="v2.1")
+    with pytest.raises(DataError, match=r"version v3.0, got v2.1 .* convert_dataset_v21_to_v30"):
+        listing_of(root, dataset=KEY)
+    (root / "meta/info.json").write_text("{")
+    with pytest.raises(DataError, match="cannot be read as LeRobot's"):
+        lerobot_info(root)
+
+
+def table(root, number=0):
+    return root / f"data/chunk-000/file-{number:03d}.parquet"
+
+
+def test_episodes_in_tables_are_sequences(lerobot):
+    root, _ = lerobot
+    found = listing_of(root, dataset=STORED)
+    assert [(one.path.name, one.offset, one.count) for one in found.sequences] == [
+        ("file-000.parquet", 0, 3),
+        ("file-000.parquet", 3, 4),
+        ("file-001.parquet", 0, 2),
+    ]
+    assert found.warnings == ()  # PNG
+
+
+def test_the_images_of_an_episode_from_anywhere_in_it(lerobot):
+    """Rows are in groups of two, which the episode's ends cut."""
+    root, frames = lerobot
+    for start, count in ((0, 4), (1, 2), (3, 1)):
+        found = list(stored_images(table(root), STORED, 3, start, count))
+        times = [k / FPS for k in range(start, start + count)]
+        assert [seconds for seconds, _ in found] == pytest.approx(times)
+        for k, (_, content) in enumerate(found, 3 + start):
+            np.testing.assert_array_equal(image_from_values(content), frames[k])
+
+
+def test_a_batch_is_that_of_the_video(lerobot, cal, tmp_path):
+    root, _ = lerobot
+    for name, key in (("a", STORED), ("b", KEY)):
+        done = run_batch(root, cal, tmp_path / name, dataset=key, table="csv")
+        assert (done.complete, done.frames, done.errors) == (True, 9, 0)
+    for episode, frame in ((0, 0), (1, 3), (2, 1)):
+        name = f"episode_{episode:06d}/{frame:06d}.npz"
+        first, second = (
+            np.load(tmp_path / f"{a}/frames/{key}/{name}") for a, key in (("a", STORED), ("b", KEY))
+        )
+        np.testing.assert_array_equal(first["depth_mm"], second["depth_mm"])
+
+
+def test_an_image_that_is_damaged_or_absent_is_a_row_with_its_error(lerobot, cal, tmp_path):
+    from pyarrow import Table, parquet
+
+    root, _ = lerobot
+    rows = parquet.read_table(table(root)).to_pylist()
+    rows[1][STORED]["bytes"] = rows[1][STORED]["bytes"][:40]
+    rows[4][STORED]["bytes"] = None
+    parquet.write_table(Table.from_pylist(rows), table(root))
+    done = run_batch(root, cal, tmp_path / "out", dataset=STORED, table="csv")
+    assert (done.frames, done.errors) == (9, 2)
+    said = (tmp_path / "out/frames.csv").read_text()
+    assert "bytes that are no image" in said
+    assert "has no bytes of an image" in said
+
+
+def test_tables_that_do_not_agree(lerobot, cal, tmp_path):
+    root, _ = lerobot
+    with pytest.raises(DataError, match=r"Expected frame 0 .* in row 1 .* got frame 1"):
+        list(stored_images(table(root), STORED, 1, 0, 2))
+    with pytest.raises(DataError, match=r"Expected 8 rows .* got 7"):
+        list(stored_images(table(root), STORED, 3, 0, 5))
+    with pytest.raises(DataError, match=r"Expected 12 rows .* got 10"):
+        list(stored_images(table(root), STORED, 10, 0, 2))
+    table(root).write_bytes(table(root).read_bytes()[:500])
+    with pytest.raises(DataError, match="Cannot read"):
+        list(stored_images(table(root), STORED, 0, 0, 1))
+    done = run_batch(root, cal, tmp_path / "out", dataset=STORED, table="csv")
+    assert (done.frames, done.errors) == (9, 7)
