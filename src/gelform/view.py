@@ -88,13 +88,20 @@ class View:
         return self if self.frame_shape is not None else replace(self, frame_shape=frame_shape)
 
     @property
-    def _box(self) -> tuple[float, float, float, float]:
-        if self.frame_shape is None:
+    def _sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(H, W) of frames and of images, where both have to be known."""
+        if self.frame_shape is None or self.shape is None:
             raise ValueError(
                 "Expected a view that knows the size of its frames where points are mapped through it: "
                 "view.of_frames((height, width))."
             )
-        return self.crop or (0.0, 0.0, float(self.frame_shape[1]), float(self.frame_shape[0]))
+        return self.frame_shape, self.shape
+
+    @property
+    def _box(self) -> tuple[float, float, float, float]:
+        """(left, top, width, height) of the crop, or of the whole frame."""
+        height, width = self.frame_shape or (0, 0)
+        return self.crop or (0.0, 0.0, float(width), float(height))
 
     def to_dict(self) -> dict[str, Any]:
         """The settings that differ from the default, as JSON and TOML can say them."""
@@ -189,25 +196,20 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
 @lru_cache(maxsize=8)
 def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
     """What to cut out of the frame, the box to average there, and where each image pixel then lies in it."""
-    assert view.frame_shape is not None
-    assert view.shape is not None
-    left, top, width, height = view._box
-    x, columns, box_x = box_centres(left, width, view.frame_shape[1], view.shape[1], "x" in view.flip)
-    y, rows, box_y = box_centres(top, height, view.frame_shape[0], view.shape[0], "y" in view.flip)
+    (frame, image), (left, top, width, height) = view._sizes, view._box
+    x, columns, box_x = box_centres(left, width, frame[1], image[1], "x" in view.flip)
+    y, rows, box_y = box_centres(top, height, frame[0], image[0], "y" in view.flip)
     return rows, columns, (box_y, box_x), *pixel_maps(x, y)
 
 
 @lru_cache(maxsize=8)
 def _maps_through_lens(view: View) -> tuple[tuple[int, int], NDArray[Any], NDArray[Any]]:
     """The box to average in the whole frame, and where each image pixel then lies in it."""
-    assert view.frame_shape is not None
-    assert view.shape is not None
-    assert view.lens is not None
-    _, _, width, height = view._box
-    box = tuple(max(1, int(n / m + 0.5)) for n, m in zip((height, width), view.shape))
-    points = frame_px_from_image_px(pixel_positions(view.shape), view)
+    shape, (_, _, width, height) = view._sizes[1], view._box
+    box = max(1, int(height / shape[0] + 0.5)), max(1, int(width / shape[1] + 0.5))
+    points = frame_px_from_image_px(pixel_positions(shape), view)
     in_boxes = (points + 0.5) / (box[1], box[0]) - 0.5
-    return (box[0], box[1]), *maps_of_positions(in_boxes, view.shape)
+    return box, *maps_of_positions(in_boxes, shape)
 
 
 def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float64]:
@@ -215,14 +217,9 @@ def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
-    left, top, width, height = view._box
-    assert view.shape is not None
-    x = view.shape[1] - 1 - points[:, 0] if "x" in view.flip else points[:, 0]
-    y = view.shape[0] - 1 - points[:, 1] if "y" in view.flip else points[:, 1]
-    rectified = np.stack(
-        [(x + 0.5) * width / view.shape[1] - 0.5 + left, (y + 0.5) * height / view.shape[0] - 0.5 + top],
-        axis=1,
-    )
+    shape, (left, top, width, height) = view._sizes[1], view._box
+    scale = np.divide((width, height), (shape[1], shape[0]))
+    rectified = (_flipped(points, view) + 0.5) * scale - 0.5 + (left, top)
     return rectified if view.lens is None else view.lens.frame_px_from_rectified_px(rectified)
 
 
@@ -231,28 +228,28 @@ def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
-    left, top, width, height = view._box
-    assert view.shape is not None
+    shape, (left, top, width, height) = view._sizes[1], view._box
     if view.lens is not None:
         points = view.lens.rectified_px_from_frame_px(points)
-    x = (points[:, 0] + 0.5 - left) * view.shape[1] / width - 0.5
-    y = (points[:, 1] + 0.5 - top) * view.shape[0] / height - 0.5
+    scale = np.divide((shape[1], shape[0]), (width, height))
+    return _flipped((points + 0.5 - (left, top)) * scale - 0.5, view)
+
+
+def _flipped(points: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+    """Points of the image where its flip takes them; twice is as before."""
+    height, width = view._sizes[1]
+    x, y = points.T
     return np.stack(
-        [
-            view.shape[1] - 1 - x if "x" in view.flip else x,
-            view.shape[0] - 1 - y if "y" in view.flip else y,
-        ],
-        axis=1,
+        [width - 1 - x if "x" in view.flip else x, height - 1 - y if "y" in view.flip else y], axis=1
     )
 
 
 @lru_cache(maxsize=8)
 def _maps_to_frame(view: View) -> tuple[NDArray[Any], NDArray[Any]]:
     """Where each frame pixel lies in the image."""
-    assert view.frame_shape is not None
-    assert view.shape is not None
-    points = image_px_from_frame_px(pixel_positions(view.frame_shape), view)
-    return maps_of_positions(points, view.frame_shape)
+    frame_shape = view._sizes[0]
+    points = image_px_from_frame_px(pixel_positions(frame_shape), view)
+    return maps_of_positions(points, frame_shape)
 
 
 def _size_of(value: Any, name: str) -> tuple[int, int] | None:

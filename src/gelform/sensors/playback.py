@@ -17,23 +17,10 @@ USUAL_RATE_HZ = 25.0  # of images that do not say when they were taken
 
 
 class Pace:
-    """The times of evenly spaced frames, the first one now.
+    """The times of evenly spaced frames, the first one now."""
 
-    Parameters
-    ----------
-    rate_hz : frames a second
-    clock, sleep : replace them to run faster or slower than real time
-    """
-
-    def __init__(
-        self,
-        rate_hz: float,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._rate_hz, self._clock, self._sleep = rate_hz, clock, sleep
-        self._start_s = clock()
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz, self._start_s = rate_hz, time.monotonic()
 
     def wait_for(self, index: int) -> float:
         """Wait for the time of a frame; that time, on the clock."""
@@ -42,9 +29,7 @@ class Pace:
     def wait_until(self, after_s: float) -> float:
         """Wait until so many seconds after the start; that time, on the clock."""
         due = self._start_s + after_s
-        wait = due - self._clock()
-        if wait > 0:
-            self._sleep(wait)
+        time.sleep(max(0.0, due - time.monotonic()))
         return due
 
     def next_after(self, index: int) -> int:
@@ -53,7 +38,7 @@ class Pace:
 
     def late_s(self, after_s: float) -> float:
         """How long ago the moment `after_s` after the start was, s; negative where it is to come."""
-        return self._clock() - self._start_s - after_s
+        return time.monotonic() - self._start_s - after_s
 
 
 class Playback:
