@@ -172,12 +172,6 @@ def test_a_height_that_cannot_be_is_refused(copy, height, message):
         gelform.read_presses(copy)
 
 
-def test_progress_is_reported(copy):
-    calls = []
-    gelform.read_presses(copy, progress=lambda *call: calls.append(call))
-    assert calls[-1][:2] == (14, 14)
-
-
 SPOILT = {
     "missing column": (lambda h, r: (["image", "diameter"], r), "columns image, ball_diameter_mm .* missing"),
     "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball_diameter_mm > 0, got 0.* line 2"),
@@ -242,12 +236,6 @@ def test_truncated_image(copy, presses):
         gelform.read_presses(copy)
 
 
-@pytest.mark.parametrize("pitch", [0, -0.1, float("nan")])
-def test_scale_must_be_positive(copy, pitch):
-    with pytest.raises(ValueError, match="mm_per_px > 0"):
-        gelform.read_presses(copy, mm_per_px=pitch)
-
-
 def test_unknown_sensor_lists_the_known(copy):
     (copy / "sensor.toml").unlink()
     with pytest.raises(gelform.SensorError, match="gelsight-mini, digit"):
@@ -264,13 +252,10 @@ def test_a_ball_that_cannot_be_is_refused(folder, tmp_path, ball):
         gelform.read_presses(plain, mm_per_px=0.1, ball_diameter_mm=ball)
 
 
-@pytest.mark.parametrize("pitch", [True, "0.1", 1e300])
-def test_a_scale_that_cannot_be_is_refused(folder, pitch):
-    with pytest.raises((ValueError, TypeError), match="mm_per_px"):
-        gelform.read_presses(folder, mm_per_px=pitch)
-
-
-def test_pixels_per_mm_get_a_hint(folder):
+def test_a_scale_that_cannot_be_is_refused(folder):
+    for pitch in (0, -0.1, float("nan"), True, "0.1", 1e300):
+        with pytest.raises((ValueError, TypeError), match="mm_per_px"):
+            gelform.read_presses(folder, mm_per_px=pitch)
     with pytest.raises(ValueError, match=r"give 1/15\.8 = 0\.06329"):
         gelform.read_presses(folder, mm_per_px=15.8)
 

@@ -20,9 +20,9 @@ DRAWS = 1000  # of presses with replacement, for intervals
 PRIOR_PIXELS = 200  # by which a direction's error in a tile is drawn to the mean of all
 
 
-def resampled(count: int, rng: np.random.Generator, draws: int = DRAWS) -> NDArray[np.float64]:
+def resampled(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """How often each of `count` presses is drawn in each bootstrap, (draws, count)."""
-    return rng.multinomial(count, np.full(count, 1 / count), size=draws).astype(np.float64)
+    return rng.multinomial(count, np.full(count, 1 / count), size=DRAWS).astype(np.float64)
 
 
 def gain_curve(samples: Sequence[HeldOutSample], rng: np.random.Generator) -> list[dict[str, Any]]:

@@ -57,22 +57,20 @@ class Axes:
 
     x_range: tuple[float, float]
     y_range: tuple[float, float]
-    width: int = WIDTH
-    height: int = HEIGHT
 
     def x(self, value: float) -> float:
         """Pixel of an abscissa."""
         low, high = self.x_range
-        return LEFT + (value - low) / (high - low) * (self.width - LEFT - RIGHT)
+        return LEFT + (value - low) / (high - low) * (WIDTH - LEFT - RIGHT)
 
     def y(self, value: float) -> float:
         """Pixel of an ordinate."""
         low, high = self.y_range
-        return self.height - BOTTOM - (value - low) / (high - low) * (self.height - TOP - BOTTOM)
+        return HEIGHT - BOTTOM - (value - low) / (high - low) * (HEIGHT - TOP - BOTTOM)
 
     def frame(self, x_ticks: Ticks, y_ticks: Ticks, x_label: str, y_label: str, unit: str = "") -> str:
         """Grid lines, tick labels and axis labels."""
-        right, bottom = self.width - RIGHT, self.height - BOTTOM
+        right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
         parts = []
         for tick in y_ticks:
             y = self.y(tick)
