@@ -16,16 +16,13 @@ from gelform.gradients import fill_unknown
 from gelform.pool import Pool
 from gelform.solvers.dct import DctSolver
 
-# How close to 0 gel of untouched colour is, far from what is pressed.
-REST_SIGMA_MM = 0.08
-# Gel of untouched colour that is deeper than this was more likely pressed flat than has drifted.
-PRESSED_MM = 0.05
-# An enclosed region off rest by more is a face. Errors of slopes tilt one of a few mm by less.
-FACE_MM = 0.02
-# How far beside touched gel it is drawn down, by exp(-(distance/reach)^2).
-REACH_MM = 1.0
-COARSER = 4
-UNTOUCHED_SHARE, TOUCHED_SHARE = 0.9, 0.5
+REST_SIGMA_MM = 0.08  # how close to 0 gel of untouched colour is, far from what is pressed
+PRESSED_MM = 0.05  # gel of untouched colour that is deeper was more likely pressed flat than has drifted
+FACE_MM = 0.02  # an enclosed region off rest by more is a face; errors of slopes tilt one of a few mm by less
+REACH_MM = 1.0  # how far beside touched gel it is drawn down, by exp(-(distance/reach)^2)
+COARSER = 4  # times fewer rows and columns: depth is smooth
+# Fractions of a coarse pixel that is untouched, from which it is at rest, and under which it is touched.
+UNTOUCHED_FRACTION, TOUCHED_FRACTION = 0.9, 0.5
 # Mean confidence of coarse pixels: from which on all slopes count alike, and up to which they count for nothing.
 TRUSTED, LEAST_TRUST = 0.5, 0.05
 
@@ -94,8 +91,8 @@ class RestAnchor:
             _coarse_trust(confidence, untouched, work, trust, share)
             slopes = self._coarse_slopes(gradients, confidence, trust, work)
             depth = self._solver(slopes).depth_mm
-            far = self._far_from(share < min(TOUCHED_SHARE, float(share.max())), work)
-            limits = self.hold, UNTOUCHED_SHARE, PRESSED_MM, FACE_MM
+            far = self._far_from(share < min(TOUCHED_FRACTION, float(share.max())), work)
+            limits = self.hold, UNTOUCHED_FRACTION, PRESSED_MM, FACE_MM
             _rest_hold(depth, share, far, work, weight, *limits)
             _spread_over_chosen(weight, untouched, work, anchor)
         return anchor

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9
-DIFFERENCE_PX = 1e-3
+UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9  # of Newton's method, which ends with a step of so many px
+DIFFERENCE_PX = 1e-3  # of central differences: far above rounding, far below a lens's curvature
 LEAST_AREA = 1e-3  # a smaller change of area is at a fold, where nothing can be undone
 KEYS = ("camera", "distortion", "perspective")
 
@@ -83,12 +83,12 @@ class Lens:
         back = cv2.perspectiveTransform(flat[None], np.linalg.inv(self._homography))
         return np.asarray(back[0], dtype=np.float64)
 
-    def _undistorted(self, seen: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What `_distorted` undoes, by Newton's method: from the seen point it approaches the answer from one side."""
-        flat = seen.copy()
+    def _undistorted(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What `_distorted` undoes, by Newton's method: from that point it approaches the answer from one side."""
+        flat = distorted.copy()
         for _ in range(UNDISTORTION_ROUNDS):
             xx, yx, xy, yy = self._distortion_slopes(flat)
-            excess_x, excess_y = (self._distorted(flat) - seen).T
+            excess_x, excess_y = (self._distorted(flat) - distorted).T
             area = np.maximum(xx * yy - xy * yx, LEAST_AREA)
             step = (
                 np.stack([yy * excess_x - xy * excess_y, xx * excess_y - yx * excess_x], axis=1)

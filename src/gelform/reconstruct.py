@@ -274,7 +274,7 @@ class Reconstructor:
             observed_gradients=read.observed,
             confidence=read.confidence,
             contact=self._today.contact(depth_mm, depth_sigma),
-            known=faults.seen(solution.known),
+            known=faults.without_lost(solution.known),
             mm_per_px=self.calibration.mm_per_px,
             mm_per_px_sigma=self.calibration.mm_per_px_sigma,
             zero="untouched",

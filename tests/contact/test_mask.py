@@ -8,7 +8,7 @@ from scipy.special import k0
 import gelform
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.contact import contact_from_depth, mask, noise_by_place
-from gelform.contact.mask import LEAST, MOST
+from gelform.contact.mask import LEAST_NOISE, MOST_NOISE
 from gelform.simulate import LAYOUTS, Ball, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
@@ -357,8 +357,8 @@ def test_it_stays_within_bounds():
     background[:, :10] = 0
     background[:, 70:] = 255
     found = noise_by_place(Linear([[1, 0], [0, 1], [0, 0]]), untouched(background), (1.0, 1.0, 1.0))
-    assert found.min() >= LEAST
-    assert found.max() <= MOST
+    assert found.min() >= LEAST_NOISE
+    assert found.max() <= MOST_NOISE
     assert found.dtype == np.float32
     blind = noise_by_place(Linear(np.zeros((3, 2))), untouched(background), None)
     assert (blind == 1).all()

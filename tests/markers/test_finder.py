@@ -10,12 +10,11 @@ import gelform
 from gelform.markers.finder import (
     CandidateFinder,
     MarkerFinder,
-    _level,
     evenness,
     is_grid,
     markers_from_image,
 )
-from gelform.markers.patches import logs_from_image
+from gelform.markers.patches import level_from_image, logs_from_image
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import Ball, simulate_background, simulate_press
 from made.dots import RADIUS, grid, image_of_dots
@@ -219,8 +218,8 @@ def test_dots_are_small_and_compact_whichever_way_the_image_lies(size, found):
 
 
 def test_the_level_is_the_mean_of_the_channels():
-    assert (_level(np.full((4, 5, 3), [10, 20, 60], dtype=np.uint8)) == 30).all()
-    assert (_level(np.full((4, 5, 3), [10.0, 20.0, 60.4])) == 30).all()
+    assert (level_from_image(np.full((4, 5, 3), [10, 20, 60], dtype=np.uint8)) == 30).all()
+    assert (level_from_image(np.full((4, 5, 3), [10.0, 20.0, 60.4])) == 30).all()
 
 
 REST = grid()

@@ -17,29 +17,30 @@ from gelform.color_models.seam import PreparedColorModel
 from gelform.contact.contacts import runs_work
 from gelform.filters import LANES, blur_taps, medians_where
 
-NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default
-# Standard deviations of a Gaussian, before the surface's bending is taken: the first that leaves no more noise than QUIET.
-# Beside it: a contact ends where it has so much of the mean pressure of what it is around. Blurring widens what is narrow,
-# and the more is known to be outside.
-SMOOTHINGS_PX = {0.7: 0.65, 1.5: 0.7, 2.5: 0.8}
-QUIET = 0.06  # 1/mm
-# The same share by the next finer smoothing, which draws the outline where the mean is so many times its noise.
+NOISE_FACTOR, MIN_AREA_MM2 = 4.0, 0.05  # by default: in standard deviations, and mm^2
+# Standard deviations, px, of the Gaussian before the surface's bending is taken: the first that leaves no more noise than
+# QUIET, 1/mm. To each: the fraction of the mean pressure of what is around, at which a contact ends. Blurring widens what
+# is narrow, and the more is known to be outside.
+SMOOTHINGS_PX, QUIET = {0.7: 0.65, 1.5: 0.7, 2.5: 0.8}, 0.06
+# The same fraction by the next finer smoothing, which draws the outline where the mean is so many times its noise.
 FINER_HALF, FINER_SIGMAS = 0.6, 8.0
-NOISE_SAMPLES = 10_000
-SHARE_AT_REST = 0.3  # of the frame that is taken to be untouched at least
-# Standard deviation of a normal distribution over the magnitude that 30 % of it are below.
-SIGMA_OF_SHARE = 2.595
-SIGMA_OF_HALF = 1.4826  # the same over the median magnitude of its negative half
+NOISE_SAMPLES = 10_000  # pixels: enough for a quantile
+FRACTION_AT_REST = 0.3  # of the frame that is taken to be untouched at least
+# Standard deviation of a normal distribution over the magnitude that 30 % of it are below, and that its half is.
+SIGMA_OF_FRACTION, SIGMA_OF_HALF = 2.595, 1.4826
 SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
 STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
-LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is told
-SEED = 1.4  # times the noise factor, where contacts start
-LEAST_SEEDS = 4  # pixels
-NEIGHBOURHOOD_PX = 4  # what is around
+LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is estimated
+SEED, LEAST_SEEDS = 1.4, 4  # times the noise factor, and pixels, where contacts start
+NEIGHBOURHOOD_PX = 4  # half the width of what is around
 LEAST_OF_BED = 0.35  # times z/L^2: L is not known exactly, nor the same everywhere
-# Where the bed's share is so much of the pressure around, so much of it is a contact too.
+# Where the bed's fraction is so much of the pressure around, so much of it is a contact too.
 FLAT, OF_FLAT = 0.4, 0.75
-LEAST_PRESSURE = 0.02  # 1/mm
+LEAST_PRESSURE = 0.02  # 1/mm, what counts where a frame has no noise
+USUAL_LEVELS = 2.0  # grey levels, the noise of a calibration that does not know its images'
+NOISE_BLUR_PX = 8.0  # standard deviation, of the noise from place to place
+# Of the noise of a place over the median place: beyond, a color model says more of itself than of noise.
+LEAST_NOISE, MOST_NOISE = 0.3, 4.0
 
 _bent_surface = Kernel(
     "bent_surface",
@@ -65,7 +66,7 @@ _contact_regions = Kernel(
 
 
 class _Pressure(NamedTuple):
-    """Pressure over the surface's tension, 1/mm, (H, W), and what it is told from."""
+    """Pressure over the surface's tension, 1/mm, (H, W), and what it is estimated from."""
 
     pressure: NDArray[np.float32]
     bed: NDArray[np.float32]  # the bed's share z/L^2 of it, of what depth is known to be there
@@ -161,7 +162,7 @@ class PreparedContact:
 def _pressure(
     depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, sensor: PreparedContact
 ) -> _Pressure:
-    """The pressure of a depth (H, W) whose sigma is given or told from the depths below 0, as L is from the falling off."""
+    """The pressure of a depth (H, W) whose sigma is given or that of the depths below 0, as L is that of the falling off."""
     tried: list[tuple[NDArray[np.float32], float]] = []
     for smoothing in SMOOTHINGS_PX:
         smooth, bent = _bent(depth, sensor.pitch, smoothing)
@@ -198,8 +199,8 @@ def _noise(values: NDArray[np.float32], by_place: NDArray[np.float32]) -> float:
     step = max(1, values.size // NOISE_SAMPLES)
     work = np.empty(2 * -(-values.size // step), dtype=np.float32)
     magnitude = np.empty(1, dtype=np.float32)
-    _magnitude_of_share(values, by_place, work, magnitude, step, SHARE_AT_REST)
-    return SIGMA_OF_SHARE * float(magnitude[0])
+    _magnitude_of_share(values, by_place, work, magnitude, step, FRACTION_AT_REST)
+    return SIGMA_OF_FRACTION * float(magnitude[0])
 
 
 def _noise_mm(depth: NDArray[np.float32]) -> float:
@@ -228,11 +229,6 @@ def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px:
     return contact
 
 
-USUAL_LEVELS = 2.0  # grey levels, of a calibration that does not know its images' noise
-SMOOTH_PX = 8.0
-LEAST, MOST = 0.3, 4.0  # times the median: beyond, a color model says more of itself than of noise
-
-
 def noise_by_place(
     model: PreparedColorModel, untouched: PreparedBackground, levels: Sequence[float] | None
 ) -> NDArray[np.float32]:
@@ -254,9 +250,9 @@ def noise_by_place(
         brighter[..., channel] += np.float32(level)
         off = model.gradients_from_color(untouched.change(brighter))[0] - rest
         variance += off[..., 0] ** 2 + off[..., 1] ** 2
-    noise = np.sqrt(cv2.GaussianBlur(variance, (0, 0), SMOOTH_PX, borderType=cv2.BORDER_REPLICATE))
+    noise = np.sqrt(cv2.GaussianBlur(variance, (0, 0), NOISE_BLUR_PX, borderType=cv2.BORDER_REPLICATE))
     # np.median loads numpy.ma, a tenth of a first frame.
     median = float(medians_where(noise[..., None])[0][0])
     if median == 0:
         return np.ones_like(noise)
-    return np.clip(noise / np.float32(median), LEAST, MOST, dtype=np.float32)
+    return np.clip(noise / np.float32(median), LEAST_NOISE, MOST_NOISE, dtype=np.float32)

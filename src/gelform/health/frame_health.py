@@ -59,7 +59,7 @@ class FrameFaults:
             return markers if self.lost is None else self.lost
         return markers | self.lost
 
-    def seen(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def without_lost(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """What is known (H, W), without what is lost."""
         return known if self.lost is None else known & ~self.lost
 

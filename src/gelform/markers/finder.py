@@ -17,19 +17,29 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
+from gelform.markers.patches import level_from_image
 
-CLOSING_SHARE = 0.13  # of the shorter side: wider than any dot
-LEVEL_OFFSET = 5.0
-FAINT = 0.12
-MIN_PEAK = 0.2
-MIN_DOTS = 9
-MIN_AREA_PX = 5
-SIZE_RANGE = (0.4, 2.5)
-MIN_ORDER = 0.5
-SPREAD, MIN_IRREGULAR, MIN_EVENNESS = 0.6, 25, 1.4  # of dots in no grid; dust is not so even
-NEIGHBOURS = (0.7, 1.3)
-MIN_WITH_NEIGHBOURS = 0.7
+CLOSING_FRACTION = 0.13  # of the shorter side: wider than any dot
+LEVEL_OFFSET = 5.0  # grey levels: noise of dark pixels is no darkness
+FAINT, MIN_PEAK = (
+    0.12,
+    0.2,
+)  # darkness, as a fraction, from which pixels are looked at; of a dot's darkest pixel
+MIN_DOTS, MIN_AREA_PX = 9, 5  # fewer form no grid, smaller ones are noise
+SIZE_RANGE = (0.4, 2.5)  # of a dot's area over the typical one
+MIN_ORDER = 0.5  # |mean of exp(i k angle)| over neighbours of a grid, k 4 or 6: 1 for an even one, 0 for scattered points
+# Of dots in no grid: the fraction of the image that they span, their number and their evenness; dust is not so even.
+SPAN, MIN_IRREGULAR, MIN_EVENNESS = 0.6, 25, 1.4
+NEIGHBOURS, MIN_WITH_NEIGHBOURS = (
+    (0.7, 1.3),
+    0.7,
+)  # distances over the usual; fraction of a grid's dots with two of them
 LEVELS = (0.3, 0.5, 0.7)  # of a dot's peak; the first is its edge, the others part it from a shadow beside it
+INNER, OUTER = (
+    1.3,
+    3.6,
+)  # widths of the two boxes whose means a candidate is the difference of, in radii of a dot
+LEAST_RESPONSE = 0.35  # of the typical dot's difference
 
 
 @dataclass(frozen=True)
@@ -65,7 +75,7 @@ class MarkerFinder:
 
     def __init__(self, background: ArrayLike) -> None:
         image = check_image(background, name="background")
-        size = max(3, int(CLOSING_SHARE * min(image.shape[:2])) | 1)
+        size = max(3, int(CLOSING_FRACTION * min(image.shape[:2])) | 1)
         self._kernel = np.ones((size, size), dtype=np.uint8)
         darkness = self._darkness(image)
         self._peak, self._area = _dots_of_grid(darkness)
@@ -98,7 +108,7 @@ class MarkerFinder:
         """
         if not self._peak:
             return np.zeros(image.shape[:2], dtype=bool)
-        level = _level(image)
+        level = level_from_image(image)
         closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel)
         share = LEVELS[0] * self._peak
         dark = cv2.compare(
@@ -111,7 +121,7 @@ class MarkerFinder:
 
     def _darkness(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """How much darker (H, W) than the gel around it, as a share; 0-1."""
-        level = _level(image)
+        level = level_from_image(image)
         closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel).astype(np.float32)
         darkness: NDArray[np.float32] = (closed - level) / (closed + np.float32(LEVEL_OFFSET))
         return darkness
@@ -144,13 +154,6 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
     return MarkerFinder(untouched)(pixels)
 
 
-def _level(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Mean of the channels (H, W)."""
-    pixels = image if image.dtype == np.uint8 else np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    third = np.full((1, 3), 1 / 3, dtype=np.float32)
-    return np.asarray(cv2.transform(pixels, third))
-
-
 def _dots_of_grid(darkness: NDArray[np.float32]) -> tuple[float, float]:
     """Typical peak and area of the dots of a regular grid; 0, 0 where there is none."""
     areas, labels, whole = _dots(darkness, FAINT, None)
@@ -175,7 +178,7 @@ def _is_layout(centers_px: NDArray[Any], shape: tuple[int, ...]) -> bool:
     """Whether points (N, 2) of an image of that shape are a gel's layout: a grid, or evenly spread all over it."""
     if is_grid(centers_px):
         return True
-    all_over = bool(np.all(np.ptp(centers_px, axis=0) > SPREAD * np.array(shape[::-1])))
+    all_over = bool(np.all(np.ptp(centers_px, axis=0) > SPAN * np.array(shape[::-1])))
     return all_over and len(centers_px) >= MIN_IRREGULAR and evenness(centers_px) > MIN_EVENNESS
 
 
@@ -254,10 +257,6 @@ def _centers(darkness: NDArray[np.float32], labels: NDArray[np.int32], count: in
     return np.stack([x, y], axis=-1) / np.maximum(total, 1e-9)[:, None]
 
 
-INNER, OUTER = 1.3, 3.6  # widths of the two boxes, of a dot's radius
-LEAST = 0.35  # of the typical dot's response
-
-
 class CandidateFinder:
     """Where a dot could be: darker than what is around, by a dot's size. Prepared for one gel."""
 
@@ -265,7 +264,7 @@ class CandidateFinder:
         self._inner, self._outer = (max(1, round(share * radius_px)) | 1 for share in (INNER, OUTER))
         self._near = np.ones((max(3, round(radius_px) | 1),) * 2, dtype=np.uint8)
         column, row = np.rint(centers_px).astype(np.intp).T
-        self._threshold = LEAST * float(np.median(self._response(logs)[row, column]))
+        self._threshold = LEAST_RESPONSE * float(np.median(self._response(logs)[row, column]))
 
     def __call__(self, logs: NDArray[np.float32]) -> NDArray[np.float32]:
         """Candidates (M, 2), x and y, to about a pixel."""

@@ -19,9 +19,17 @@ from gelform.markers.finder import CandidateFinder, MarkerFinder
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.patches import Patches, StretchedPatches, logs_from_image
 
-NEIGHBOURS = 8
-REACH = 1.7  # of the spacing: as far as neighbours count
-MOST_ASTRAY = 0.45  # of the spacing: further from its neighbours' motion, a dot is another one
+NEIGHBOURS, REACH = 8, 1.7  # of a dot at most; as far as they count, in spacings
+# In spacings: a dot further from its neighbours' motion is another one; so is one found further from where it was sought,
+# and one that memory has lost further from where its neighbours say it is.
+MOST_ASTRAY, HALF, AGAIN = 0.45, 0.5, 0.3
+FIT_PRIOR = 0.3  # spacings squared: neighbours that spread less than that tell no plane
+RINGS = 8  # of lost dots that are sought from those around, one ring after the other
+CLEARLY = 0.5  # of the distance to the next candidate: nearer than this, it is the dot and not another one
+# What is left of a fit is no white noise: its sigma times that and at least so many px, measured on simulated shear.
+SIGMA_FACTOR, SIGMA_FLOOR_PX = 1.5, 0.01
+UNSEEN_SIGMA = 0.2  # in spacings, of a dot that was not found
+WHOLE = 1.0  # in radii: dots nearer to the border are cut, and not followed
 
 
 class Neighbours:
@@ -64,21 +72,11 @@ class Neighbours:
         mean, place = weight @ shift_px[sure], np.einsum("mk,mkc->mc", weight, away)
         offset = away - place[:, None]
         spread = np.einsum("mk,mkc,mkd->mcd", weight, offset, offset)
-        spread += 0.3 * self.spacing_px**2 * np.eye(2)
+        spread += FIT_PRIOR * self.spacing_px**2 * np.eye(2)
         lean = np.einsum("mk,mkc,mkd->mcd", weight, offset, shift_px[sure] - mean[:, None])
         slope = np.linalg.solve(spread, lean)
         predicted: NDArray[np.float64] = mean - np.einsum("mc,mcd->md", place, slope)
         return predicted
-
-
-ROUNDS = 8
-AGAIN = 0.3  # of the spacing: as far as a dot that memory has lost may be from where its neighbours say it is
-CLEARLY = 0.5  # of the distance to the next candidate: nearer than this, it is the dot and not another one
-HALF = 0.5  # of the spacing: a dot found further from where it was sought is another one
-# What is left of a fit is no white noise: measured on simulated shear.
-SIGMA_FACTOR, SIGMA_FLOOR_PX = 1.5, 0.01
-UNSEEN_SIGMA = 0.2  # of the spacing
-WHOLE = 1.0  # of the radius: dots nearer to the border are cut, and not followed
 
 
 class MarkerFollower:
@@ -152,7 +150,7 @@ class MarkerFollower:
         At rest, where the background is divided by, and where the flow has taken them; around the latter whatever is as
         dark as a dot, because contacts stretch dots.
         """
-        shift, _, _ = self._of_all(flow.displacement_px, flow.seen)
+        shift = self._of_all(flow.displacement_px, flow.seen)
         moved = np.zeros(image.shape[:2], dtype=np.uint8)
         at = self._dark + np.rint(shift).astype(np.intp)[self._owner]
         at = at[np.all((at >= 0) & (at < moved.shape[::-1]), axis=1)]
@@ -182,7 +180,7 @@ class MarkerFollower:
         seen = self._agreeing(shift, found.ok & close)
         reach = (HALF if not expected.any() else AGAIN) * self.spacing_px
         candidates = None
-        for _ in range(ROUNDS):
+        for _ in range(RINGS):
             guess = shift.copy()
             if seen.any():
                 guess[~seen] = self._predicted(shift, seen)
@@ -293,20 +291,19 @@ class MarkerFollower:
         of[len(self) :] = False
         return self._neighbours.predicted_px(full, sure, of)
 
-    def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any, Any]:
+    def _of_all(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Shifts of all dots, those that the border cuts by their neighbours."""
         full, sure = self._with_cut(shift, seen)
         cut = np.arange(len(full)) >= len(self)
         if seen.any() and cut.any():
             full[cut] = self._neighbours.predicted_px(full, sure, cut)
-        return full, sure, cut
+        return full
 
     def _with_cut(self, shift: NDArray[Any], seen: NDArray[np.bool_]) -> tuple[Any, Any]:
         """Shifts and whether they are sure, of all dots: those that the border cuts at rest come last, not sure."""
         more = len(self._all) - len(self)
-        return np.concatenate([shift, np.zeros((more, 2))]), np.concatenate(
-            [seen, np.zeros(more, dtype=bool)]
-        )
+        full = np.concatenate([shift, np.zeros((more, 2))])
+        return full, np.concatenate([seen, np.zeros(more, dtype=bool)])
 
     def _pixels_of_dots(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Places (M, 2) of the pixels that dots darken at rest, and whose (M,) they are: the nearest dot's."""

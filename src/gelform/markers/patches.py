@@ -20,17 +20,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.frames import as_levels
 
 OFFSET = 10.0  # grey levels added before the logarithm: noise of dark pixels is no darkness
-STEPS = 8
-SIDE_RADII = 1.35  # half a patch, of a dot's radius
-MOST_SIDE = 63  # of native/markers/follow.c
-BASIS = 9
-# Of a dot that is seen, against rest: turned away it is fainter, stretched it is stronger.
-STRENGTH = (0.3, 2.2)
-MOST_LEFT = 0.8  # of the energy of dot and rest together may stay unexplained: dots are stretched and turned
-LAST_STEP_PX = 0.1
+STEPS, STRETCHED_STEPS = 8, 15  # of the fit at most, for a shift and for an affine map
+SIDE_RADII = 1.35  # half a patch, in radii of a dot
+MOST_SIDE, BASIS = 63, 9  # of native/markers/follow.c
+STRENGTH = (
+    0.3,
+    2.2,
+)  # of a dot that is there, against rest: turned away it is fainter, stretched it is stronger
+# Fractions of the energy of dot and rest together that may stay unexplained: dots are stretched and turned. With an affine
+# map, which explains that, fewer.
+MOST_LEFT, MOST_LEFT_STRETCHED = 0.8, 0.35
+LAST_STEP_PX, ENOUGH_PX = (
+    0.1,
+    0.02,
+)  # the last step of a fit that counts, and one after which no other is made
+MOST_CHANGE = 0.25  # of A in one step: the fit is linear in it
+DAMPING = 0.02  # of the patch's energy in each column of A: rotation of a round dot stays where it is
+STRETCH = (0.35, 2.2)  # singular values of 1 + A that rubber reaches
+LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
 
+_MEAN = np.full((1, 3), 1 / 3, dtype=np.float32)  # of the channels
 _LOGS = np.log(np.arange(256, dtype=np.float32) + np.float32(OFFSET))
 _follow_patches = Kernel(
     "follow_patches",
@@ -131,24 +143,13 @@ def logs_from_image(image: NDArray[Any]) -> NDArray[np.float32]:
     """Logarithm (H, W) of the mean of an image's channels (H, W, 3)."""
     if image.dtype == np.uint8:
         return np.asarray(cv2.LUT(level_from_image(image), _LOGS))
-    mean = cv2.transform(np.asarray(image, dtype=np.float32), np.full((1, 3), 1 / 3, dtype=np.float32))
+    mean = cv2.transform(np.asarray(image, dtype=np.float32), _MEAN)
     return np.asarray(cv2.log(np.maximum(mean, 0) + np.float32(OFFSET)))
 
 
 def level_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Mean of the channels (H, W), in whole grey levels."""
-    pixels = image if image.dtype == np.uint8 else np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    return np.asarray(cv2.transform(pixels, np.full((1, 3), 1 / 3, dtype=np.float32)))
-
-
-STRETCHED_STEPS = 15
-ENOUGH_PX = 0.02
-MOST_BEND = 0.25  # change of A in one step: the fit is linear in it
-DAMPING = 0.02  # of the patch's energy in each column of A: rotation of a round dot stays where it is
-STRETCH = (0.35, 2.2)  # singular values of 1 + A that rubber reaches
-# Energy of dot and rest together that may stay unexplained: stricter than without A.
-MOST_LEFT_STRETCHED = 0.35
-LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
+    return np.asarray(cv2.transform(as_levels(image), _MEAN))
 
 
 class StretchedPatches:
@@ -175,16 +176,18 @@ class StretchedPatches:
         shift, warp, radius = np.array(start, dtype=np.float64), np.eye(2), self._patches.radius_px
         for _ in range(STRETCHED_STEPS):
             places = (self._patches.centers_px[i] + shift + u @ warp.T).astype(np.float32)
-            seen = weight * _sampled(logs, places)
-            fit = inverse @ (columns.T @ seen)
+            evidence = weight * _sampled(logs, places)
+            fit = inverse @ (columns.T @ evidence)
             step, bend = _limited(fit[SHIFT:] / max(fit[LIGHT], STRENGTH[0]), 0.6 * radius)
             warp = warp @ np.linalg.inv(np.eye(2) + bend)
             shift = shift - warp @ step
             last = float(np.linalg.norm(step) + radius * np.abs(bend).max())
             if last < ENOUGH_PX or not _is_of_rubber(warp):
                 break
-        left = float(np.sum((seen - columns @ fit) ** 2))
-        unexplained = left / (left + fit[LIGHT] ** 2 * _beside(columns[:, :LIGHT], columns[:, LIGHT]))
+        left = float(np.sum((evidence - columns @ fit) ** 2))
+        unexplained = left / (
+            left + fit[LIGHT] ** 2 * _unexplained_energy(columns[:, :LIGHT], columns[:, LIGHT])
+        )
         ok = (
             STRENGTH[0] < fit[LIGHT] < STRENGTH[1]
             and last < LAST_STEP_PX
@@ -217,7 +220,7 @@ def _sampled(logs: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[
 def _limited(step: NDArray[np.float64], longest: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A step's shift (2,), of a length at most, and change of A (2, 2): the fit is linear in both."""
     length = max(float(np.linalg.norm(step[:2])), 1e-9)
-    return step[:2] * min(1.0, longest / length), np.clip(step[2:], -MOST_BEND, MOST_BEND).reshape(2, 2)
+    return step[:2] * min(1.0, longest / length), np.clip(step[2:], -MOST_CHANGE, MOST_CHANGE).reshape(2, 2)
 
 
 def _is_of_rubber(warp: NDArray[np.float64]) -> bool:
@@ -226,6 +229,6 @@ def _is_of_rubber(warp: NDArray[np.float64]) -> bool:
     return bool(stretch[0] < STRETCH[1] and stretch[1] > STRETCH[0])
 
 
-def _beside(columns: NDArray[np.float64], dot: NDArray[np.float64]) -> float:
+def _unexplained_energy(columns: NDArray[np.float64], dot: NDArray[np.float64]) -> float:
     """Energy of what columns (P, C) do not explain of one more (P,)."""
     return float(np.sum((dot - columns @ np.linalg.lstsq(columns, dot, rcond=None)[0]) ** 2))

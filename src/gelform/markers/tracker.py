@@ -11,8 +11,8 @@ from gelform.checks import check_image
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.follower import MarkerFollower
 
-FAST = 0.05  # of the spacing, per frame: slower dots are sought where they were last, noise is not carried on
-DOUBTFUL = 0.1  # share of the dots lost since the last frame: then rest is tried too
+FAST = 0.05  # spacings a frame: slower dots are sought where they were last, noise is not carried on
+DOUBTFUL = 0.1  # fraction of the dots lost since the last frame, from which rest is tried too
 
 
 class MarkerTracker:
@@ -32,12 +32,11 @@ class MarkerTracker:
         background: ArrayLike | MarkerFollower,
         mm_per_px: float | tuple[float, float] | None = None,
     ) -> None:
-        known = isinstance(background, MarkerFollower)
-        self._follower: MarkerFollower = (
-            background if isinstance(background, MarkerFollower) else MarkerFollower(background, mm_per_px)
-        )
-        if known and mm_per_px is not None:
+        if not isinstance(background, MarkerFollower):
+            background, mm_per_px = MarkerFollower(background, mm_per_px), None
+        if mm_per_px is not None:
             raise ValueError("Expected mm_per_px of the follower itself, got another. Leave it out here.")
+        self._follower = background
         self.reset()
 
     def __len__(self) -> int:
