@@ -89,11 +89,11 @@ def json_bytes(content: Mapping[str, Any]) -> bytes:
     return (json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n").encode()
 
 
-def figure(value: Any, digits: int = 3) -> str:
+def figure(value: Any) -> str:
     """A number for a table; a dash where there is none."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "-"
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _plain(value: Any) -> Any:

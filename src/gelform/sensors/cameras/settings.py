@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 
@@ -27,16 +27,6 @@ COMPARED = ("width", "height", "reduced", "fourcc", *CONTROLS, *AUTOMATIC, "led_
 UNKNOWN = -1.0  # what OpenCV gives for a control that a camera lacks
 
 
-class Capture(Protocol):
-    """What is used of cv2.VideoCapture."""
-
-    def get(self, which: int, /) -> float:
-        """A property."""
-
-    def set(self, which: int, value: float, /) -> bool:
-        """Ask for a property."""
-
-
 def check_settings(settings: Settings) -> dict[str, float | str]:
     """Settings that can be asked for; ValueError for an unknown name or a value that is no number."""
     unknown = [name for name in settings if name not in SETTABLE]
@@ -50,7 +40,7 @@ def check_settings(settings: Settings) -> dict[str, float | str]:
     }
 
 
-def set_controls(capture: Capture, settings: Settings, led_levels: int, name: str) -> None:
+def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int, name: str) -> None:
     """Set exposure, gain, white balance and LED level, and read each back.
 
     Parameters
@@ -80,7 +70,7 @@ def set_controls(capture: Capture, settings: Settings, led_levels: int, name: st
         _set(capture, LED, level * LED_OF_LEVEL, "led_level", name)
 
 
-def controls_of(capture: Capture, led_levels: int) -> dict[str, float]:
+def controls_of(capture: cv2.VideoCapture, led_levels: int) -> dict[str, float]:
     """The controls as they are now, of those that the camera has."""
     properties = {**{name: which for name, (which, _) in CONTROLS.items()}, **AUTOMATIC}
     found = {name: float(capture.get(which)) for name, which in properties.items()}
@@ -124,7 +114,7 @@ def calibrated_settings(calibrated: Settings) -> dict[str, float | str]:
     return {name: calibrated[name] for name in names if name in calibrated}
 
 
-def _set(capture: Capture, which: int, value: float, setting: str, name: str) -> None:
+def _set(capture: cv2.VideoCapture, which: int, value: float, setting: str, name: str) -> None:
     accepted = capture.set(which, value)
     found = float(capture.get(which))
     if not accepted or not _same(found, value):

@@ -12,7 +12,6 @@ from gelform.errors import GelformError
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.usb import UsbCamera
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.source import Source
 
 CAPTURE, DISCRETE = 1, 1  # of linux/videodev2.h
 MAX_ENTRIES = 64  # of one list: a driver that never ends is not asked for ever
@@ -104,15 +103,13 @@ class Survey:
     problem: str = ""
 
 
-def survey_of(
-    camera: Camera, *, measure: bool = True, opened: Callable[[Camera], Source] = UsbCamera
-) -> Survey:
+def survey_of(camera: Camera, *, measure: bool = True) -> Survey:
     """Ask a camera's driver for its modes and, unless `measure` is False, count its frames for a second."""
     modes = tuple(modes_of(camera.path))
     if not measure:
         return Survey(camera, modes, None, {})
     try:
-        with Grabber(lambda: opened(camera)) as grabber:
+        with Grabber(lambda: UsbCamera(camera)) as grabber:
             frame = grabber.newest(-1, FIRST_S)
             if frame is None:
                 return Survey(camera, modes, None, grabber.settings, "it opens, but gives no frame")

@@ -67,10 +67,10 @@ def in_use(camera: Camera) -> SensorError:
     )
 
 
-def programs_that_hold(path: str, proc: Path = Path("/proc")) -> list[str]:
+def programs_that_hold(path: str) -> list[str]:
     """Name and number of the programs that have a file open, as far as this user may see; without this one."""
     target, found = os.path.realpath(path), []
-    for process in sorted(proc.glob("[0-9]*")):
+    for process in sorted(Path("/proc").glob("[0-9]*")):
         if process.name == str(os.getpid()):
             continue
         try:
