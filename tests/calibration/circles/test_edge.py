@@ -44,7 +44,9 @@ def presses(count, visible_px, seed=3):
     return zip(*(press(rng, visible_px) for _ in range(count)))
 
 
-@pytest.mark.parametrize(("count", "visible"), [(12, 1.6), (24, 1.6), (18, 1.25)])
+@pytest.mark.parametrize(
+    ("count", "visible"), [(12, 1.6), pytest.param(24, 1.6, marks=pytest.mark.slow), (18, 1.25)]
+)
 def test_the_edge_of_a_visible_circle_is_found(count, visible):
     """Within a ring, whatever part of the visible circle it is."""
     wanted = left_ball_at_px() / (visible * CONTACT_PX)

@@ -22,7 +22,11 @@ from gelform.calibration.held_out.sigma import (
 from gelform.color_models.forward_response import Step
 
 
-@pytest.mark.parametrize(("length", "share"), [(4.0, 0.8), (8.0, 0.5), (6.0, 1.0)])
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("length", "share"), [slow(4.0, 0.8), (8.0, 0.5), slow(6.0, 1.0)])
 def test_correlation_is_recovered(length, share):
     """A field blurred by L/sqrt(2) has the correlation exp(-r^2/(2 L^2)); white noise on top is the nugget."""
     rng = np.random.default_rng(0)
@@ -173,7 +177,7 @@ def test_columns_are_thinned_and_stay_in_place():
     assert len(residuals.untouched) > 500
 
 
-@pytest.mark.parametrize(("short", "share"), [(1.8, 0.0), (1.8, 0.3), (0.3, 0.2)])
+@pytest.mark.parametrize(("short", "share"), [slow(1.8, 0.0), (1.8, 0.3), slow(0.3, 0.2)])
 def test_correlation_at_rest_is_recovered(short, share):
     """Blurred noise, and on it what is correlated as in a contact."""
     rng = np.random.default_rng(0)
