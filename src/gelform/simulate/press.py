@@ -116,9 +116,10 @@ def simulate_press(
         sensor, indenter, pose, rng=rng, oversample=oversample, quantise=quantise, drag=Drag(sensor.gel)
     )
     if not press.contact.any():
+        height, width = (n * sensor.mm_per_px for n in sensor.shape)
         raise ValueError(
             f"Expected an indenter that touches the gel within the image, got none at center_mm={center_mm} "
-            f"pressed {depth_mm:g} mm: the image spans {_span(sensor)} mm."
+            f"pressed {depth_mm:g} mm: the image spans {width:.3g} x {height:.3g} mm."
         )
     return press
 
@@ -201,8 +202,3 @@ def _rim(sensor: SimulatedSensor, indenter: Indenter, depth_mm: float) -> tuple[
     rim = depth_mm - radius + float(np.sqrt(radius**2 - a**2))
     height = sensor.optics.height_mm
     return (a if height is None else a / (1 - rim / height)), rim
-
-
-def _span(sensor: SimulatedSensor) -> str:
-    height, width = sensor.shape
-    return f"{width * sensor.mm_per_px:.3g} x {height * sensor.mm_per_px:.3g}"

@@ -172,11 +172,10 @@ class Drag:
         limit = self.gel.friction * np.maximum(surface.depth_mm, 0)
         length = np.linalg.norm(moved, axis=-1)
         moved *= np.minimum(1, limit / np.maximum(length, 1e-12))[..., None]
+        thickness_px = self.gel.thickness_mm / pitch
         if surface.contact.any():
-            thickness_px = self.gel.thickness_mm / pitch
-            moved = np.stack(
-                [carried_along(moved[..., k], surface.contact, thickness_px) for k in (0, 1)], axis=-1
-            )
+            parts = [carried_along(moved[..., k], surface.contact, thickness_px) for k in (0, 1)]
+            moved = np.stack(parts, axis=-1)
         else:
             moved = np.zeros_like(moved)
         self._stuck, self._pose, self._contact = moved, pose, surface.contact

@@ -30,7 +30,7 @@ def maps_from_depth(sensor: SimulatedSensor, depth_mm: NDArray[Any]) -> Maps | N
     would be. It is found by two fixed-point steps, enough for depths of a tenth of H.
     """
     optics = sensor.optics
-    if optics.is_plain:
+    if optics.height_mm is None and optics.distortion == (0, 0):
         return None
     x, y = _undistorted(sensor)
     height, width = sensor.shape
@@ -134,20 +134,13 @@ def image_from_levels(
     drawn = draws(rng, levels.size).reshape(levels.shape) if rng is not None and noisy else None
     variance, gain, gamma = sensor.noise_sd**2, sensor.noise_gain, sensor.optics.response_gamma
     if not quantise:
-        return _unrounded(levels, drawn, variance, gain, gamma)
+        if drawn is not None:
+            levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal_table()[drawn]
+        return levels if gamma == 1 else 255 * (np.maximum(levels, 0) / 255) ** (1 / gamma)
     grey = np.empty(levels.shape, dtype=np.uint8)
     curve = None if gamma == 1 else response_table(gamma)
     _grey_levels(levels, drawn, normal_table(), curve, grey, variance, gain)
     return grey if sensor.optics.jpeg_quality is None else _compressed(grey, sensor.optics.jpeg_quality)
-
-
-def _unrounded(
-    levels: NDArray[Any], drawn: NDArray[np.uint16] | None, variance: float, gain: float, gamma: float
-) -> NDArray[Any]:
-    """Levels with noise of a variance that grows with the level, behind the response curve itself."""
-    if drawn is not None:
-        levels = levels + np.sqrt(variance + gain * np.maximum(levels, 0)) * normal_table()[drawn]
-    return levels if gamma == 1 else 255 * (np.maximum(levels, 0) / 255) ** (1 / gamma)
 
 
 def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:

@@ -151,11 +151,6 @@ class Optics:
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"Expected jpeg_quality in 1-100 or None, got {self.jpeg_quality}.")
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether every pixel looks straight down at its own place."""
-        return self.height_mm is None and self.distortion == (0.0, 0.0)
-
 
 @dataclass(frozen=True)
 class Timing:
