@@ -78,14 +78,14 @@ def test_the_same_content_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-@pytest.mark.parametrize("kept", [0, 1, 50, 0.3, 0.7, 0.99])
-def test_a_truncated_file_is_refused(tmp_path, kept):
-    path = tmp_path / "x.npz"
-    write(path)
-    content = path.read_bytes()
-    path.write_bytes(content[: kept if isinstance(kept, int) else int(kept * len(content))])
-    with pytest.raises(DataError, match="truncated or damaged"):
-        read(path)
+def test_a_truncated_file_is_refused(tmp_path):
+    for kept in (0, 1, 50, 0.3, 0.7, 0.99):
+        path = tmp_path / "x.npz"
+        write(path, overwrite=True)
+        content = path.read_bytes()
+        path.write_bytes(content[: kept if isinstance(kept, int) else int(kept * len(content))])
+        with pytest.raises(DataError, match="truncated or damaged"):
+            read(path)
 
 
 def test_a_flipped_bit_anywhere_in_the_content_is_refused(tmp_path):

@@ -46,23 +46,23 @@ VIEWS = [
 IDEAL = Lens((380.0, 390.0, 190.0, 160.0))  # without distortion, straight above: it shows what no lens shows
 
 
-@pytest.mark.parametrize("view", [*VIEWS, *(replace(view, lens=IDEAL) for view in VIEWS)], ids=str)
-def test_a_plane_is_seen_where_it_is(view):
-    image = image_from_frame(ramp(view.frame_shape), view)
-    inner = np.s_[1:-1, 1:-1]
-    # remap places a sample to 1/32 px; half a pixel of shift would be 0.15 grey levels per unit of scale
-    scale = max(1, view.frame_shape[1] / view.shape[1])
-    assert np.abs(image - ramp_seen_through(view))[inner].max() < 0.02 * scale
-    assert image.shape == (*view.shape, 3)
+def test_a_plane_is_seen_where_it_is():
+    for view in (*VIEWS, *(replace(view, lens=IDEAL) for view in VIEWS)):
+        image = image_from_frame(ramp(view.frame_shape), view)
+        inner = np.s_[1:-1, 1:-1]
+        # remap places a sample to 1/32 px; half a pixel of shift would be 0.15 grey levels per unit of scale
+        scale = max(1, view.frame_shape[1] / view.shape[1])
+        assert np.abs(image - ramp_seen_through(view))[inner].max() < 0.02 * scale
+        assert image.shape == (*view.shape, 3)
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=str)
-def test_points_lie_where_the_plane_says(view):
+def test_points_lie_where_the_plane_says():
     """The frame's plane at the point that an image pixel comes from is what that pixel shows."""
-    y, x = np.mgrid[: view.shape[0], : view.shape[1]]
-    there = frame_px_from_image_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
-    plane = 40 + 0.31 * (there[:, 0] + 0.5) + 0.17 * (there[:, 1] + 0.5)
-    np.testing.assert_allclose(plane.reshape(view.shape), ramp_seen_through(view)[..., 0], atol=1e-9)
+    for view in VIEWS:
+        y, x = np.mgrid[: view.shape[0], : view.shape[1]]
+        there = frame_px_from_image_px(np.stack([x.ravel(), y.ravel()], axis=1), view)
+        plane = 40 + 0.31 * (there[:, 0] + 0.5) + 0.17 * (there[:, 1] + 0.5)
+        np.testing.assert_allclose(plane.reshape(view.shape), ramp_seen_through(view)[..., 0], atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -82,15 +82,15 @@ def test_frame_from_image_is_undone(data):
     assert np.abs(again - image)[inner].max(initial=0) < 0.1
 
 
-@pytest.mark.parametrize("flip", FLIPS)
-def test_flips_and_whole_pixel_crops_are_exact(flip):
-    frame = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    image = image_from_frame(frame, View((30, 40), (4, 3, 20, 10), flip))
-    expected = frame[3:13, 4:24]
-    expected = expected[:, ::-1] if "x" in flip else expected
-    expected = expected[::-1] if "y" in flip else expected
-    assert np.array_equal(image, expected)
-    assert image.dtype == np.uint8
+def test_flips_and_whole_pixel_crops_are_exact():
+    for flip in FLIPS:
+        frame = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+        image = image_from_frame(frame, View((30, 40), (4, 3, 20, 10), flip))
+        expected = frame[3:13, 4:24]
+        expected = expected[:, ::-1] if "x" in flip else expected
+        expected = expected[::-1] if "y" in flip else expected
+        assert np.array_equal(image, expected)
+        assert image.dtype == np.uint8
 
 
 def test_reducing_by_a_whole_number_averages_areas():
@@ -101,14 +101,14 @@ def test_reducing_by_a_whole_number_averages_areas():
     assert np.allclose(through[1:-1, 1:-1], areas[1:-1, 1:-1], atol=1e-2)
 
 
-@pytest.mark.parametrize("lens", [None, IDEAL])
-def test_reducing_strongly_does_not_alias(lens):
-    stripes = np.zeros((480, 640, 3), dtype=np.uint8)
-    stripes[:, ::2] = 200
-    image = image_from_frame(stripes, View((480, 640), (3.3, 2.2, 600, 450), "none", (60, 80), lens))
-    assert np.abs(image.astype(float) - 100)[1:-1, 1:-1].max() < 15
-    plain = cv2.resize(stripes, (80, 60), interpolation=cv2.INTER_NEAREST)
-    assert np.abs(plain.astype(float) - 100).max() == 100
+def test_reducing_strongly_does_not_alias():
+    for lens in (None, IDEAL):
+        stripes = np.zeros((480, 640, 3), dtype=np.uint8)
+        stripes[:, ::2] = 200
+        image = image_from_frame(stripes, View((480, 640), (3.3, 2.2, 600, 450), "none", (60, 80), lens))
+        assert np.abs(image.astype(float) - 100)[1:-1, 1:-1].max() < 15
+        plain = cv2.resize(stripes, (80, 60), interpolation=cv2.INTER_NEAREST)
+        assert np.abs(plain.astype(float) - 100).max() == 100
 
 
 def test_reducing_agrees_with_area_resampling():
@@ -119,23 +119,23 @@ def test_reducing_agrees_with_area_resampling():
     assert np.abs(image_from_frame(frame, view) - area).max() < 0.5
 
 
-@pytest.mark.parametrize("flip", FLIPS)
-@pytest.mark.parametrize("shape", [(30, 40), (31, 17)])
-def test_a_flip_alone_takes_frames_of_any_size(flip, shape):
-    frame = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
-    view = View(flip=flip)
-    image = image_from_frame(frame, view)
-    np.testing.assert_array_equal(image, image_from_frame(frame, View(shape, flip=flip)))
-    np.testing.assert_array_equal(frame_from_image(image, view), frame)
-    assert view.is_identity == (flip == "none")
-    points = np.array([[0.0, 0.0], [3.0, 5.0]])
-    np.testing.assert_array_equal(
-        frame_px_from_image_px(points, view.of_frames(shape)),
-        frame_px_from_image_px(points, View(shape, flip=flip)),
-    )
-    if flip != "none":
-        with pytest.raises(ValueError, match="of_frames"):
-            frame_px_from_image_px(points, view)
+def test_a_flip_alone_takes_frames_of_any_size():
+    for flip in FLIPS:
+        for shape in ((30, 40), (31, 17)):
+            frame = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+            view = View(flip=flip)
+            image = image_from_frame(frame, view)
+            np.testing.assert_array_equal(image, image_from_frame(frame, View(shape, flip=flip)))
+            np.testing.assert_array_equal(frame_from_image(image, view), frame)
+            assert view.is_identity == (flip == "none")
+            points = np.array([[0.0, 0.0], [3.0, 5.0]])
+            np.testing.assert_array_equal(
+                frame_px_from_image_px(points, view.of_frames(shape)),
+                frame_px_from_image_px(points, View(shape, flip=flip)),
+            )
+            if flip != "none":
+                with pytest.raises(ValueError, match="of_frames"):
+                    frame_px_from_image_px(points, view)
 
 
 def test_identity_passes_the_frame_itself():
@@ -160,17 +160,16 @@ def test_frames_of_another_size_are_refused():
         frame_from_image(np.zeros((48, 64, 3), dtype=np.uint8), view)
 
 
-@pytest.mark.parametrize("view", [View(), *VIEWS], ids=str)
-def test_settings_come_back(view):
-    settings = view.to_dict()
-    assert View.from_dict(settings) == view
-    assert all(value is not None for value in settings.values())  # TOML has no null
-    assert hash(View.from_dict(settings)) == hash(view)
+def test_settings_come_back():
+    for view in (View(), *VIEWS):
+        settings = view.to_dict()
+        assert View.from_dict(settings) == view
+        assert all(value is not None for value in settings.values())  # TOML has no null
+        assert hash(View.from_dict(settings)) == hash(view)
 
 
-@pytest.mark.parametrize(
-    ("settings", "text"),
-    [
+def test_wrong_settings_are_refused():
+    for wrong, text in (
         ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, got frameshape"),
         ({"flip": "z", "frame_shape": [4, 4]}, "none, x, y, xy, got 'z'"),
         ({"crop": [0, 0, 4, 4]}, "Expected frame_shape"),
@@ -184,8 +183,6 @@ def test_settings_come_back(view):
         ({"frame_shape": [4, 4], "crop": [-1, 0, 4, 4]}, "left, top >= 0"),
         ({"frame_shape": [4, 4], "crop": [0, -1, 4, 4]}, "left, top >= 0"),
         ({"frame_shape": [4, 4], "crop": [0, 0, float("nan"), 4]}, "left, top, width, height"),
-    ],
-)
-def test_wrong_settings_are_refused(settings, text):
-    with pytest.raises(ValueError, match=text):
-        View.from_dict(settings)
+    ):
+        with pytest.raises(ValueError, match=text):
+            View.from_dict(wrong)

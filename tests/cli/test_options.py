@@ -7,10 +7,10 @@ from gelform.cli import options
 from gelform.cli.options import numbers, one_of, positive
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "six", "", "1,2"])
-def test_a_number_has_to_be_positive(text):
-    with pytest.raises(typer.BadParameter, match=r"expected a number > 0, got"):
-        positive(text)
+def test_a_number_has_to_be_positive():
+    for text in ("0", "-1", "nan", "inf", "six", "", "1,2"):
+        with pytest.raises(typer.BadParameter, match=r"expected a number > 0, got"):
+            positive(text)
 
 
 def test_numbers_are_read():
@@ -18,10 +18,10 @@ def test_numbers_are_read():
     assert numbers("1,2.5,-3", "A,B,C", "--x") == (1, 2.5, -3)
 
 
-@pytest.mark.parametrize("text", ["1,2", "1,2,3,4", "1,b,3", "", "1,nan,3"])
-def test_as_many_numbers_as_the_form_has(text):
-    with pytest.raises(typer.BadParameter, match="expected A,B,C, got"):
-        numbers(text, "A,B,C", "--x")
+def test_as_many_numbers_as_the_form_has():
+    for text in ("1,2", "1,2,3,4", "1,b,3", "", "1,nan,3"):
+        with pytest.raises(typer.BadParameter, match="expected A,B,C, got"):
+            numbers(text, "A,B,C", "--x")
 
 
 def test_a_name_has_to_be_known():

@@ -195,19 +195,16 @@ def test_a_background_of_another_form_is_refused():
         TaximLook(TaximTables(tables()), np.zeros((48, 64, 3), np.float32), 0.0, np.zeros(3))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_bad_tables_are_refused(tmp_path):
+    for changes, message in (
         ({"grad_g": None}, "lacks grad_g"),
         ({"bins": 7}, r"shape \(bins, bins, 6\)"),
         ({"grad_r": np.zeros((BINS, BINS, 5))}, r"shape \(bins, bins, 6\)"),
         ({"grad_r": np.full((BINS, BINS, 6), np.nan)}, "finite tables"),
         ({"bins": np.array("many")}, "damaged"),
-    ],
-)
-def test_bad_tables_are_refused(tmp_path, changes, message):
-    with pytest.raises(DataError, match=message):
-        read_taxim_forward(save(tmp_path / "bad.npz", **changes))
+    ):
+        with pytest.raises(DataError, match=message):
+            read_taxim_forward(save(tmp_path / "bad.npz", **changes))
 
 
 def test_what_is_no_table_is_said(tmp_path):

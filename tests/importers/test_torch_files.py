@@ -13,12 +13,12 @@ from made.networks import ORDERED, network_arrays, pickled_dict, pickled_tensor,
 ARRAYS = network_arrays((5, 8, 2))
 
 
-@pytest.mark.parametrize("nested", [False, True])
-def test_tensors_come_back_by_name(tmp_path, nested):
-    found = read_tensors(torch_file(tmp_path / "net.pth", ARRAYS, nested=nested))
-    assert list(found) == [f"{'state_dict.' if nested else ''}{name}" for name in ARRAYS]
-    for array, wanted in zip(found.values(), ARRAYS.values()):
-        np.testing.assert_array_equal(array, wanted)
+def test_tensors_come_back_by_name(tmp_path):
+    for nested in (False, True):
+        found = read_tensors(torch_file(tmp_path / "net.pth", ARRAYS, nested=nested))
+        assert list(found) == [f"{'state_dict.' if nested else ''}{name}" for name in ARRAYS]
+        for array, wanted in zip(found.values(), ARRAYS.values()):
+            np.testing.assert_array_equal(array, wanted)
 
 
 def test_a_transposed_tensor_is_read_by_its_strides(tmp_path):
@@ -65,26 +65,22 @@ def test_a_pickled_object_is_refused_and_nothing_runs(tmp_path):
     assert not made.exists()
 
 
-@pytest.mark.parametrize(
-    ("size", "stride", "offset"),
-    [
+def test_a_tensor_outside_its_storage_is_refused(tmp_path):
+    for size, stride, offset in (
         ((3, 3), (3, 1), 0),
         ((2, 3), (3, 1), 1),
         ((2, 3), (3, 1), -1),
         ((2**30,), (0,), 0),
         ((2, 3), (-3, 1), 3),
-    ],
-)
-def test_a_tensor_outside_its_storage_is_refused(tmp_path, size, stride, offset):
-    stored = np.zeros((2, 3), dtype=np.float32)
-    content = pickled_dict([("w", pickled_tensor("0", stored, size=size, stride=stride, offset=offset))])
-    with pytest.raises(gelform.DataError, match="damaged"):
-        read_tensors(torch_file(tmp_path / "net.pth", {"w": stored}, pickle=content))
+    ):
+        stored = np.zeros((2, 3), dtype=np.float32)
+        content = pickled_dict([("w", pickled_tensor("0", stored, size=size, stride=stride, offset=offset))])
+        with pytest.raises(gelform.DataError, match="damaged"):
+            read_tensors(torch_file(tmp_path / "net.pth", {"w": stored}, pickle=content))
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
+def test_a_damaged_description_is_refused(tmp_path):
+    for content in (
         b"(",
         b"X\xff\xff\xff\x7f",
         ORDERED,
@@ -93,11 +89,9 @@ def test_a_tensor_outside_its_storage_is_refused(tmp_path, size, stride, offset)
         b"}(" + text("a") + b"u",
         b"]",
         b"\x88R",
-    ],
-)
-def test_a_damaged_description_is_refused(tmp_path, content):
-    with pytest.raises(gelform.DataError):
-        read_tensors(torch_file(tmp_path / "net.pth", {}, pickle=content))
+    ):
+        with pytest.raises(gelform.DataError):
+            read_tensors(torch_file(tmp_path / "net.pth", {}, pickle=content))
 
 
 def test_sizes_are_checked_before_reading(tmp_path):
@@ -114,12 +108,12 @@ def test_sizes_are_checked_before_reading(tmp_path):
         read_tensors(path)
 
 
-@pytest.mark.parametrize("keep", [0, 10, 300, -30])
-def test_truncated_files_are_refused(tmp_path, keep):
-    path = torch_file(tmp_path / "net.pth", ARRAYS)
-    path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(gelform.DataError, match="truncated or damaged"):
-        read_tensors(path)
+def test_truncated_files_are_refused(tmp_path):
+    for keep in (0, 10, 300, -30):
+        path = torch_file(tmp_path / "net.pth", ARRAYS)
+        path.write_bytes(path.read_bytes()[:keep])
+        with pytest.raises(gelform.DataError, match="truncated or damaged"):
+            read_tensors(path)
 
 
 def test_other_files(tmp_path):

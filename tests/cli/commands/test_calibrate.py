@@ -74,19 +74,16 @@ def test_missing_parts_are_named(fails, folder, tmp_path):
     assert not output.exists()
 
 
-@pytest.mark.parametrize(
-    ("table", "text"),
-    [
+def test_wrong_tables_are_said(fails, folder, tmp_path):
+    for table, text in (
         ("image,ball\nimages/0000.png,6\n", "ball_diameter_mm missing"),
         ("image,ball_diameter_mm\nimages/0000.png,0\n", "> 0"),
         ("image,ball_diameter_mm\nimages/0000.png,six\n", "as a number"),
         ("image,ball_diameter_mm\n", "No press"),
         ("image,ball_diameter_mm\nimages/9999.png,6\n", "No file"),
-    ],
-)
-def test_wrong_tables_are_said(fails, folder, tmp_path, table, text):
-    (folder / "presses.csv").write_text(table)
-    assert text in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
+    ):
+        (folder / "presses.csv").write_text(table)
+        assert text in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
 
 
 def test_wrong_options_are_usage(fails, folder, tmp_path):

@@ -26,17 +26,14 @@ def test_it_prints_an_address_that_answers_and_ends_on_interrupt():
     assert running.returncode in (0, 130)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
+def test_mistakes_are_one_line(fails):
+    for arguments, said in (
         (["-c", "missing.npz"], "missing.npz"),
         (["simulated:three-edge"], "three-edges"),
         (["--host", "203.0.113.9"], "address of this machine"),
         (["a", "b", "c", "-c", "x.npz", "-c", "y.npz"], "one for each of the 3"),
-    ],
-)
-def test_mistakes_are_one_line(fails, arguments, said):
-    assert said in fails("live", *arguments)
+    ):
+        assert said in fails("live", *arguments)
 
 
 def test_an_unknown_sink_is_named(fails):

@@ -44,10 +44,10 @@ def test_a_control_that_is_missing_or_clipped_is_an_error():
         set_controls(clipped, {"gain": 500}, 15, "DIGIT")
 
 
-@pytest.mark.parametrize(("level", "levels"), [(16, 15), (-1, 15), (2.5, 15), (3, 0)])
-def test_led_levels_are_whole_and_of_cameras_that_have_them(level, levels):
-    with pytest.raises(SensorError, match="led_level"):
-        set_controls(Capture(zoom=0.0), {"led_level": level}, levels, "x")
+def test_led_levels_are_whole_and_of_cameras_that_have_them():
+    for level, levels in ((16, 15), (-1, 15), (2.5, 15), (3, 0)):
+        with pytest.raises(SensorError, match="led_level"):
+            set_controls(Capture(zoom=0.0), {"led_level": level}, levels, "x")
 
 
 def test_unknown_settings_are_refused():

@@ -18,10 +18,10 @@ def test_facts_survive_their_json():
     assert RecordingFacts.from_json(facts.to_json(), "x") == facts
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"format_version": 1, "colour": 3}', '{"name": "x"}'])
-def test_damaged_facts_say_so(text):
-    with pytest.raises(DataError, match="x is damaged"):
-        RecordingFacts.from_json(text, "x")
+def test_damaged_facts_say_so():
+    for text in ("", "[]", '{"format_version": 1, "colour": 3}', '{"name": "x"}'):
+        with pytest.raises(DataError, match="x is damaged"):
+            RecordingFacts.from_json(text, "x")
 
 
 def test_a_newer_format_names_the_release():
@@ -45,10 +45,10 @@ def test_the_cameras_jpeg_is_kept_as_it_is():
     np.testing.assert_allclose(image[5, 5], (200, 0, 5), atol=4)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89PNG but torn", frames(1, encoded=True)[0].encoded[:-40]])
-def test_damaged_pictures_say_which(content):
-    with pytest.raises(DataError, match="frame 7 is damaged"):
-        image_from_encoded(content, 1, "frame 7")
+def test_damaged_pictures_say_which():
+    for content in (b"", b"\x89PNG but torn", frames(1, encoded=True)[0].encoded[:-40]):
+        with pytest.raises(DataError, match="frame 7 is damaged"):
+            image_from_encoded(content, 1, "frame 7")
 
 
 def test_the_reduction_stands_in_the_settings():

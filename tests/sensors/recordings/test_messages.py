@@ -26,12 +26,12 @@ def test_the_bytes_are_those_of_cdr():
     assert message == by_hand
 
 
-@pytest.mark.parametrize("frame_id", ["", "a", "camera", "Kamera ü"])
-@pytest.mark.parametrize("kind", ["png", "jpeg"])
-def test_there_and_back(frame_id, kind):
-    content = bytes(range(256))
-    message = message_from_picture(content, kind, WHEN_NS, frame_id)
-    assert picture_from_message(message) == (content, WHEN_NS)
+def test_there_and_back():
+    for frame_id in ("", "a", "camera", "Kamera ü"):
+        for kind in ("png", "jpeg"):
+            content = bytes(range(256))
+            message = message_from_picture(content, kind, WHEN_NS, frame_id)
+            assert picture_from_message(message) == (content, WHEN_NS)
 
 
 def test_torn_and_foreign_messages_are_refused():
@@ -46,13 +46,13 @@ def test_torn_and_foreign_messages_are_refused():
 PIXELS = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
 
 
-@pytest.mark.parametrize("frame_id", ["", "a", "cam", "camera"])
-@pytest.mark.parametrize("padding", [0, 3])
-def test_raw_pictures_with_padded_rows(frame_id, padding):
-    message = raw_message(PIXELS, "rgb8", wall_time_ns=WHEN_NS, padding=padding, frame_id=frame_id)
-    image = raw_image_from_message(message)
-    assert (image.wall_time_ns, image.shape, image.encoding) == (WHEN_NS, (2, 3), "rgb8")
-    np.testing.assert_array_equal(pixels_from_raw(image), PIXELS)
+def test_raw_pictures_with_padded_rows():
+    for frame_id in ("", "a", "cam", "camera"):
+        for padding in (0, 3):
+            message = raw_message(PIXELS, "rgb8", wall_time_ns=WHEN_NS, padding=padding, frame_id=frame_id)
+            image = raw_image_from_message(message)
+            assert (image.wall_time_ns, image.shape, image.encoding) == (WHEN_NS, (2, 3), "rgb8")
+            np.testing.assert_array_equal(pixels_from_raw(image), PIXELS)
 
 
 def test_bgr_is_turned_round():
