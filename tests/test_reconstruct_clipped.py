@@ -1,6 +1,7 @@
 """Channels at an end of the camera's range: left out where training did not show them so, on a gel that is known exactly."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -47,97 +48,93 @@ def slope_error(result, where):
     return float(np.sqrt(np.mean(np.square(result.observed_gradients - SLOPES)[where])))
 
 
-@pytest.mark.parametrize("channels", [(0,), (1,), (2,), (0, 1, 2)])
-def test_a_channel_that_clips_in_use_is_left_out(channels):
+def test_a_channel_that_clips_in_use_is_left_out():
     """Each pixel here lacks one channel at most: the other two say the slope nearly as well."""
-    rest, image = exposed(*channels)
-    clips = (image >= 254).any(axis=-1) & INSIDE
-    reconstruct = gelform.Reconstructor(replace(stepping(), background=rest))
-    result, why = reconstruct(image), reconstruct.explain(image)
-    as_it_is = gelform.Reconstructor(replace(learnt(stepping()), background=rest))(image)
-    assert slope_error(result, clips) < 0.6 * slope_error(as_it_is, clips)
-    assert slope_error(result, clips) < 1.5 * slope_error(result, INSIDE & ~clips)
-    off = np.linalg.norm(result.observed_gradients - SLOPES, axis=-1)
-    assert (off > 3 * why.gradients_sigma)[clips].mean() < 0.01
-    assert np.median(result.confidence[clips]) == 1
-    assert (why.maps["saturated"][clips] > 0).all()
-    assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 3
+    for channels in [(0,), (1,), (2,), (0, 1, 2)]:
+        rest, image = exposed(*channels)
+        clips = (image >= 254).any(axis=-1) & INSIDE
+        reconstruct = gelform.Reconstructor(replace(stepping(), background=rest))
+        result, why = reconstruct(image), reconstruct.explain(image)
+        as_it_is = gelform.Reconstructor(replace(learnt(stepping()), background=rest))(image)
+        assert slope_error(result, clips) < 0.6 * slope_error(as_it_is, clips)
+        assert slope_error(result, clips) < 1.5 * slope_error(result, INSIDE & ~clips)
+        off = np.linalg.norm(result.observed_gradients - SLOPES, axis=-1)
+        assert (off > 3 * why.gradients_sigma)[clips].mean() < 0.01
+        assert np.median(result.confidence[clips]) == 1
+        assert (why.maps["saturated"][clips] > 0).all()
+        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 3
 
 
-@pytest.mark.parametrize("channel", [0, 1, 2])
-def test_what_is_left_out_is_missed(channel):
+def test_what_is_left_out_is_missed():
     """The step's own deviation says what two channels say less than three, of the same ball less exposed."""
-    rest, image = exposed(channel)
-    two = gelform.Reconstructor(replace(stepping(), background=rest)).explain(image)
-    clips = (image >= 254).any(axis=-1) & INSIDE
-    rest, image = exposed(channel, level=200)
-    three = gelform.Reconstructor(replace(stepping(), background=rest)).explain(image)
-    assert not three.maps["saturated"].any()
-    assert 1.1 < np.median(two.maps["saturated"][clips] / three.law[clips]) < 2
-    beside = (two.maps["saturated"] == 0) & INSIDE
-    assert np.median(two.law[beside] / three.law[beside]) == pytest.approx(1, abs=0.02)
+    for channel in [0, 1, 2]:
+        rest, image = exposed(channel)
+        two = gelform.Reconstructor(replace(stepping(), background=rest)).explain(image)
+        clips = (image >= 254).any(axis=-1) & INSIDE
+        rest, image = exposed(channel, level=200)
+        three = gelform.Reconstructor(replace(stepping(), background=rest)).explain(image)
+        assert not three.maps["saturated"].any()
+        assert 1.1 < np.median(two.maps["saturated"][clips] / three.law[clips]) < 2
+        beside = (two.maps["saturated"] == 0) & INSIDE
+        assert np.median(two.law[beside] / three.law[beside]) == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize(("level", "within"), [(254, 253), (2, 3), (0, 3)])
-@pytest.mark.parametrize("channel", [0, 1, 2])
-def test_a_channel_that_training_showed_clipped_counts_fully(level, within, channel):
-    """As if it were within the range."""
-    image, other = image_of(TOUCH), image_of(TOUCH)
-    image[BOX[0], BOX[1], channel], other[BOX[0], BOX[1], channel] = level, within
-    shown, left_out = gelform.Reconstructor(learnt(stepping())), gelform.Reconstructor(stepping())
-    assert not shown.explain(image).maps["saturated"].any()
-    assert not shown.explain(image).maps["dark"].any()
-    apart = [
-        np.abs(one(image).observed_gradients - one(other).observed_gradients)[BOX].max()
-        for one in (shown, left_out)
-    ]
-    assert apart[0] < 0.1
-    assert apart[1] > 0.2
+def test_a_channel_that_training_showed_clipped_counts_fully():
+    for channel, (level, within) in product([0, 1, 2], [(254, 253), (2, 3), (0, 3)]):
+        image, other = image_of(TOUCH), image_of(TOUCH)
+        image[BOX[0], BOX[1], channel], other[BOX[0], BOX[1], channel] = level, within
+        shown, left_out = gelform.Reconstructor(learnt(stepping())), gelform.Reconstructor(stepping())
+        assert not shown.explain(image).maps["saturated"].any()
+        assert not shown.explain(image).maps["dark"].any()
+        apart = [
+            np.abs(one(image).observed_gradients - one(other).observed_gradients)[BOX].max()
+            for one in (shown, left_out)
+        ]
+        assert apart[0] < 0.1
+        assert apart[1] > 0.2
 
 
-@pytest.mark.parametrize("level", [0, 2, 254, 255])
-@pytest.mark.parametrize("channels", [[0, 1], [0, 2], [1, 2], [0, 1, 2]])
-def test_of_two_clipped_channels_nothing_is_known(level, channels):
-    image = image_of(TOUCH)
-    image[BOX[0], BOX[1], channels] = level
-    reconstruct = gelform.Reconstructor(stepping())
-    result, why = reconstruct(image), reconstruct.explain(image)
-    assert 0 < result.confidence[BOX].max() < 1e-5
-    assert result.gradients_sigma[BOX].min() > 0.2
-    name = "dark" if level < 100 else "saturated"
-    assert [finding.name for finding in why.findings] == [name]
-    assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 8
+def test_of_two_clipped_channels_nothing_is_known():
+    for channels, level in product([[0, 1], [0, 2], [1, 2], [0, 1, 2]], [0, 2, 254, 255]):
+        image = image_of(TOUCH)
+        image[BOX[0], BOX[1], channels] = level
+        reconstruct = gelform.Reconstructor(stepping())
+        result, why = reconstruct(image), reconstruct.explain(image)
+        assert 0 < result.confidence[BOX].max() < 1e-5
+        assert result.gradients_sigma[BOX].min() > 0.2
+        name = "dark" if level < 100 else "saturated"
+        assert [finding.name for finding in why.findings] == [name]
+        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 8
 
 
-@pytest.mark.parametrize("channel", [0, 1, 2])
-@pytest.mark.parametrize("level", [0, 255])
-def test_a_dead_channel_beside_the_ball_does_no_harm(channel, level):
-    """Gel at rest, of which a spot is black or glares in one channel: no slope is off by more than it says."""
-    image = image_of(TOUCH)
-    image[BOX[0], BOX[1], channel] = level
-    reconstruct = gelform.Reconstructor(stepping())
-    result, why = reconstruct(image), reconstruct.explain(image)
-    off = np.linalg.norm(result.observed_gradients - SLOPES, axis=-1)
-    assert (off[BOX] < 4 * why.gradients_sigma[BOX]).all()
-    assert (why.maps["dark" if level == 0 else "saturated"][BOX] > 0).all()
-    assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 12
+def test_a_dead_channel_beside_the_ball_does_no_harm():
+    for channel, level in product([0, 1, 2], [0, 255]):
+        image = image_of(TOUCH)
+        image[BOX[0], BOX[1], channel] = level
+        reconstruct = gelform.Reconstructor(stepping())
+        result, why = reconstruct(image), reconstruct.explain(image)
+        off = np.linalg.norm(result.observed_gradients - SLOPES, axis=-1)
+        assert (off[BOX] < 4 * why.gradients_sigma[BOX]).all()
+        assert (why.maps["dark" if level == 0 else "saturated"][BOX] > 0).all()
+        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 12
 
 
-@pytest.mark.parametrize(
-    "known", [calibration, lambda: replace(stepping(), forward=replace(stepping().forward, step_sigma=None))]
-)
-def test_without_a_step_a_clipped_channel_costs_the_pixel_its_weight(known):
+def test_without_a_step_a_clipped_channel_costs_the_pixel_its_weight():
     """As in calibrations that were imported, and older ones; the rest gives its result."""
-    image = image_of(TOUCH)
-    image[BOX[0], BOX[1], 1] = 255
-    known = replace(known(), slope_sigma=calibration().slope_sigma)
-    result = gelform.Reconstructor(known)(image)
-    assert result.confidence[BOX].max() < 1e-5
-    assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 10
-    nobody_knows = gelform.Reconstructor(replace(known, slope_sigma=None))(image)
-    assert nobody_knows.confidence[BOX].max() < 1e-5
-    assert nobody_knows.gradients_sigma is None
-    assert 1e3 * np.sqrt(np.mean((nobody_knows.depth_mm - DEPTH) ** 2)) < 10
+    for known in [
+        calibration,
+        lambda: replace(stepping(), forward=replace(stepping().forward, step_sigma=None)),
+    ]:
+        image = image_of(TOUCH)
+        image[BOX[0], BOX[1], 1] = 255
+        known = replace(known(), slope_sigma=calibration().slope_sigma)
+        result = gelform.Reconstructor(known)(image)
+        assert result.confidence[BOX].max() < 1e-5
+        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 10
+        nobody_knows = gelform.Reconstructor(replace(known, slope_sigma=None))(image)
+        assert nobody_knows.confidence[BOX].max() < 1e-5
+        assert nobody_knows.gradients_sigma is None
+        assert 1e3 * np.sqrt(np.mean((nobody_knows.depth_mm - DEPTH) ** 2)) < 10
 
 
 def test_where_crosstalk_is_undone_a_clipped_channel_is_in_all_three():

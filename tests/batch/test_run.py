@@ -89,11 +89,11 @@ def test_the_background_given_is_used_and_is_no_frame(tree, cal, tmp_path):
         run_batch(tree, cal, tmp_path / "out", PARTS, background=tree / "frame1.png")
 
 
-@pytest.mark.parametrize("inside", ["", "out", "day2/out"])
-def test_an_output_inside_the_input_is_refused(tree, cal, inside):
-    with pytest.raises(DataError, match="is inside the input"):
-        run_batch(tree, cal, tree / inside)
-    assert not (tree / "manifest.json").exists()
+def test_an_output_inside_the_input_is_refused(tree, cal):
+    for inside in ["", "out", "day2/out"]:
+        with pytest.raises(DataError, match="is inside the input"):
+            run_batch(tree, cal, tree / inside)
+        assert not (tree / "manifest.json").exists()
 
 
 def test_an_input_inside_the_output_is_refused(tree, cal):

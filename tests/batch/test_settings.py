@@ -7,9 +7,8 @@ import pytest
 from gelform.batch import KEPT, BatchSettings
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
+def test_refused():
+    for wrong, said in [
         ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, ffv1, lerobot, got 'jpg'"),
         ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
         ({"keep": ()}, "Expected maps to keep"),
@@ -19,11 +18,9 @@ from gelform.batch import KEPT, BatchSettings
         ({"solver": "fast"}, "Expected a solver among auto, dct"),
         ({"background_frames": -1}, "Expected 0 to 200 frames"),
         ({"part_frames": 0}, "at least one frame"),
-    ],
-)
-def test_refused(wrong, said):
-    with pytest.raises(ValueError, match=said):
-        BatchSettings(**wrong)
+    ]:
+        with pytest.raises(ValueError, match=said):
+            BatchSettings(**wrong)
 
 
 def test_every_map_can_be_kept_and_said_in_json():
@@ -32,16 +29,13 @@ def test_every_map_can_be_kept_and_said_in_json():
     assert facts["keep"] == list(KEPT)
 
 
-@pytest.mark.parametrize(
-    ("asked", "needed"),
-    [
+def test_sigma_of_slopes_where_it_is_used():
+    for asked, needed in [
         ({}, True),
         ({"solver": "dct"}, True),
         ({"depth_sigma": False}, True),
         ({"solver": "dct", "depth_sigma": False}, False),
         ({"solver": "dct", "depth_sigma": False, "keep": ("depth", "confidence")}, True),
         ({"solver": "dct", "depth_sigma": False, "keep": ("all",)}, True),
-    ],
-)
-def test_sigma_of_slopes_where_it_is_used(asked, needed):
-    assert BatchSettings(**asked).slope_sigma is needed
+    ]:
+        assert BatchSettings(**asked).slope_sigma is needed

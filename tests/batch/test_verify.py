@@ -1,5 +1,7 @@
 """Whatever is done to an output is found."""
 
+import shutil
+
 import pytest
 
 from gelform.batch import BatchSettings, run_batch, verify_output
@@ -23,9 +25,8 @@ def test_whole(output):
     assert verify_output(output) == (8, 4, [])
 
 
-@pytest.mark.parametrize(
-    ("damage", "said"),
-    [
+def test_one_thing_is_wrong(output, tmp_path):
+    for damage, said in [
         (lambda out: (out / "frames/frame1.npz").unlink(), "is missing"),
         (lambda out: (out / "frames/frame1.npz").write_bytes(b"12345"), "has 5 of"),
         (lambda out: flipped(out / "frames/frame1.npz"), "was altered"),
@@ -34,12 +35,12 @@ def test_whole(output):
         (lambda out: (out / "frames.csv").open("a").write("x"), "not what the parts say"),
         (lambda out: (out / "frames.csv").unlink(), "is missing or"),
         (lambda out: flipped(record_path(out, 0)), "is damaged. Delete it"),
-    ],
-)
-def test_one_thing_is_wrong(output, damage, said):
-    damage(output)
-    _, _, problems = verify_output(output)
-    assert said in problems[0].what
+    ]:
+        shutil.copytree(output, damaged := tmp_path / "damaged")
+        damage(damaged)
+        _, _, problems = verify_output(damaged)
+        assert said in problems[0].what
+        shutil.rmtree(damaged)
 
 
 def test_a_part_that_is_not_done(output):

@@ -24,11 +24,11 @@ def test_zero_is_the_middle_and_a_level_is_a_tenth_of_a_micrometre():
     np.testing.assert_array_equal(levels_from_depth([[0.0, 1e-4, -1.0]]), [[32768, 32769, 22768]])
 
 
-@pytest.mark.parametrize("depth", [3.3, -3.2769, 1e9])
-def test_out_of_range_is_refused(depth):
-    with pytest.raises(DataError, match="16 bits"):
-        levels_from_depth([[depth]])
-    assert levels_from_depth([[depth]], [[False]]) == 0
+def test_out_of_range_is_refused():
+    for depth in [3.3, -3.2769, 1e9]:
+        with pytest.raises(DataError, match="16 bits"):
+            levels_from_depth([[depth]])
+        assert levels_from_depth([[depth]], [[False]]) == 0
 
 
 def test_other_levels_are_refused():

@@ -65,24 +65,24 @@ def test_albedo_only_where_the_model_gives_it(result, tmp_path):
     assert load_result(tmp_path / "x.npz").albedo is None
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_results_of_every_format_are_read(version):
+def test_results_of_every_format_are_read():
     """Written by earlier releases: version 1 in mm, with fields that are gone; version 2 in pixels."""
-    old = load_result(DATA / f"result-version-{version}.npz")
-    assert (old.shape, old.zero, old.solver, old.index) == ((12, 16), "untouched", "multigrid", 3)
-    assert old.observed_gradients is None  # its gradients are those that were read
-    assert old.gradients.shape == (12, 16, 2)
-    assert old.health == (Finding("exposure", "Exposure differs.", 1.05),)
-    assert sum(one.area_px for one in old.contacts) == old.contact.sum() > 0
-    assert (old.contacts[0].area_mm2 is None) == (version == 2)
-    assert old.depth_px.max() == pytest.approx(3.83, rel=0.01)
-    assert (old.mm_per_px, old.mm_per_px_sigma) == ((0.1, 0.001) if version == 1 else (None, None))
-    if version == 1:
-        assert old.depth_mm.max() == pytest.approx(0.383, rel=0.01)
-        assert old.depth_sigma_mm.max() == np.float32(0.02)
-    else:
-        with pytest.raises(GelformError, match="no depth_mm"):
-            old.depth_mm  # noqa: B018
+    for version in [1, 2]:
+        old = load_result(DATA / f"result-version-{version}.npz")
+        assert (old.shape, old.zero, old.solver, old.index) == ((12, 16), "untouched", "multigrid", 3)
+        assert old.observed_gradients is None  # its gradients are those that were read
+        assert old.gradients.shape == (12, 16, 2)
+        assert old.health == (Finding("exposure", "Exposure differs.", 1.05),)
+        assert sum(one.area_px for one in old.contacts) == old.contact.sum() > 0
+        assert (old.contacts[0].area_mm2 is None) == (version == 2)
+        assert old.depth_px.max() == pytest.approx(3.83, rel=0.01)
+        assert (old.mm_per_px, old.mm_per_px_sigma) == ((0.1, 0.001) if version == 1 else (None, None))
+        if version == 1:
+            assert old.depth_mm.max() == pytest.approx(0.383, rel=0.01)
+            assert old.depth_sigma_mm.max() == np.float32(0.02)
+        else:
+            with pytest.raises(GelformError, match="no depth_mm"):
+                old.depth_mm  # noqa: B018
 
 
 def test_an_existing_result_stays(tmp_path, result):

@@ -72,20 +72,7 @@ def done_parts(
 def done_parts_on_ray(
     job: Job, parts: Sequence[Part], workers: int, address: str | None = None
 ) -> Generator[tuple[Part, int, int], None, None]:
-    """Do parts as Ray's tasks, of one CPU each (see `DoneParts`).
-
-    Parameters
-    ----------
-    workers : CPUs of a Ray that is started here and ended with the run
-    address : of one that runs already
-
-    Raises
-    ------
-    WorkerLostError
-        A part's worker was lost six times, or Ray cannot be reached.
-    DataError
-        Ray is not installed; an output cannot be written.
-    """
+    """Do parts as Ray's tasks, of one CPU each (see `DoneParts`); without an address a Ray is started here."""
     ray = needed("ray", "ray", "The engine ray")
     with _connected(ray, workers, address):
         do = ray.remote(num_cpus=1, memory=MEMORY_BYTES, max_retries=TRIES_AGAIN)(_do_on_ray)

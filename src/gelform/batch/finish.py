@@ -20,13 +20,7 @@ LEAST_RANGE_MM = 0.1  # of a tile's colours: an untouched gel stays dark
 
 
 def finish(output: Path, manifest: Manifest, table: str, source: Path, *, again: bool) -> None:
-    """Write what is not there yet, all of it where parts were done in this run (`again`).
-
-    Parameters
-    ----------
-    table : a form of TABLES
-    source : the folder of the input
-    """
+    """Write what is not there yet, a table of that form too; all of it where parts were done in this run (`again`)."""
     last, parts = WRITERS[manifest.settings["form"]].finish, manifest.parts
     if again or last.missing(output):
         last.write(output, files_of(output, parts), source)

@@ -82,13 +82,7 @@ class Manifest:
 
 
 def read_manifest(output: Path) -> Manifest | None:
-    """The manifest of an output folder; None where there is none.
-
-    Raises
-    ------
-    DataError
-        It is damaged, of something else, or of a newer format.
-    """
+    """The manifest of an output folder; None where there is none. DataError where it is damaged, or of a newer format."""
     path = output / NAME
     try:
         content = json.loads(path.read_bytes())
@@ -112,13 +106,7 @@ def read_manifest(output: Path) -> Manifest | None:
 
 
 def begin(output: Path, wanted: Manifest, *, overwrite: bool) -> None:
-    """See that an output folder is new, or was begun with the same; write the manifest where there is none.
-
-    Raises
-    ------
-    DataError
-        It was begun with something else (unless `overwrite`, which empties it), or holds what no batch wrote.
-    """
+    """See that an output is new, or was begun with the same (DataError); `overwrite` empties it. Write the manifest."""
     if overwrite:
         _remove(output)
     there = read_manifest(output)
@@ -155,15 +143,10 @@ def _text(value: Any) -> str:
 
 @contextmanager
 def only_run(output: Path, shard: tuple[int, int] = (1, 1)) -> Iterator[bool]:
-    """Hold an output folder while it is written; gives whether nobody else writes to it.
+    """Hold an output folder while it is written; gives whether nobody else writes to it. DataError where somebody does.
 
     A run of all parts holds it alone; shards hold it together, each its own number. The system lets go whatever
     becomes of the process.
-
-    Raises
-    ------
-    DataError
-        Another process writes to it.
     """
     try:
         import fcntl

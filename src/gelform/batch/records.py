@@ -87,13 +87,7 @@ def write_record(output: Path, number: int, record: PartRecord) -> None:
 
 
 def read_record(output: Path, number: int) -> PartRecord | None:
-    """The record of a part; None where it is not done.
-
-    Raises
-    ------
-    DataError
-        The record is damaged.
-    """
+    """The record of a part; None where it is not done. DataError where it is damaged."""
     path = record_path(output, number)
     try:
         digest, _, line = path.read_bytes().partition(b"\n")
@@ -128,13 +122,7 @@ def files_of(output: Path, parts: int) -> list[str]:
 
 
 def done_records(output: Path, parts: int) -> Iterator[PartRecord]:
-    """Those of all parts.
-
-    Raises
-    ------
-    DataError
-        A part is not done.
-    """
+    """Those of all parts; DataError where one is not done."""
     for number in range(parts):
         record = read_record(output, number)
         if record is None:
@@ -147,15 +135,7 @@ def _digest(line: bytes) -> bytes:
 
 
 def table_form(asked: str = "auto") -> str:
-    """ "parquet" or "csv"; where it is left to us, Parquet if pyarrow is there.
-
-    Raises
-    ------
-    DataError
-        Parquet is asked for, and pyarrow is not installed.
-    ValueError
-        Another form.
-    """
+    """What "auto" means: "parquet" if pyarrow is there, else "csv". DataError where Parquet is asked for without it."""
     if asked not in ("auto", *TABLES):
         raise ValueError(f"Expected a table among auto, {', '.join(TABLES)}, got {asked!r}.")
     there = find_spec("pyarrow") is not None

@@ -143,13 +143,7 @@ def run_batch(
 
 
 def check_apart(listing: Listing, output: Path) -> None:
-    """Refuse an output inside the input, where the next run would find it, and the other way round.
-
-    Raises
-    ------
-    DataError
-        The message names both.
-    """
+    """Refuse (DataError) an output inside the input, where the next run would find it, and the other way round."""
     there = Path(os.path.realpath(output))
     folders = {Path(os.path.realpath(one.path)) for one in listing.sequences}
     searched = {Path(os.path.realpath(listing.root))} if listing.searched else set()

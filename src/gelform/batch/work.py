@@ -51,15 +51,7 @@ class Worker:
         self._reconstruct: Any = None
 
     def do(self, part: Part, stop: Callable[[], bool] = bool) -> PartRecord:
-        """Write the outputs of a part, then its record; the same bytes whatever was done before.
-
-        Raises
-        ------
-        DataError
-            An output cannot be written.
-        Stopped
-            `stop()` said so; no record is written then.
-        """
+        """Write the outputs of a part, then its record, the same bytes each time; Stopped where `stop()` says so."""
         digest, rows = part.input_digest(), []
         with WRITERS[self.job.settings.form].writer(self._target(part)) as writer:
             for named in frames_of_part(part):

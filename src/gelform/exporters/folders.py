@@ -49,13 +49,7 @@ def written_whole(target: Path) -> Iterator[Path]:
 
 
 def check_room(folder: Path) -> None:
-    """Write a few kilobytes into a folder and take them away: a full disk is said before the work, not after it.
-
-    Raises
-    ------
-    OSError
-        The folder cannot be written to, or the disk is full.
-    """
+    """Write a few kilobytes into a folder and take them away: a full disk is said (OSError) before the work, not after."""
     with tempfile.TemporaryFile(dir=folder) as probe:
         probe.write(bytes(PROBE_BYTES))
 

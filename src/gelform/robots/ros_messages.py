@@ -46,15 +46,7 @@ class RosMessages:
     def due(
         self, topics: Iterable[str], frame: Frame, result: Reconstruction, stamp_ns: int
     ) -> Iterator[tuple[str, memoryview]]:
-        """(topic, message) of those topics; diagnostics once a second, and when the findings change.
-
-        Parameters
-        ----------
-        topics : names of TOPICS
-        frame : as the camera gave it
-        result : of it, in mm where indentation or points are asked for
-        stamp_ns : UTC, ns, when it was taken
-        """
+        """(topic, message) of a frame taken at UTC ns; diagnostics once a second, and when findings change."""
         for name in topics:
             if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
                 yield name, getattr(self, name)(frame, result, stamp_ns)

@@ -30,14 +30,7 @@ GID_BYTES = 16
 
 @dataclass(frozen=True)
 class Node:
-    """A node of ROS 2 in a zenoh session.
-
-    Parameters
-    ----------
-    domain : the number ROS_DOMAIN_ID
-    session : the session's id, hexadecimal
-    name : of the node
-    """
+    """A node of ROS 2 in a zenoh session: the number ROS_DOMAIN_ID, the session's id, hexadecimal, and the node's name."""
 
     domain: int
     session: str
@@ -49,15 +42,7 @@ class Node:
         return self._token(NODE_ID, NODE)
 
     def publisher_token(self, number: int, topic: str, kind: str, type_hash: str) -> str:
-        """What says that the node publishes a topic.
-
-        Parameters
-        ----------
-        number : of the publisher in the node, from 1
-        topic : its whole name, such as "/left/points"
-        kind : the type of its messages, such as "sensor_msgs/msg/Image"
-        type_hash : of that type, "RIHS01_..."
-        """
+        """What says that the publisher, numbered from 1, sends a topic such as /left/points, of a type and its hash."""
         mangled = topic.replace("/", "%")
         return f"{self._token(number, PUBLISHER)}/{mangled}/{dds_type(kind)}/{type_hash}/{QOS}"
 

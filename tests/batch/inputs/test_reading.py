@@ -135,21 +135,18 @@ def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_p
     assert all(digests)
 
 
-@pytest.mark.parametrize(
-    ("rows", "said"),
-    [
+def test_refused_before_anything_is_written(two_lights, cal, tmp_path):
+    for rows, said in [
         (["a,a/rest.png"], "has no row for 'b'"),
         (["a,a/rest.png", "b,b/rest.png", "c,a/rest.png"], "the input lacks, 'c'"),
         (["a,a/rest.png", "b,b/none.png"], "The background .*none.png"),
         (["a,a/rest.png", "a,b/rest.png"], "each sequence once"),
         (["a"], "columns sequence and background"),
         ([], "columns sequence and background"),
-    ],
-)
-def test_refused_before_anything_is_written(two_lights, cal, tmp_path, rows, said):
-    with pytest.raises(DataError, match=said):
-        run_batch(two_lights, cal, tmp_path / "out", background=table(two_lights, *rows))
-    assert not (tmp_path / "out").exists()
+    ]:
+        with pytest.raises(DataError, match=said):
+            run_batch(two_lights, cal, tmp_path / "out", background=table(two_lights, *rows))
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_table_that_is_not_there(tmp_path):

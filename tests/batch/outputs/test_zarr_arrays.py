@@ -67,6 +67,6 @@ def test_every_file_is_recorded(written, tmp_path):
     assert json.loads((tmp_path / "frames/zarr.json").read_text())["node_type"] == "group"
 
 
-@pytest.mark.parametrize(("part", "shard"), [(256, 64), (5, 5), (1, 1), (67, 1), (90, 45)])
-def test_no_shard_belongs_to_two_parts(part, shard):
-    assert shard_frames(part) == shard
+def test_no_shard_belongs_to_two_parts():
+    for part, shard in [(256, 64), (5, 5), (1, 1), (67, 1), (90, 45)]:
+        assert shard_frames(part) == shard

@@ -60,13 +60,7 @@ class ContainerError(DataError):
 
 
 def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
-    """The datasets of a container that a pattern such as "data/*/obs/gelsight" means; * stands for one name.
-
-    Raises
-    ------
-    DataError
-        None, or no pattern is given: the message lists what is there.
-    """
+    """The datasets that a pattern such as "data/*/obs/gelsight" means (DataError); * stands for one name."""
     parts = wanted.strip("/").split("/")
     found = [one for one in there if wanted and _matches(one.split("/"), parts)]
     if found:
@@ -76,17 +70,9 @@ def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
 
 
 def image_from_values(values: NDArray[Any] | DataError) -> NDArray[np.uint8]:
-    """An RGB image (H, W, 3) uint8 of what a dataset holds for a frame.
+    """An RGB image (H, W, 3) uint8 of what a dataset holds for a frame; DataError where it is none.
 
-    Parameters
-    ----------
-    values : (H, W, 3) uint8; whole numbers 0-255 as floats; (L,) uint8: a JPEG or PNG, padded with zeros; or why there is
-        none, which is raised
-
-    Raises
-    ------
-    DataError
-        Something else.
+    It holds (H, W, 3) uint8, whole numbers 0-255 as floats, or (L,) uint8: a JPEG or PNG, padded with zeros.
     """
     if isinstance(values, DataError):
         raise values
@@ -166,13 +152,7 @@ def _shape(shape: Iterable[int]) -> str:
 
 
 def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
-    """A sequence for each dataset of the file that is meant, in natural order.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read; no dataset of that name: what is there is listed.
-    """
+    """A sequence for each dataset of the file that is meant, in natural order; DataError where there is none."""
     there: dict[str, tuple[tuple[int, ...], str]] = {}
     with _opened_hdf5(path) as file:
 
@@ -186,13 +166,7 @@ def hdf5_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
 
 
 def hdf5_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
-    """What the dataset holds for each frame of a range, or why that cannot be read.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read, or has no such dataset any more.
-    """
+    """What the dataset holds for each frame of a range, or why that cannot be read."""
     with _opened_hdf5(path) as file:
         if dataset not in file:
             raise DataError(f"Expected {dataset} in {path}, got none.")
@@ -216,13 +190,7 @@ def is_zarr(path: Path) -> bool:
 
 
 def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of each array that is meant.
-
-    Raises
-    ------
-    DataError
-        The store cannot be read; no array of that name: what is there is listed; its episodes are not those of the array.
-    """
+    """A sequence for each episode of each array that is meant; DataError where there is none, or its episodes do not fit."""
     group = _opened_zarr(path)
     arrays = dict(_arrays(group))
     there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
@@ -246,13 +214,7 @@ def zarr_sequences(path: Path, name: str, wanted: str) -> list[Sequence]:
 
 
 def zarr_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
-    """What the array holds for each frame of a range, or why that cannot be read.
-
-    Raises
-    ------
-    DataError
-        The store cannot be read, or has no such array any more.
-    """
+    """What the array holds for each frame of a range, or why that cannot be read."""
     array = dict(_arrays(_opened_zarr(path))).get(dataset)
     if array is None:
         raise DataError(f"Expected {dataset} in {path}, got none.")

@@ -24,13 +24,7 @@ def is_lerobot_set(path: Path) -> bool:
 
 
 def lerobot_info(root: Path) -> dict[str, Any]:
-    """What `meta/info.json` says.
-
-    Raises
-    ------
-    DataError
-        It cannot be read, or is of another version.
-    """
+    """What `meta/info.json` says; DataError where it cannot be read, or is of another version."""
     try:
         info: dict[str, Any] = json.loads((root / INFO).read_bytes())
         version, _ = info["codebase_version"], (info["features"], info["fps"])
@@ -45,13 +39,7 @@ def lerobot_info(root: Path) -> dict[str, Any]:
 
 
 def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
-    """Rows of `meta/episodes`, in the order of the episodes.
-
-    Raises
-    ------
-    DataError
-        pyarrow is not installed; the tables cannot be read or lack a column.
-    """
+    """Rows of `meta/episodes`, in the order of the episodes; DataError where they cannot be read or lack a column."""
     parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
     pyarrow = needed("pyarrow", "lerobot", "LeRobot")
     rows: list[dict[str, Any]] = []
@@ -67,13 +55,7 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
 
 
 def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
-    """A sequence for each episode of each camera that is meant, of videos or of images in the tables.
-
-    Raises
-    ------
-    DataError
-        The data set cannot be read; no camera of that name: those that there are, are listed.
-    """
+    """A sequence for each episode of each camera that is meant, of videos or of images; DataError where there is none."""
     info = lerobot_info(root)
     cameras = {
         key: (tuple(feature["shape"]), feature["dtype"])
@@ -153,12 +135,7 @@ def video_frames(
 ) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     """Frames of an episode that begins at the frame `offset` of a video: seconds since then, and image (H, W, 3).
 
-    Decoding begins at the key frame before the frame `start` of the episode.
-
-    Raises
-    ------
-    DataError
-        av is not installed; the video cannot be read, or ends before.
+    Decoding begins at the key frame before the frame `start` of the episode. DataError where the video ends before.
     """
     av = needed("av", "lerobot", "LeRobot")
     done = 0
@@ -188,19 +165,8 @@ def stored_images(
 ) -> Iterator[tuple[float, NDArray[np.uint8] | DataError]]:
     """Images of an episode that begins at the row `offset` of a table: seconds since then, and PNG or JPEG bytes (L,).
 
-    Only the row groups and the columns that are needed are read.
-
-    Parameters
-    ----------
-    path : of a file below the data set's `data`
-    key : the feature
-    start, count : which frames of the episode
-
-    Raises
-    ------
-    DataError
-        pyarrow is not installed; the table cannot be read, ends before, or is in another order than the episodes' table
-        says.
+    Only the row groups and the columns that are needed are read. DataError where the table ends before, or is in another
+    order than the episodes' table says.
     """
     parquet = needed("pyarrow.parquet", "lerobot", "LeRobot")
     pyarrow = needed("pyarrow", "lerobot", "LeRobot")

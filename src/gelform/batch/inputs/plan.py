@@ -78,13 +78,7 @@ class Part:
 
 
 def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> list[Part]:
-    """All parts, in the order of the listing.
-
-    Parameters
-    ----------
-    part_frames : the most images in a part
-    background_frames : how many first frames of each sequence make its background
-    """
+    """All parts, of so many images at most, in the order of the listing; with the first frames that make a background."""
     parts: list[Part] = []
     for sequence in listing.sequences:
         pieces = _ranges if sequence.dataset else _pieces
@@ -97,13 +91,7 @@ def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> l
 
 
 def shard_of(parts: Several[Part], shard: tuple[int, int]) -> list[Part]:
-    """The parts of shard i of N, counted from 1: every N-th, so that long sequences are spread.
-
-    Raises
-    ------
-    DataError
-        No such shard.
-    """
+    """The parts of shard i of N, counted from 1 (DataError): every N-th, so that long sequences are spread."""
     number, count = shard
     if not 1 <= number <= count:
         raise DataError(f"Expected a shard from 1/{count} to {count}/{count}, got {number}/{count}.")

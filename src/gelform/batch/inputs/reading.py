@@ -60,13 +60,7 @@ def frames_of_part(part: Part) -> Iterator[NamedFrame]:
 
 
 def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
-    """The image (H, W, 3) of a frame, through the calibration's view.
-
-    Raises
-    ------
-    DataError
-        A frame of another size.
-    """
+    """The image (H, W, 3) of a frame, through the calibration's view; DataError for a frame of another size."""
     try:
         image = image_from_frame(frame.image, calibration.view)
         return check_image(image, shape=calibration.image_shape, name="frame")
@@ -75,12 +69,9 @@ def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]
 
 
 def background_of_sequence(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
-    """The average (H, W, 3) of the first frames of a part's sequence, those left out that cannot be read.
+    """The average (H, W, 3) of the first frames of a part's sequence that can be read.
 
-    Raises
-    ------
-    DataError
-        None can be read, one is of another size, or they differ: something touches the gel in them.
+    DataError where none can, one is of another size, or they differ: something touches the gel in them.
     """
     first = list(islice(_from_the_first(part, count), count))
     images = [image_of_calibration(one.frame, calibration) for one in first if one.frame is not None]
@@ -165,13 +156,7 @@ class Backgrounds:
         return [*self.by_sequence.values()] + ([] if self.of_all is None else [self.of_all])
 
     def read(self, sequences: Collection[str], calibration: Calibration) -> tuple[NDArray[Any] | None, str]:
-        """The image (H, W, 3) of all sequences, if it is one, and a digest of all that are used; empty without any.
-
-        Raises
-        ------
-        DataError
-            The table leaves out a sequence or names another one; a background cannot be read, or is of another size.
-        """
+        """The image (H, W, 3) of all sequences, if it is one, and a digest of all; DataError for odd sequences."""
         if self.of_all is not None:
             image = background_of_file(self.of_all, calibration)
             return image, background_digest(image)
@@ -189,14 +174,9 @@ class Backgrounds:
 
 
 def backgrounds_of(path: Path | None) -> Backgrounds:
-    """What `--background` means: an image, a folder of several, or a CSV table of `sequence,background`.
+    """What `--background` means: an image, a folder of several, or a CSV table of `sequence,background` (DataError).
 
     A table's paths start from its own folder; sequences are named as in the table that the batch writes.
-
-    Raises
-    ------
-    DataError
-        The table cannot be read, lacks a column, or has a sequence twice.
     """
     if path is None or path.suffix.lower() != ".csv":
         return Backgrounds(path)
@@ -217,13 +197,7 @@ def backgrounds_of(path: Path | None) -> Backgrounds:
 
 
 def background_of_file(path: Path, calibration: Calibration) -> NDArray[Any]:
-    """The image (H, W, 3) of the untouched gel, through the calibration's view.
-
-    Raises
-    ------
-    DataError
-        It cannot be read, or is of another size.
-    """
+    """The image (H, W, 3) of the untouched gel, through the calibration's view; DataError where it cannot be."""
     try:
         return image_of_calibration(Frame(read_background(path), 0.0, 0, 0), calibration)
     except GelformError as problem:

@@ -56,13 +56,7 @@ class PartTarget:
         return path.relative_to(self.output).as_posix()
 
     def write(self, path: Path, content: bytes) -> OutputFile:
-        """Write a file whole or not at all.
-
-        Raises
-        ------
-        DataError
-            The disk is full, or the folder cannot be written to.
-        """
+        """Write a file whole or not at all."""
         return write_output(self.output, path, content)
 
 
@@ -70,12 +64,7 @@ class FlushedLater:
     """Files that are flushed to the disk beside the work; a context manager, whose block ends when the disk has them all.
 
     A worker would wait for the disk after every frame. What a loss of power takes before is a part without its record, which
-    is done again.
-
-    Raises
-    ------
-    DataError
-        The disk has not taken one of them.
+    is done again. DataError where the disk has not taken one of them.
     """
 
     def __init__(self, output: Path) -> None:
@@ -119,13 +108,7 @@ class OutputFile:
 
 
 def write_output(output: Path, path: Path, content: bytes, *, flushed: bool = True) -> OutputFile:
-    """Write a file below an output whole or not at all, and the folders above it.
-
-    Raises
-    ------
-    DataError
-        The disk is full, or the folder cannot be written to.
-    """
+    """Write a file below an output whole or not at all (DataError), and the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_file(path, overwrite=True, flushed=flushed) as file:
         file.write(content)
@@ -233,10 +216,7 @@ class RememberingFile:
 def maps_of(result: Reconstruction, settings: BatchSettings) -> dict[str, NDArray[Any]]:
     """The kept maps by their names in files, (H, W) or with axes behind; depth as uint16 levels where the settings say so.
 
-    Raises
-    ------
-    DataError
-        Depth beyond 16 bits, or a map that this calibration does not give.
+    DataError for depth beyond 16 bits, or a map that this calibration does not give.
     """
     if settings.dtype == "uint16":
         return {"depth_mm": levels_from_depth(result.depth_mm, result.known)}
@@ -274,13 +254,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
 
 
 def check_names(sequences: Iterable[str], settings: BatchSettings) -> None:
-    """Refuse folders that are called as the arrays beside them would be.
-
-    Raises
-    ------
-    DataError
-        The message names the folder.
-    """
+    """Refuse (DataError) folders that are called as the arrays beside them would be."""
     if settings.form not in ("zarr", "hdf5"):
         return
     arrays = {one.name for one in KEPT_MAPS.values()}

@@ -118,13 +118,7 @@ class LerobotVideo(VideoWriter):
 
 
 def episode_of(sequence: str) -> tuple[str, int]:
-    """The camera and the episode that a sequence of a LeRobot data set is named for.
-
-    Raises
-    ------
-    DataError
-        It is none.
-    """
+    """The camera and the episode that a sequence of a LeRobot data set is named for; DataError where it is none."""
     key, found, number = sequence.rpartition("/episode_")
     if not (key and found and number.isdecimal()):
         raise DataError(
@@ -164,13 +158,7 @@ def statistics(counts: NDArray[np.int64], frames: int) -> dict[str, float]:
 
 
 def check_lerobot_source(source: Path, keys: set[str]) -> None:
-    """Refuse an input to which no depth can be added, before anything is done.
-
-    Raises
-    ------
-    DataError
-        It is no LeRobot data set, keeps its videos elsewhere, or has the feature already.
-    """
+    """Refuse (DataError) an input to which no depth can be added, before anything is done."""
     if not (source / INFO).is_file():
         raise DataError(
             f"Expected a LeRobot data set as input of the format lerobot, got {source}, which has no {INFO}. Write "
@@ -185,19 +173,7 @@ def check_lerobot_source(source: Path, keys: set[str]) -> None:
 
 
 def write_lerobot_set(output: Path, files: list[str], source: Path) -> None:
-    """Write all of the data set but the depth videos, which the parts wrote.
-
-    Parameters
-    ----------
-    output : folder of the batch
-    files : that the parts wrote
-    source : the data set that was read; nothing in it is changed
-
-    Raises
-    ------
-    DataError
-        It cannot be read, or the disk is full.
-    """
+    """Write all of the data set but the depth videos, which the parts wrote; nothing in the source is changed."""
     episodes, root, done = _episodes(output, files), output / FRAMES, []
     for path in _to_copy(source):
         done.append(_copied(source / path, root / path, output))

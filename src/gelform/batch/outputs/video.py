@@ -49,20 +49,9 @@ FFV1 = Codec("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slic
 
 
 class VideoWriter(PartWriter):
-    """Writes levels (H, W) uint16 as the frames of one video.
+    """Writes levels (H, W) uint16 as the frames of one video, of a part that is a whole sequence.
 
-    Parameters
-    ----------
-    target : of the part, which is a whole sequence
-    path : of the video; its folder is made
-    codec : how levels are kept
-    rate_hz : frames a second, which the times of the frames follow
-    av : the module
-
-    Raises
-    ------
-    DataError
-        av was built without the encoder; the disk is full.
+    The times of the frames follow `rate_hz`; `av` is the module. DataError where it was built without the encoder.
     """
 
     def __init__(self, target: PartTarget, path: Path, codec: Codec, rate_hz: int, av: Any) -> None:
