@@ -206,7 +206,7 @@ def _size(array: NDArray[Any]) -> str:
 
 
 T = TypeVar("T")
-MAX_PATH, MAX_NAME = 4096, 255
+MAX_PATH, MAX_NAME = 4096, 255  # characters, of Linux
 
 
 def check_is(value: Any, kind: type[T], name: str) -> T:
@@ -237,8 +237,8 @@ def check_path(path: Any, what: str = "a path") -> Path:
     return Path(text)
 
 
-GEL_THICKNESS_MM = 0.05, 50.0
-MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1.0
+# Of sensors, the least and the most: beyond, a number is in another unit.
+GEL_THICKNESS_MM, PITCH_MM = (0.05, 50.0), (1e-4, 1.0)
 MM_PER_PX = 1e-6, 1e3  # what square sums of float32 can hold, and far beyond any sensor
 
 
@@ -275,11 +275,11 @@ def check_sensor_pitch(mm_per_px: float) -> float:
         It is no number, or too large: the message says what pixels per mm would be.
     """
     pitch = check_positive(mm_per_px, "mm_per_px")
-    if pitch > MAX_PITCH_MM:
+    if pitch > PITCH_MM[1]:
         hint = f" If these are pixels per mm, give 1/{pitch:g} = {1 / pitch:.4g}." if pitch < 1e4 else ""
-        raise ValueError(f"Expected mm_per_px up to {MAX_PITCH_MM:g} mm, got {pitch:g}.{hint}")
-    if pitch < MIN_PITCH_MM:
-        raise ValueError(f"Expected mm_per_px of at least {MIN_PITCH_MM:g} mm, got {pitch:g}. Is it in mm?")
+        raise ValueError(f"Expected mm_per_px up to {PITCH_MM[1]:g} mm, got {pitch:g}.{hint}")
+    if pitch < PITCH_MM[0]:
+        raise ValueError(f"Expected mm_per_px of at least {PITCH_MM[0]:g} mm, got {pitch:g}. Is it in mm?")
     return pitch
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # homography, row by row
 UNDISTORTION_ROUNDS, UNDISTORTED_PX = 40, 1e-9  # of Newton's method, which ends with a step of so many px
 DIFFERENCE_PX = 1e-3  # of central differences: far above rounding, far below a lens's curvature
 LEAST_AREA = 1e-3  # a smaller change of area is at a fold, where nothing can be undone

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gelform.checks import check_mask
 from gelform.filters import medians_where
 
-MEDIAN_SAMPLES = 5_000
+MEDIAN_SAMPLES = 5_000  # pixels on a lattice, fine enough for a median
 
 Zero = Literal["mean", "border"]
 Level = Literal["slope", "plane", "quadratic"]

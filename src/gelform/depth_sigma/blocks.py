@@ -81,7 +81,6 @@ LINES = 22  # rows of scratch memory of `sigma_of_pixels`
 # What is summed over the pixels of a block: those inside the mask, weight and its square, anchor, zero pixels, pixels at
 # rest; then for each slope weight x sigma and its square.
 INSIDE, WEIGHT, SQUARE, HOLD, REGION, REST, FIRST = range(7)
-PER_SLOPE = 2
 
 
 def block_rows_and_columns(shape: tuple[int, ...], block: int) -> tuple[int, int]:
@@ -117,7 +116,7 @@ class Blocks:
         block = self.size = parts.block
         pixels = weights.shape
         shape = block_rows_and_columns(pixels, block)
-        sums = np.empty((FIRST + PER_SLOPE * sigma.shape[2], *shape), dtype=np.float32)
+        sums = np.empty((FIRST + 2 * sigma.shape[2], *shape), dtype=np.float32)
         work = np.empty((len(sums), pixels[1]), dtype=np.float32)
         hold = constant_map(pixels, 0.0) if anchor is None else anchor
         _sum_blocks(sigma, weights, mask, hold, region, rest, floor, block, work, sums)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.findings import Finding
 
-BLOCK_PX = 16
+BLOCK_PX = 16  # of JPEG with halved colour: what is lost of a frame is lost in such blocks
 
 _blocks = Kernel(
     "health_blocks",
