@@ -47,7 +47,7 @@ class CalibrationSettings(Mapping[str, Any]):
     presses : how many were used
     response : exponent of the camera's response curve
     camera : settings of the camera, as they were read back
-    scale_source, lens : what told mm_per_px, and distortion and perspective
+    scale_source, lens : where mm_per_px, and distortion and perspective come from
     gel_thickness_mm : of the gel at rest
     crosstalk : what is undone before the color model, in words
     relaxation_mm : length over which the gel falls off around a contact
@@ -219,25 +219,17 @@ class Calibration:
             **{f"model_{name}": array for name, array in model_arrays.items()},
         }
         meta: dict[str, Any] = {
-            "sensor_name": self.sensor_name,
-            "serial": self.serial,
-            "gel_id": self.gel_id,
+            **{name: getattr(self, name) for name in _STORED_AS_THEY_ARE},
             "view": self.view.to_dict(),
             "image_shape": list(self.image_shape),
-            "mm_per_px": self.mm_per_px,
-            "mm_per_px_sigma": self.mm_per_px_sigma,
             "change": asdict(self.change),
             "color_model": self.color_model.name,
             "model_settings": model_settings,
             "forward_settings": forward_settings,
             "slope_sigma": self.slope_sigma and asdict(self.slope_sigma),
-            "untouched_change": self.untouched_change,
             "background_digest": self.background_digest,
-            "held_out": self.held_out,
             "training_digests": list(self.training_digests),
             "settings": dict(self.settings),
-            "library_version": self.library_version,
-            "created_utc": self.created_utc,
         }
         return arrays, meta
 
@@ -289,6 +281,10 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
         raise ValueError("Expected background_noise of shape (3,).")
 
 
+_STORED_AS_THEY_ARE = (
+    *("sensor_name", "serial", "gel_id", "mm_per_px", "mm_per_px_sigma", "untouched_change", "held_out"),
+    *("library_version", "created_utc"),
+)
 _REMEDY = "Restore a copy or calibrate again."
 _KINDS: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("sensor_name", "color_model", "library_version", "created_utc"), str),
@@ -320,25 +316,17 @@ def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Cal
         raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
     own = _parts(arrays, "model_")
     return Calibration(
-        sensor_name=meta["sensor_name"],
-        serial=meta["serial"],
-        gel_id=meta["gel_id"],
+        **{name: meta[name] for name in _STORED_AS_THEY_ARE},
         view=View.from_dict(meta["view"]),
         image_shape=shape,
-        mm_per_px=meta["mm_per_px"],
-        mm_per_px_sigma=meta["mm_per_px_sigma"],
         background=arrays["background"],
         background_noise=arrays["background_noise"],
         change=ChangeSettings(**meta["change"]),
         color_model=models[meta["color_model"]].from_arrays(own, meta["model_settings"]),
         forward=_forward(_parts(arrays, "forward_"), meta["forward_settings"], shape, meta["mm_per_px"]),
         slope_sigma=None if meta["slope_sigma"] is None else SlopeSigma.from_dict(meta["slope_sigma"]),
-        untouched_change=meta["untouched_change"],
-        held_out=meta["held_out"],
         training_digests=tuple(meta["training_digests"]),
         settings=CalibrationSettings.from_dict(meta["settings"]),
-        library_version=meta["library_version"],
-        created_utc=meta["created_utc"],
     )
 
 
