@@ -13,9 +13,11 @@ from collections.abc import Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
+from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names of this machine
+DECIDING = ("host", "origin", "sec-fetch-site")  # headers that may come once
 OPEN_PATHS = ("/session",)  # the page's files are open too: there is nothing secret in them
 HEADERS = {
     b"content-security-policy": b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
@@ -100,21 +102,21 @@ class Guard:
 
     def _refusal(self, scope: Any) -> tuple[int, str] | None:
         """Status and text of a refusal; None where all is well."""
-        headers = _single(scope["headers"])
+        headers = Headers(scope=scope)
         host = headers.get("host")
-        if headers.get("repeated") or host is None or not self._access.host_allowed(host):
+        repeated = any(len(headers.getlist(name)) > 1 for name in DECIDING)
+        if repeated or host is None or not self._access.host_allowed(host):
             return 421, "This server does not answer to that host. Open the address that the terminal shows."
         origin = headers.get("origin")
-        socket = scope["type"] == "websocket"
-        if (origin is None and socket) or (
-            origin is not None and not self._access.origin_allowed(origin, host)
-        ):
+        if origin is None:
+            foreign = scope["type"] == "websocket"
+        else:
+            foreign = not self._access.origin_allowed(origin, host)
+        across = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
+        if foreign or (across and not _is_visit(headers)):
             return 403, "Requests from other pages are refused."
-        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _is_visit(headers):
-            return 403, "Requests from other pages are refused."
-        if scope["path"] not in self._open_paths and not self._access.cookie_allowed(
-            headers.get("cookie", "")
-        ):
+        cookie = headers.get("cookie", "")
+        if scope["path"] not in self._open_paths and not self._access.cookie_allowed(cookie):
             return 401, "Open the address that the terminal shows, with its token."
         return None
 
@@ -128,7 +130,7 @@ def split_host(host: str) -> tuple[str, int]:
     return name, int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else -1
 
 
-def _is_visit(headers: dict[str, str]) -> bool:
+def _is_visit(headers: Headers) -> bool:
     """Whether somebody follows a link to the page: that may come from anywhere, and only shows the page."""
     return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
 
@@ -139,17 +141,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _single(raw: list[tuple[bytes, bytes]]) -> dict[str, str]:
-    """Headers by name; `repeated` says that one of those that decide came twice."""
-    headers: dict[str, str] = {}
-    for name, value in raw:
-        key = name.decode("latin-1").lower()
-        if key in headers and key in ("host", "origin", "sec-fetch-site"):
-            headers["repeated"] = key
-        headers[key] = value.decode("latin-1")
-    return headers
 
 
 def _with_headers(send: Any) -> Any:

@@ -123,31 +123,20 @@ def is_loopback(host: str) -> bool:
 
 
 def _bound(host: str, port: int | None) -> socket.socket:
-    tried = [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]
-    for one in tried:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for one in [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]:
         try:
-            return _bound_to(host, one)
+            taken = socket.create_server((host, one), family=family, backlog=64)
+            taken.setblocking(False)
+            return taken
         except OSError as problem:
             if problem.errno not in (errno.EADDRINUSE, errno.EACCES):
+                why = (problem.strerror or str(problem)).partition(" (while")[0]
                 raise GelformError(
-                    f"Cannot listen on {host}: {problem.strerror or problem}. Give an address of this machine."
+                    f"Cannot listen on {host}: {why}. Give an address of this machine."
                 ) from problem
             if port is not None:
                 raise GelformError(
                     f"Port {port} is in use or not allowed. Choose another: --port {port + 1}, or leave it out."
                 ) from problem
     raise AssertionError("port 0 is always free")
-
-
-def _bound_to(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    taken = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        taken.bind((host, port))
-        taken.listen(64)
-    except OSError:
-        taken.close()
-        raise
-    taken.setblocking(False)
-    return taken

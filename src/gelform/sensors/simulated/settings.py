@@ -29,6 +29,12 @@ MAX_BYTES = 1 << 20  # of a file
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
+KINDS: tuple[tuple[str, Any], ...] = (
+    ("true or false", bool),
+    ("a number", (int, float)),
+    ("text", str),
+    ("a list", (list, tuple)),
+)
 
 
 def simulated_sensor_named(name: str) -> SimulatedSensor:
@@ -78,8 +84,7 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
     ValueError, TypeError
         An unknown key (the nearest known one is suggested), a value of the wrong kind or out of range.
     """
-    _check_keys(settings, (*OWN_KEYS, *(field.name for field in fields(SimulatedSensor))), "the sensor")
-    _check_kinds(settings, SimulatedSensor)
+    _check(settings, SimulatedSensor, "the sensor", OWN_KEYS)
     given = {
         key: _frozen(value) for key, value in settings.items() if key not in (*OWN_KEYS, *SECTIONS, "leds")
     }
@@ -100,8 +105,7 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
 def _section(name: str, kind: Any, table: Any, base: SimulatedSensor | None) -> Any:
     if not isinstance(table, Mapping):
         raise TypeError(f"Expected [{name}] as a table, got {table!r}.")
-    _check_keys(table, [field.name for field in fields(kind)], f"[{name}]")
-    _check_kinds(table, kind)
+    _check(table, kind, f"[{name}]")
     values = {
         key: np.asarray(value) if key == "albedo" and value is not None else _frozen(value)
         for key, value in table.items()
@@ -111,17 +115,14 @@ def _section(name: str, kind: Any, table: Any, base: SimulatedSensor | None) -> 
 
 
 def _led(table: Mapping[str, Any]) -> Led:
-    _check_keys(table, (*LED_KEYS, *(field.name for field in fields(Led))), "[[leds]]")
-    _check_kinds(table, Led)
+    _check(table, Led, "[[leds]]", LED_KEYS)
     values = {key: _frozen(value) for key, value in table.items() if key not in LED_KEYS}
     if "position_mm" not in values:
         raise ValueError("Expected position_mm = [x, y, z] in every [[leds]], got one without.")
-    if "color" in values or "peak_nm" not in table:
-        if "color" not in values:
-            raise ValueError(
-                "Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without."
-            )
+    if "color" in values:
         return Led(**values)
+    if "peak_nm" not in table:
+        raise ValueError("Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without.")
     strength = float(table.get("power", 1.0))
     red, green, blue = led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
     return Led(color=(strength * red, strength * green, strength * blue), **values)
@@ -133,31 +134,18 @@ def _tables(leds: Any) -> Sequence[Mapping[str, Any]]:
     return leds
 
 
-def _check_keys(given: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    for key in given:
+def _check(given: Mapping[str, Any], kind: Any, where: str, own: Sequence[str] = ()) -> None:
+    """Refuse unknown keys, and words where numbers belong and the like: a value is of the kind of its default."""
+    defaults = {field.name: field.default for field in fields(kind)}
+    known = (*own, *defaults)
+    for key, value in given.items():
         if key not in known:
             raise ValueError(
                 f"Unknown key {key!r} in {where}.{_nearest(key, known)} Known: {', '.join(known)}."
             )
-
-
-def _check_kinds(given: Mapping[str, Any], kind: Any) -> None:
-    """Refuse words where numbers belong and the like: a value is of the kind of its default."""
-    for field in fields(kind):
-        value, default = given.get(field.name), field.default
-        if field.name not in given or value is None:
-            continue
-        for what, kinds in (
-            ("true or false", bool),
-            ("a number", (int, float)),
-            ("text", str),
-            ("a list", (list, tuple)),
-        ):
-            wanted = isinstance(default, tuple if what == "a list" else kinds)
-            if wanted and not isinstance(value, kinds):
-                raise TypeError(f"Expected {field.name} as {what}, got {value!r}.")
-            if wanted:
-                break
+        wanted, kinds = next((row for row in KINDS if isinstance(defaults.get(key), row[1])), ("", object))
+        if value is not None and not isinstance(value, kinds):
+            raise TypeError(f"Expected {key} as {wanted}, got {value!r}.")
 
 
 def _ready_names() -> list[str]:
