@@ -89,7 +89,12 @@ def of_the_sensor(folder: Path) -> None:
 def of_a_recording(folder: Path) -> None:
     """A recording held at a frame, by two calibrations."""
     sensor = simulated_sensor_named("three-edges")
-    touches = [touch for touch in programme(sensor) if touch and isinstance(touch.indenter, Screw)]
+    touches = [
+        touch
+        for images in programme(sensor)
+        for touch in images
+        if touch and isinstance(touch.indenter, Screw)
+    ]
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         for presses, path in ((12, work / "twelve-presses.npz"), (5, work / "five-presses.npz")):

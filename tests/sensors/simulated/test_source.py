@@ -69,9 +69,9 @@ def test_noise_is_of_the_frame_and_the_seed():
 
 def test_a_frame_is_the_simulated_image_of_its_touch(source):
     k = REST_IMAGES + 24
-    touch = programme(SMALL)[k]
+    touch = programme(SMALL)[0][k]
     truth = simulate_pose(SMALL, touch.indenter, touch.pose, rng=None).image
-    rounds = len(programme(SMALL))
+    rounds = len(programme(SMALL)[0])
     shown = np.mean([source.image_at(round((k + 0.5 + rounds * n) * 200 / 30)) for n in range(60)], axis=0)
     assert np.abs(shown - truth).mean() < 0.4  # rounding of the truth, and noise of the mean
     assert np.abs(shown - UNTOUCHED).max() > 20
@@ -79,10 +79,9 @@ def test_a_frame_is_the_simulated_image_of_its_touch(source):
 
 def test_objects_touch_in_turn_without_going_through_the_gel():
     sensor = simulated_sensor_named("three-edges")
-    touches = [touch for touch in programme(sensor) if touch]
-    assert programme(sensor)[:REST_IMAGES] == [None] * REST_IMAGES
-    for indenter in {id(touch.indenter): touch.indenter for touch in touches}.values():
-        depths = [touch.pose.depth_mm for touch in touches if touch.indenter is indenter]
+    for images in programme(sensor):
+        assert images[:REST_IMAGES] == [None] * REST_IMAGES
+        depths = [touch.pose.depth_mm for touch in images[REST_IMAGES:]]
         assert max(depths) > 0.2
         assert all(0 < depth < 0.5 * sensor.gel.thickness_mm for depth in depths)
         assert depths[0] < 0.1

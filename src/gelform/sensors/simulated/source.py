@@ -29,7 +29,7 @@ from gelform.simulate import (
 from gelform.simulate.sensor.camera import image_from_levels
 
 RATE_HZ = 60.0  # frames a second
-IMAGE_RATE_HZ = 30.0  # images of the programme that are shown in a second
+IMAGE_RATE_HZ = 30.0  # images that are shown in a second
 REST_IMAGES = 12  # of the untouched gel before each object
 BALL = Ball(2.5)
 ROLL = 0.3  # fraction of the image's width and height: how far the ball rolls from the middle
@@ -70,8 +70,8 @@ class SimulatedSource:
     """Frames of a simulated sensor, evenly spaced in time, each with noise of its own; late ones are left out.
 
     A ball rolls, then a coin, a screw, letters and a ring are pressed, for ever, until it is told where to press, or to
-    rest. Images without noise are computed once: the ball's when they are first shown, the others' ahead, in a thread.
-    Unless it is told something, frame k has the same pixels in every run.
+    rest. Images without noise are computed once: the ball's when they are first shown, the others' in a thread, and
+    each object joins in when its images are there.
 
     Parameters
     ----------
@@ -91,7 +91,8 @@ class SimulatedSource:
         self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
         self._rate_hz, self._seed = rate_hz, seed
         self._linear = sensor.linear()
-        self._programme = programme(sensor)
+        self._objects = programme(sensor)
+        self._images = self._objects[0]
         self._levels: dict[Touch, NDArray[Any]] = {}
         self._pressed_levels = lru_cache(maxsize=KEPT_PRESSES)(self._levels_of_press)
         self._untouched = self._pressed_levels(BALL, 0.0, 0.0, 0.0)
@@ -159,8 +160,8 @@ class SimulatedSource:
             if depth_mm > 0:
                 return self._pressed_levels(asked.ball, depth_mm, asked.x_px, asked.y_px)
             return self._untouched
-        image = int((time_s + SEED_APART_S * self._seed) * IMAGE_RATE_HZ) % len(self._programme)
-        touch = None if self._resting else self._programme[image]
+        images, at = self._images, int((time_s + SEED_APART_S * self._seed) * IMAGE_RATE_HZ)
+        touch = None if self._resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
     def _levels_of_touch(self, touch: Touch) -> NDArray[Any]:
@@ -180,16 +181,20 @@ class SimulatedSource:
         return press.image.astype(np.float16)  # steps of 1/8 of a grey level: noise is larger
 
     def _compute_ahead(self) -> None:
-        """Compute what comes after the ball, in order; not while it rests."""
-        touches = [touch for touch in dict.fromkeys(self._programme) if touch and touch.indenter is not BALL]
-        while touches and not self._closed.wait(PAUSE_S):
-            if not self._resting:
-                self._levels_of_touch(touches.pop(0))
+        """Compute one object after the other; not while it rests."""
+        for images in self._objects[1:]:
+            touches = [touch for touch in dict.fromkeys(images) if touch is not None]
+            while touches:
+                if self._closed.wait(PAUSE_S):
+                    return
+                if not self._resting:
+                    self._levels_of_touch(touches.pop(0))
+            self._images = [*self._images, *images]
 
 
-def programme(sensor: SimulatedSensor) -> list[Touch | None]:
-    """What touches in each image of one round, None: nothing; what is pressed goes out as it came in."""
-    images: list[Touch | None] = [None] * REST_IMAGES + [Touch(BALL, pose) for pose in _rolling(sensor)]
+def programme(sensor: SimulatedSensor) -> list[list[Touch | None]]:
+    """For each object what touches in each image, None: nothing; what is pressed goes out as it came in."""
+    objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in _rolling(sensor))]]
     for indenter, depth_mm, steps, spin_deg, tilt_deg in (
         (Coin(), 0.35, 14, 0.0, 0.0),
         (Screw(), 0.45, 14, 25.0, 0.0),
@@ -201,8 +206,8 @@ def programme(sensor: SimulatedSensor) -> list[Touch | None]:
             Touch(indenter, Pose(depth_mm * f, spin_deg=spin_deg * f, tilt_deg=(tilt_deg * f, 0.0)))
             for f in fractions.tolist()
         ]
-        images += [*[None] * REST_IMAGES, *going_in, *going_in[::-1]]
-    return images
+        objects.append([*[None] * REST_IMAGES, *going_in, *going_in[::-1]])
+    return objects
 
 
 def _rolling(sensor: SimulatedSensor) -> list[Pose]:
