@@ -26,7 +26,8 @@ from gelform.streams.pipeline import Pipeline
 KEPT_NUMBERS = 600  # results whose numbers are kept for the curves: ten seconds at 60 a second
 RETRY_S = 1.0  # between attempts to open a source that is not there
 WAIT_S = 0.25  # for a result, before it is looked whether to go on
-STALE_S = 1.0  # without a result: the rate is 0
+RATE_OVER, STALE_S = 60, 1.0  # results that the rate is taken of; without one for so long it is 0
+CLOSE_S = 10.0  # for the threads of the pipeline and of the device, which are waited for 2 s each
 NEVER_S = float("inf")  # a recording that is held has not stalled
 STAGES = ("view", "reconstruct")  # whose times are told as that of the reconstruction
 
@@ -88,7 +89,7 @@ class Station:
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial = 0
-        self._shown_s = float("-inf")
+        self._times_s: deque[float] = deque(maxlen=RATE_OVER)
         self._numbers: deque[tuple[float, ...]] = deque(maxlen=KEPT_NUMBERS)
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
 
@@ -101,7 +102,7 @@ class Station:
         self._stop.set()
         self._switched.set()
         if self._thread.ident is not None:
-            self._thread.join(3.0)
+            self._thread.join(CLOSE_S)
 
     @property
     def setup(self) -> Setup:
@@ -204,9 +205,11 @@ class Station:
 
     @property
     def rate_hz(self) -> float:
-        """Results a second over the last 120; 0 where the last one is older than a second."""
-        stale = self._pipeline is None or time.monotonic() - self._shown_s > STALE_S
-        return 0.0 if stale or self._pipeline is None else self._pipeline.stats().rate_hz
+        """Results a second over the last 60; 0 where the last one is older than a second."""
+        times_s = tuple(self._times_s)
+        if len(times_s) < 2 or time.monotonic() - times_s[-1] > STALE_S:
+            return 0.0
+        return (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-9)
 
     # -- the thread, and what the pipeline's threads call -----------------------------------------------------------
 
@@ -246,7 +249,8 @@ class Station:
             self._pipeline = self._run_by = None
 
     def _show(self, shown: Shown) -> None:
-        self.newest, self._shown_s = shown, time.monotonic()
+        self.newest = shown
+        self._times_s.append(time.monotonic())
         for tap in tuple(self.taps):
             tap(shown)
         self._on_shown()
