@@ -69,30 +69,24 @@ def test_mistakes_are_one_line(fails, tmp_path):
     (tmp_path / "text.npy").write_text("hello")
     np.savez(tmp_path / "many.npz", a=np.zeros(3))
     np.save(tmp_path / "nan.npy", np.full((4, 4), np.nan))
-    height_map = (
-        "simulate",
-        "-o",
-        tmp_path / "out",
-        "--sensor",
-        "small",
-        "--height-map-mm-per-px",
-        "0.1",
-        "--height-map",
-    )
+    out = ("simulate", "-o", tmp_path / "out")
     assert "holds something" in fails(
         "simulate", "-o", tmp_path / "full", "--sensor", "small", "--count", "1"
     )
-    assert "--ball-diameter-mm" in fails(
-        "simulate", "-o", tmp_path / "out", "--ball-diameter-mm", "0", status=2
-    )
-    assert "damaged" in fails(*height_map, tmp_path / "text.npy")
-    assert "got an archive" in fails(*height_map, tmp_path / "many.npz")
-    assert "NaN" in fails(*height_map, tmp_path / "nan.npy")
-    assert "No file" in fails(*height_map, tmp_path / "missing.npy")
-    assert "three-edges" in fails("simulate", "-o", tmp_path / "out", "--sensor", "x", status=2)
-    assert "--height-map-mm-per-px" in fails(
-        "simulate", "-o", tmp_path / "out", "--height-map", tmp_path / "nan.npy", status=2
-    )
+    for name, text in (
+        ("text.npy", "damaged"),
+        ("many.npz", "archive"),
+        ("nan.npy", "NaN"),
+        ("none.npy", "No file"),
+    ):
+        face = ("--height-map-mm-per-px", "0.1", "--height-map", tmp_path / name)
+        assert text in fails(*out, "--sensor", "small", *face)
+    for arguments, text in (
+        (("--ball-diameter-mm", "0"), "--ball-diameter-mm"),
+        (("--sensor", "x"), "three-edges"),
+        (("--height-map", tmp_path / "nan.npy"), "--height-map-mm-per-px"),
+    ):
+        assert text in fails(*out, *arguments, status=2)
     assert not (tmp_path / "out").exists()
 
 

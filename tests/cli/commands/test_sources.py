@@ -234,10 +234,3 @@ def test_wrong_usage_says_what_is_expected(fails, tmp_path):
 def test_a_source_that_is_not_there_leaves_no_file(fails, tmp_path):
     assert "Nothing answers" in fails("record", "http://127.0.0.1:9/x", "-o", tmp_path / "r")
     assert not (tmp_path / "r").exists()
-
-
-def test_a_recording_that_is_there_is_kept(fails, tmp_path):
-    (tmp_path / "r").mkdir()
-    (tmp_path / "r" / "mine").write_text("x")
-    with MjpegServer(sent(jpeg)) as server:
-        assert "not empty" in fails("record", server.url, "-o", tmp_path / "r")
