@@ -234,12 +234,7 @@ def translated(first: Calibration) -> StartableModel:
     """A model of the default kind that reads the slopes that a calibration's model reads, where its gel gives colours.
 
     Places and slopes are drawn at random, always the same ones; the forward response gives their colours, its noise
-    is added, and the model says which slopes it reads there.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration has no forward response.
+    is added, and the model says which slopes it reads there. A CalibrationError where there is no forward response.
     """
     if first.forward is None:
         raise CalibrationError(

@@ -41,7 +41,7 @@ UNTOUCHED_DISTANCE = 3  # contact radii
 USUAL_UNTOUCHED_CHANGE = 0.03  # where no press leaves room for it
 CLIPPED_SHARE = 0.01  # of the training pixels: fewer teach nothing of what a clipped channel means
 MAX_NOISE_IMAGES = 12  # whose noise is measured
-# What a Reconstructor weighs slopes by until the held-out presses have told.
+# What a Reconstructor weighs slopes by until held-out presses were measured; any sensor's, roughly.
 FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
 
 
@@ -157,7 +157,7 @@ def fit_all(
 
 
 def _first_guess(forward: ForwardResponse) -> SlopeSigma:
-    """By which slopes are weighed until the held-out presses have told: the step's own deviation, or a usual one."""
+    """By which slopes are weighed until held-out presses were measured: the step's own deviation, or a usual one."""
     if forward.step_sigma is None:
         return FIRST_GUESS
     return replace(FIRST_GUESS, sigmas=(1.0, 1.0))
@@ -209,7 +209,7 @@ def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contac
 def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32]) -> NDArray[np.float64]:
     """Standard deviation (3,) of an image's pixel, grey levels: the median over some of the images.
 
-    A background is often an average of frames, and quieter than the images that are taken beside it.
+    A background is often an average of frames, and quieter than the images of presses.
     """
     some = images[:: max(1, len(images) // MAX_NOISE_IMAGES)]
     found = [noise_from_image(image.astype(np.float32) - background) for image in some]
@@ -217,7 +217,7 @@ def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32])
 
 
 LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
-BLURRED_PX = 4.0  # beside a contact the blurred image still shows the ball
+BLURRED_PX = 4.0  # around a contact the blurred image still shows the ball
 REACH_MM = 3.0  # around a contact: the gel is level beyond
 LEAST_SEEN = 0.75  # of a ring's pixels: over a whole ring a tilt of all slopes cancels
 LEAST_RINGS = 5  # of 1 px around a contact

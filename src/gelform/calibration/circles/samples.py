@@ -1,4 +1,4 @@
-"""Pixels of ball presses whose gradient is known: what color models are fitted on.
+"""Pixels of ball presses at known gradients: what color models are fitted on.
 
 Inside the contact the gel follows the ball. Near the visible rim it has already left it, so a model trains inside the
 contact's edge only, which is measured on held-out presses (`circles.edge`).

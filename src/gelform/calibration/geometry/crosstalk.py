@@ -17,7 +17,7 @@ from gelform.errors import DataError
 NAMES = ("red", "green", "blue")
 MIN_LEVEL, MAX_LEVEL = 20.0, 250.0  # grey levels that tell a ratio
 MIN_USABLE = 0.3  # of the pixels have to be usable
-BLOCKS = 4  # along either side, whose spread is told
+BLOCKS = 4  # along either side of the image, compared with each other
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Write what was measured beside the presses where it is read again: a `sensor.toml`, or a calibration."""
+"""Write what was measured apart from the presses where it is read again: a `sensor.toml`, or a calibration."""
 
 from __future__ import annotations
 
@@ -24,18 +24,9 @@ from gelform.view import View, image_from_frame
 
 
 def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
-    """Write a scale into a `sensor.toml` or an imported calibration.
+    """Write a scale into a `sensor.toml` or an imported calibration; the file that was written, in one step.
 
-    Parameters
-    ----------
-    scale : from `scale_from_punch` and the like
-    place : a folder, its `sensor.toml` (made where there is none), or a calibration
-    sensor_name : for a new `sensor.toml`; the folder's name by default
-
-    Returns
-    -------
-    Path
-        The file that was written; it is replaced in one step.
+    `place` is a folder, its `sensor.toml` (made where there is none, for a sensor of the folder's name), or a calibration.
 
     Raises
     ------
@@ -51,7 +42,7 @@ def save_scale(scale: Scale, place: str | PathLike[str], *, sensor_name: str | N
 
 
 def save_grid_view(found: GridView, place: str | PathLike[str], *, sensor_name: str | None = None) -> Path:
-    """Write the lens and the scale that a grid told into a `sensor.toml`; a lens that was there is replaced.
+    """Write the lens and the scale that a grid gave into a `sensor.toml`; a lens that was there is replaced.
 
     Parameters and errors as in `save_scale`; also a DataError where the `[view]` there crops, flips or resizes
     without a lens, and a CalibrationError for a calibration: its background and its color model are of other images.
@@ -155,16 +146,8 @@ def read_setup(
 ) -> SensorSetup:
     """The view and the untouched image that a press folder, its `sensor.toml` or a calibration says.
 
-    Parameters
-    ----------
-    place : a folder with an image of the untouched gel, its `sensor.toml`, or a calibration
-    background : the untouched frame, where it is not the folder's `background.png`
-    sensor : name of a profile, for the view of a folder without a `sensor.toml`
-
-    Raises
-    ------
-    DataError, CalibrationError
-        There is none, or it cannot be read.
+    `background` is the untouched frame, where it is not the folder's `background.png`; `sensor` names a profile, for the
+    view of a folder without a `sensor.toml`. A DataError or CalibrationError where there is none, or it cannot be read.
     """
     place = Path(place)
     if place.suffix == ".npz":

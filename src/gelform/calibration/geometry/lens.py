@@ -29,7 +29,7 @@ MIN_CROP = 0.5  # of the frame that has to be seen
 
 @dataclass(frozen=True)
 class GridView:
-    """What a grid tells.
+    """What is estimated from a grid.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ def view_from_grid(
 ) -> GridView:
     """Undo the lens and tell the scale from images of a regular grid.
 
-    The first image shows the grid on the gel: it tells the plane and the scale. Further ones, of the grid at other
+    The first image shows the grid on the gel: it gives the plane and the scale. Further ones, of the grid at other
     places or tilts, help with the distortion alone. Fitted together by least squares: a homography for each image and
     Brown's radial distortion (k1, k2) about one centre, common to all. The focal length that a single plane cannot
     tell is not needed to rectify it and is set to the frame's longer side.

@@ -11,13 +11,13 @@ from gelform.calibration.geometry.crosstalk import Crosstalk
 
 @dataclass(frozen=True)
 class Geometry:
-    """Measured beside the presses; nothing by default.
+    """Measured apart from the presses; nothing by default.
 
     Attributes
     ----------
-    scale_source : what told mm_per_px, with the figures; empty: given as a number
+    scale_source : what mm_per_px was measured on, with the figures; empty: given as a number
     crosstalk : undone before the color model; None: absorbed in it
-    lens : what told distortion and perspective, with the residual; empty: none is undone
+    lens : what distortion and perspective were measured on, with the residual; empty: none is undone
     gel_thickness_mm : of the gel at rest; None: not known
     """
 

@@ -24,7 +24,7 @@ class Scale:
     ----------
     mm_per_px : mm per image pixel (square pixels)
     sigma : its standard deviation, mm
-    source : what told it, with the figures
+    source : what it was measured on, with the figures
     """
 
     mm_per_px: float

@@ -18,7 +18,7 @@ from gelform.metrics import score_slopes
 
 LAGS = 24  # steps, px at 240 rows: errors in a contact correlate over 3-10
 PER_PRESS = 2_000  # pixels that count
-ROWS = 8  # of untouched gel, whose errors' correlation is looked at
+ROWS = 8  # of untouched gel, for the correlation of errors there
 SHORTEST_PX, LONGEST_PX = 0.3, 6.0  # of it, by noise and blur
 MOST, CHI_SQUARE_AT_MOST = 0.95, 3.84  # of squared residuals of 1 degree of freedom
 

@@ -248,7 +248,7 @@ def with_view(presses: Presses | str | PathLike[str], view: View, source: str) -
     ----------
     presses : as they were read, without a view
     view : from the presses' frames to images
-    source : what told the view, for the report
+    source : what the view was measured on, for the report
 
     Raises
     ------

@@ -76,12 +76,12 @@ class Presses:
     sensor_name, serial, gel_id : from sensor.toml or the profile
     view : how frames become images
     response : exponent of the camera's response, from sensor.toml; undone where it is not 1
-    geometry : what was measured beside the presses: scale, crosstalk, lens
+    geometry : what was measured apart from the presses: scale, crosstalk, lens
     background_noise : (3,) standard deviation of a pixel in one frame, grey levels; None where there was
         only one untouched frame to tell it
     camera : how the camera was set, from sensor.toml; empty where that is not known
     notes : what a user should know of how they were read, such as parts of a video that were left out
-    flats : presses of a flat punch of known height, beside those of a ball
+    flats : presses of a flat punch of known height, besides those of a ball
     """
 
     folder: str
@@ -112,19 +112,13 @@ class Presses:
 
 def presses_from_simulated(made: SimulatedPresses) -> Presses:
     """Simulated presses as `read_presses` gives those of a folder without labels."""
-    return Presses(
-        folder="simulated presses",
-        presses=tuple(
-            Press(f"press {k}", press.image, press.ball_diameter_mm, None, pixels_digest(press.image))
-            for k, press in enumerate(made.presses)
-        ),
-        background=made.background.astype(np.float32),
-        mm_per_px=made.sensor.mm_per_px,
-        mm_per_px_sigma=None,
-        sensor_name=made.sensor.name,
-        serial=None,
-        gel_id=None,
-        view=View(),
+    settings, background = SensorSettings(made.sensor.name, made.sensor.mm_per_px), made.background
+    presses = [
+        press_from_frame(Listed(f"press {k}", press.ball_diameter_mm), press.image, View())
+        for k, press in enumerate(made.presses)
+    ]
+    return presses_from_settings(
+        settings, "simulated presses", presses, background.astype(np.float32), View()
     )
 
 
