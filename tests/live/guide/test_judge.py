@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gelform.live.guide.judge import LEAST_TO_FORECAST, forecast_of
+from gelform.calibration.enough import NEEDED
+from gelform.live.guide.judge import forecast_of
 from gelform.simulate import simulate_background
 
 
@@ -59,4 +60,4 @@ def test_it_is_near_what_the_calibration_reaches(presses, calibration):
 
 
 def test_few_presses_say_nothing(presses):
-    assert forecast_of(presses.subset(range(LEAST_TO_FORECAST - 1))) is None
+    assert forecast_of(presses.subset(range(NEEDED["forecast"].presses - 1))) is None

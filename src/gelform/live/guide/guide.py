@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gelform.background.average import background_from_frames
 from gelform.calibration.coverage import PressPlace, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.enough import NEEDED
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.errors import GelformError
 from gelform.frames import Frame, pixels_digest
@@ -20,7 +21,7 @@ from gelform.live.guide.judge import Circle, Forecast, Judge, Look
 from gelform.live.setup import BACKGROUND_FRAMES
 from gelform.view import View, image_from_frame
 
-WANTED, LEAST = 12, 5  # presses: enough to begin with, and for a fit at all
+WANTED, LEAST = (NEEDED[row].presses for row in ("guided well", "guided"))
 LOOK_EVERY_S = 0.08  # at a frame: a look takes some 10 ms
 STILL_LOOKS = 3  # in a row, for a press to count
 TILES_LONGER = 6  # tiles of the coverage along the longer side

@@ -15,6 +15,7 @@ from gelform.calibration.candidates import Candidate, candidates_for, training_s
 from gelform.calibration.circles.find import ContactCircle, find_contact, scale_of, why_no_contact
 from gelform.calibration.circles.prepare import BLUR_PX, USUAL_OFFSET, ColorChanges, find_contacts, prepare
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.calibration.enough import enough
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.learning import floor_and_slope
 from gelform.errors import CalibrationError
@@ -28,7 +29,7 @@ TOUCHED, NOISE_FACTOR = 0.05, 1.6  # the color change of a touch; times what noi
 TOUCHED_PART = 500  # a touch covers a five-hundredth of the image
 STILL_LEVELS, STILL_NOISE = 1.0, 0.9  # change of a block between looks: grey levels, and times the noise
 SMALL = 8  # width of such a block, px
-LEAST_TO_FORECAST, MORE = 6, 5  # presses; and by how many it looks ahead
+MORE = 5  # presses, by which a forecast looks ahead
 HELD_OUT_EVERY = 4  # every fourth press judges the others
 SAMPLES = 400  # pixels of a held-out press
 
@@ -156,7 +157,7 @@ def forecast_of(presses: Presses) -> Forecast | None:
         None with fewer than six presses.
     """
     count = len(presses.presses)
-    if count < LEAST_TO_FORECAST:
+    if not enough("forecast", count):
         return None
     prepared = prepare(presses)
     found = find_contacts(prepared)

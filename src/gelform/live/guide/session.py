@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gelform.calibration.enough import enough
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.content import report_content
@@ -17,7 +18,7 @@ from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.exporters.press_folder import save_press_folder
 from gelform.live.guide.guide import Asked, Guide
-from gelform.live.guide.judge import LEAST_TO_FORECAST, forecast_of
+from gelform.live.guide.judge import forecast_of
 from gelform.live.recorder import named_by_time
 from gelform.live.shown import Shown
 from gelform.live.station import Station
@@ -110,7 +111,7 @@ class GuideSession:
         """Look ahead after each new press, in a thread of its own."""
         guide = self.guide
         known = 0 if guide.forecast is None else guide.forecast.presses
-        if self._forecasting or guide.count < LEAST_TO_FORECAST or guide.count == known:
+        if self._forecasting or not enough("forecast", guide.count) or guide.count == known:
             return
         self._forecasting = True
 
