@@ -46,8 +46,8 @@ from gelform.solvers.inputs import checked_solver, takes_weights
 from gelform.view import image_from_frame
 
 # Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
-USUAL_WIDTH_MM = 20.0
-USUAL_SIGMA = 0.05
+USUAL_WIDTH_MM = 20.0  # of the frame on the gel: about that of a GelSight Mini
+USUAL_SIGMA = 0.05  # standard deviation of a slope, mm/mm
 BYTES_PER_PX = 80  # of all that a frame allocates
 Work = Callable[[], NDArray[np.float32]]
 

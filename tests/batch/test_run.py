@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from gelform.batch import BatchSettings, run_batch
+from gelform.batch import BatchSettings, RunOptions, run_batch
 from gelform.errors import DataError
 from made.small_gel import image_of, save
 
@@ -31,8 +31,12 @@ def test_the_whole_of_it(tree, cal, done):
 
 def test_shards_give_the_same_bytes_as_one_run(tree, cal, done, tmp_path, visible):
     for number in (3, 1):
-        assert not run_batch(tree, cal, tmp_path / "out", PARTS, shard=(number, 3), table="csv").complete
-    assert run_batch(tree, cal, tmp_path / "out", PARTS, shard=(2, 3), table="csv").complete
+        assert not run_batch(
+            tree, cal, tmp_path / "out", PARTS, options=RunOptions(shard=(number, 3)), table="csv"
+        ).complete
+    assert run_batch(
+        tree, cal, tmp_path / "out", PARTS, options=RunOptions(shard=(2, 3)), table="csv"
+    ).complete
     assert visible(tmp_path / "out") == visible(done)
 
 
@@ -51,11 +55,16 @@ def test_a_file_that_was_replaced_is_done_again(broken_tree, cal, tmp_path, imag
     save(broken_tree / "empty.png", images[0])
     again = run_batch(broken_tree, cal, tmp_path / "out", PARTS)
     assert (again.errors, again.frames) == (3, 2)
-    assert run_batch(broken_tree, cal, tmp_path / "out", PARTS, retry_errors=True).frames == 4
+    assert (
+        run_batch(broken_tree, cal, tmp_path / "out", PARTS, options=RunOptions(retry_errors=True)).frames
+        == 4
+    )
 
 
 def test_too_many_errors_end_the_run(broken_tree, cal, tmp_path):
-    summary = run_batch(broken_tree, cal, tmp_path / "out", BatchSettings(part_frames=1), max_errors=1)
+    summary = run_batch(
+        broken_tree, cal, tmp_path / "out", BatchSettings(part_frames=1), options=RunOptions(max_errors=1)
+    )
     assert (summary.stopped, summary.complete, summary.errors) == (True, False, 2)
     assert not (tmp_path / "out" / "frames.csv").exists()
 
@@ -77,7 +86,7 @@ def test_something_else_is_refused_unless_it_may_begin_anew(tree, cal, done, vis
     with pytest.raises(DataError, match="the list of input files"):
         run_batch(tree, cal, done, PARTS)
     assert visible(done) == before
-    assert run_batch(tree, cal, done, other, overwrite=True).complete
+    assert run_batch(tree, cal, done, other, options=RunOptions(overwrite=True)).complete
     assert {path.suffix for path in (done / "frames").rglob("*.*")} == {".png"}
 
 
@@ -128,4 +137,4 @@ def test_a_folder_that_may_not_be_written_is_said(tree, cal, tmp_path):
 
 def test_a_shard_may_not_overwrite(tree, cal, tmp_path):
     with pytest.raises(DataError, match="A shard cannot overwrite"):
-        run_batch(tree, cal, tmp_path / "out", shard=(1, 2), overwrite=True)
+        run_batch(tree, cal, tmp_path / "out", options=RunOptions(shard=(1, 2), overwrite=True))

@@ -3,7 +3,7 @@
 from gelform.batch.engines import Engine
 from gelform.batch.inputs.containers import Sequence
 from gelform.batch.inputs.listing import Listing, listing_of
-from gelform.batch.run import BatchSummary, run_batch
+from gelform.batch.run import BatchSummary, RunOptions, run_batch
 from gelform.batch.settings import KEPT, BatchSettings
 from gelform.batch.verify import Problem, verify_output
 
@@ -14,6 +14,7 @@ __all__ = [
     "Engine",
     "Listing",
     "Problem",
+    "RunOptions",
     "Sequence",
     "listing_of",
     "run_batch",

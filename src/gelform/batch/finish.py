@@ -15,7 +15,8 @@ from gelform.batch.records import TABLES, files_of, read_record, table_is_whole,
 from gelform.errors import DataError
 from gelform.npz_files import written_file
 
-SHEET, COLUMNS, ROWS, TILE_PX, LABEL_PX = "sheet.png", 6, 4, 200, 34
+SHEET = "sheet.png"
+COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet
 LEAST_RANGE_MM = 0.1  # of a tile's colours: an untouched gel stays dark
 
 

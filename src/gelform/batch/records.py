@@ -19,7 +19,7 @@ from gelform.batch.outputs.files import PARTS, OutputFile
 from gelform.errors import DataError
 from gelform.npz_files import written_file
 
-PARTS_IN_A_FOLDER = 1000
+PARTS_IN_A_FOLDER = 1000  # records: folders of millions of files are slow
 COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "sequence": "string",
     "frame": "string",
@@ -37,7 +37,7 @@ COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "error": "string",
 }
 TABLES = {"parquet": "frames.parquet", "csv": "frames.csv"}
-PARTS_IN_A_GROUP = 100
+PARTS_IN_A_GROUP = 100  # of rows in Parquet, and what is in memory at once
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,25 @@ from gelform.errors import DataError
 from gelform.exporters.folders import check_room
 
 LOOKED_AT = 5  # sequences, for frames of the calibrated size
-MAX_ERRORS = 1000
 LEFTOVERS = ".gelform-*.tmp"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Which parts a run does, and what ends it.
+
+    Attributes
+    ----------
+    max_errors : frames with errors; more end the run
+    retry_errors : do parts again that have frames with errors
+    overwrite : begin anew where the output was begun with something else
+    shard : (i, N): only every N-th part, from the i-th; shards may run at once
+    """
+
+    max_errors: int = 1000
+    retry_errors: bool = False
+    overwrite: bool = False
+    shard: tuple[int, int] = (1, 1)
 
 
 @dataclass
@@ -65,13 +82,10 @@ def run_batch(
     settings: BatchSettings | None = None,
     *,
     background: str | os.PathLike[str] | None = None,
-    shard: tuple[int, int] = (1, 1),
-    engine: Engine | None = None,
-    max_errors: int = MAX_ERRORS,
-    overwrite: bool = False,
-    retry_errors: bool = False,
-    table: str = "auto",
     dataset: str = "",
+    table: str = "auto",
+    engine: Engine | None = None,
+    options: RunOptions | None = None,
     progress: Callable[[BatchSummary], Any] = lambda _: None,
 ) -> BatchSummary:
     """Reconstruct every frame of a data set into an output folder; the same call goes on where it was left.
@@ -83,13 +97,10 @@ def run_batch(
     output : a new folder, or one that the same call began
     settings : BatchSettings; the defaults without
     background : an image or a folder of the untouched gel, for all sequences; or a CSV table of `sequence,background`
-    shard : (i, N): only every N-th part, from the i-th; shards may run at once
-    engine : what does the parts; this process without
-    max_errors : frames with errors; more end the run
-    overwrite : begin anew where the output was begun with something else
-    retry_errors : do parts again that have frames with errors
-    table : "parquet", "csv", or "auto": Parquet where pyarrow is installed
     dataset : where the frames are in HDF5, Zarr or LeRobot (see `listing_of`)
+    table : "parquet", "csv", or "auto": Parquet where pyarrow is installed
+    engine : what does the parts; this process without
+    options : which parts are done, and what ends the run; all of them without
     progress : called with the BatchSummary after each part
 
     Raises
@@ -100,17 +111,13 @@ def run_batch(
     WorkerLostError
         A worker was killed.
     """
-    settings, output, calibration = (
-        settings or BatchSettings(),
-        check_path(output),
-        as_calibration(calibration),
-    )
-    table, engine = table_form(table), engine or Engine()
+    settings, options, output = settings or BatchSettings(), options or RunOptions(), check_path(output)
+    calibration, table, engine = as_calibration(calibration), table_form(table), engine or Engine()
     if calibration.mm_per_px is None:
         raise DataError(
             "This calibration has no scale, so there is no depth in mm. Import it again with --mm-per-px F."
         )
-    if overwrite and shard[1] > 1:
+    if options.overwrite and options.shard[1] > 1:
         raise DataError(
             "A shard cannot overwrite what the others write. Delete the output, then start them all."
         )
@@ -123,19 +130,19 @@ def run_batch(
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
     plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
-    parts = shard_of(plan, shard)
-    rest, rest_digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
+    parts = shard_of(plan, options.shard)
+    untouched, digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
     _check_size(plan, calibration)
-    manifest = Manifest.of(settings, calibration.digest, rest_digest, listing, len(plan))
+    manifest = Manifest.of(settings, calibration.digest, digest, listing, len(plan))
     _made(output)
-    with only_run(output, shard) as alone:
-        begin(output, manifest, overwrite=overwrite)
+    with only_run(output, options.shard) as alone:
+        begin(output, manifest, overwrite=options.overwrite)
         summary = BatchSummary(parts=len(parts), table=TABLES[table], warnings=listing.warnings)
-        todo = list(_not_done(output, parts, summary, retry_errors))
+        todo = list(_not_done(output, parts, summary, options.retry_errors))
         if alone:
             _clean(output, todo, settings.form)
-        job = Job(calibration, rest, output, settings, backgrounds.by_sequence)
-        _do(job, todo, engine, max_errors, summary, progress)
+        job = Job(calibration, untouched, output, settings, backgrounds.by_sequence)
+        _do(job, todo, engine, options.max_errors, summary, progress)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
             finish(output, manifest, table, listing.root, again=bool(todo))
             summary.complete = True

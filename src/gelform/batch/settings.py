@@ -15,7 +15,7 @@ FORMATS = ("npz", "png", "zarr", "hdf5", "ffv1", "lerobot")
 DTYPES = ("float32", "uint16")
 LEVELS_ALONE = ("png", "ffv1", "lerobot")  # which hold nothing but depth in 16 bits
 WHOLE_SEQUENCES = ("ffv1", "lerobot")  # which are one file and so one part
-MOST_BACKGROUND_FRAMES = 200
+MOST_BACKGROUND_FRAMES = 200  # which are all in memory
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from gelform.checks import check_image
 from gelform.errors import DataError
 
-PROBE_BYTES = 16_384
+PROBE_BYTES = 16_384  # several blocks of any file system
 
 
 @contextmanager

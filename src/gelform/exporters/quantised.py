@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_values
 from gelform.errors import DataError
 
-ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0
+ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0  # of 16 bits: 0.1 um a step, 3.3 mm either way
 
 
 def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> NDArray[np.uint16]:

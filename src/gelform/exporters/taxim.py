@@ -26,7 +26,7 @@ RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, g
     "taxim": (2, 1, 0),  # whose images are OpenCV's, blue first
     "isaaclab": (0, 1, 2),
 }
-BINS = 125
+BINS = 125  # Taxim's own
 PLACES = 9, 12  # pixels, rows and columns, that a bin's polynomial is fitted to
 JPEG = [  # as good as it gets: colour at every pixel
     cv2.IMWRITE_JPEG_QUALITY,

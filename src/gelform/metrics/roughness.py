@@ -13,9 +13,12 @@ from gelform.checks import check_positive, check_values
 
 FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # -> degree of the polynomial
 ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: half of a wave of the cut-off's length passes
-S_FILTER_PX, L_FILTER_MM = 3.0, 2.5
+S_FILTER_PX, L_FILTER_MM = (
+    3.0,
+    2.5,
+)  # noise is shorter than the first, waviness longer than the second (ISO 25178-3)
 REACH = 5.0  # standard deviations, where the Gaussian ends: 4e-6 of its peak
-LEAST_PX = 100
+LEAST_PX = 100  # of a region whose roughness is asked for
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from gelform.checks import check_image
 from gelform.errors import DataError, GelformError
 from gelform.npz_files import written_file
 
-DPI = 110
+DPI, WIDTH = 110, 13.0  # pixels per inch, and inches of most pictures
 INK, FAINT, GRID = "#222222", "#8a8a8a", "#e6e6e6"
 ORANGE, BLUE = "#f4731c", "#29a3e0"
 

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_image
 from gelform.confidence import Explanation
 from gelform.confidence.causes import CAUSES
-from gelform.plots.canvas import INK, canvas, draw_map, pixels_of
+from gelform.plots.canvas import INK, WIDTH, canvas, draw_map, pixels_of
 from gelform.reconstruction.maps import MAPS
 
-WIDTH = 13.0
-COLUMNS = 4
+COLUMNS = 4  # panels in a row
 LEAST_SHARE = 5e-4  # of the frame that a cause touches: less gets no panel
 COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
 """Of the law and of each cause, in the order of `CAUSES`."""
@@ -94,6 +93,6 @@ def _draw_dominant(axes: Any, explanation: Explanation) -> None:
     names = ("law", *explanation.maps)
     style = {"cmap": ListedColormap(COLORS), "vmin": -0.5, "vmax": len(COLORS) - 0.5}
     draw_map(axes, explanation.dominant, "most of it is due to", **style)
-    seen = [k for k in np.unique(explanation.dominant) if (explanation.dominant == k).mean() >= LEAST_SHARE]
-    patches = [Patch(facecolor=COLORS[k], edgecolor=INK, linewidth=0.5, label=names[k]) for k in seen]
+    there = [k for k in np.unique(explanation.dominant) if (explanation.dominant == k).mean() >= LEAST_SHARE]
+    patches = [Patch(facecolor=COLORS[k], edgecolor=INK, linewidth=0.5, label=names[k]) for k in there]
     axes.legend(handles=patches, fontsize=8, loc="lower left", framealpha=0.9)

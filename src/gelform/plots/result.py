@@ -12,6 +12,7 @@ from gelform.plots.canvas import (
     BLUE,
     INK,
     ORANGE,
+    WIDTH,
     canvas,
     deepest_px,
     draw_map,
@@ -20,8 +21,6 @@ from gelform.plots.canvas import (
 )
 from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import MAPS
-
-WIDTH = 13.0
 
 
 def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[np.uint8]:
@@ -103,8 +102,8 @@ def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | N
     if image is not None:
         panels.insert(0, ("image", image, {}))
     grid = figure.subplots(1, len(panels))
-    for axes, (title, values, how) in zip(grid, panels):
-        shown = draw_map(axes, values, title, **how)
+    for axes, (title, values, options) in zip(grid, panels):
+        shown = draw_map(axes, values, title, **options)
     figure.colorbar(shown, ax=list(grid), shrink=0.95, pad=0.01, aspect=16, label="mm/mm")
 
 

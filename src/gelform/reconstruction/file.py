@@ -20,7 +20,7 @@ from gelform.reconstruction.record import Reconstruction
 KIND = "gelform result"
 # 1: in mm; 2: in pixels; 3: either, and gradients are those of the solved depth; 4: markers too
 FORMAT_VERSION = 4
-MAX_BYTES = 4 * 2**30
+MAX_BYTES = 4 * 2**30  # that a file may declare: far beyond any frame's result
 _META = (
     "mm_per_px_sigma",
     "zero",

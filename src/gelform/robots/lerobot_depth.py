@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_values
 from gelform.errors import DataError
 
-ZERO_LEVEL, UM_PER_MM = 1000, 1000.0
-MAX_LEVEL = 65535
+ZERO_LEVEL, UM_PER_MM, MAX_LEVEL = 1000, 1000.0, 65535  # of 16 bits: 1 um a step
 
 
 def lerobot_levels_from_depth(depth_mm: ArrayLike) -> NDArray[np.uint16]:

@@ -66,12 +66,12 @@ class StampedResults:
             The source gives no frame, or frames of another size than the calibrated one.
         """
         try:
-            for seen in self._running.pairs():
-                stamp_ns = self._stamps(seen.frame)
-                if self._seconds is not None and seen.time_s - self._stamps.first_s >= self._seconds:
+            for one in self._running.pairs():
+                stamp_ns = self._stamps(one.frame)
+                if self._seconds is not None and one.time_s - self._stamps.first_s >= self._seconds:
                     break
-                self._count, self._last_s = self._count + 1, seen.time_s
-                yield seen, stamp_ns
+                self._count, self._last_s = self._count + 1, one.time_s
+                yield one, stamp_ns
         except (ValueError, TypeError) as problem:
             if self._count:
                 raise
@@ -136,7 +136,7 @@ def save_bag(
     sensor : a name of ROS that topics and frames begin with; by default made of the calibration's sensor name
     seconds : how long; without end where None
     background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
-    progress : is told frames
+    progress : called with the frames so far
 
     Raises
     ------
@@ -185,7 +185,7 @@ def publish(
     domain : the number ROS_DOMAIN_ID of those who listen
     seconds : how long; without end where None
     background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
-    progress : is told frames
+    progress : called with the frames so far
 
     Raises
     ------

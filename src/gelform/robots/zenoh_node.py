@@ -25,7 +25,7 @@ NO_NAMESPACE = NO_ENCLAVE = "%"  # a slash, which stands for a level in zenoh
 NODE, NODE_ID = "NN", 0
 PUBLISHER = "MP"
 QOS = "::,10:,:,:,,"  # reliable, volatile, keep the last 10: what differs from rmw_zenoh's default is said
-GID_BYTES = 16
+GID_BYTES = 16  # as rmw_zenoh has them
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def attachment(number: int, sent_ns: int, gid: bytes) -> bytes:
     return struct.pack("<qqB", number, sent_ns, len(gid)) + gid
 
 
-CONNECT_MS = 3000
+CONNECT_MS = 3000  # until a router that does not answer is an error
 
 
 class ZenohNode:

@@ -4,7 +4,7 @@ bytes; damage is found."""
 import numpy as np
 import pytest
 
-from gelform.batch import BatchSettings, run_batch, verify_output
+from gelform.batch import BatchSettings, RunOptions, run_batch, verify_output
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.settings import FORMATS
 
@@ -34,7 +34,9 @@ def test_shards_and_repeated_parts_give_the_same_bytes(broken_tree, cal, tmp_pat
     done = run_batch(broken_tree, cal, tmp_path / "a", settings, table="csv")
     assert (done.complete, done.frames, done.errors) == (True, 12, 4)
     for shard in ((2, 2), (1, 2)):
-        last = run_batch(broken_tree, cal, tmp_path / "b", settings, shard=shard, table="csv")
+        last = run_batch(
+            broken_tree, cal, tmp_path / "b", settings, options=RunOptions(shard=shard), table="csv"
+        )
     assert last.complete
     assert visible(tmp_path / "a") == visible(tmp_path / "b")
     assert verify_output(tmp_path / "b") == (8, 4, [])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gelform.errors import DataError, needed
 
-BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64
+BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64  # the most that is read at once
 DAMAGED = (OSError, ValueError, RuntimeError)  # of h5py and zarr, where a chunk cannot be decoded
 HDF5_SUFFIXES = (
     ".h5",

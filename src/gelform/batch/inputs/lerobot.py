@@ -77,8 +77,8 @@ def lerobot_sequences(root: Path, wanted: str) -> list[Sequence]:
 
 
 def _is_depth(feature: dict[str, Any]) -> bool:
-    told = feature.get("info") or {}
-    return bool(told.get("is_depth_map") or told.get("video.is_depth_map"))
+    info = feature.get("info") or {}
+    return bool(info.get("is_depth_map") or info.get("video.is_depth_map"))
 
 
 def _in_videos(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
@@ -110,9 +110,9 @@ def compression_of(root: Path, key: str) -> str:
     feature = lerobot_info(root)["features"].get(key, {})
     if feature.get("dtype") == "image":
         return ""
-    told = {name.removeprefix("video."): value for name, value in (feature.get("info") or {}).items()}
-    codec, pixels = str(told.get("codec", "unknown codec")), str(told.get("pix_fmt", "unknown pixels"))
-    crf = told.get("crf")
+    info = {name.removeprefix("video."): value for name, value in (feature.get("info") or {}).items()}
+    codec, pixels = str(info.get("codec", "unknown codec")), str(info.get("pix_fmt", "unknown pixels"))
+    crf = info.get("crf")
     if codec == "ffv1" or (codec in ("h264", "hevc") and crf == 0 and pixels in ("gbrp", "rgb24")):
         return ""
     return f"{codec} {pixels}" + ("" if crf is None else f" crf {crf}")

@@ -103,8 +103,8 @@ def _dataset(part: Part, start: int, count: int) -> Iterator[NamedFrame]:
                 yield NamedFrame(f"{index:06d}", index, None, str(problem))
             index += 1
     except (GelformError, OSError) as problem:
-        for rest in range(index, max(start + count, index + 1)):
-            yield NamedFrame(f"{rest:06d}", rest, None, str(problem))
+        for missed in range(index, max(start + count, index + 1)):
+            yield NamedFrame(f"{missed:06d}", missed, None, str(problem))
 
 
 def _values(part: Part, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:

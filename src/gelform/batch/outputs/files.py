@@ -22,7 +22,7 @@ from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import KEPT_MAPS, MAPS, ResultMap
 
 FRAMES, PARTS = "frames", "parts"
-FLUSHED_AT_ONCE = 4
+FLUSHED_AT_ONCE = 4  # threads that wait for the disk
 LEVELS = {"unit": "mm", "scale_factor": MM_PER_LEVEL, "add_offset": -ZERO_LEVEL * MM_PER_LEVEL}
 Maps = Mapping[str, NDArray[Any]]
 

@@ -36,8 +36,8 @@ from gelform.robots.lerobot_depth import (
 )
 
 SUFFIX = "_depth"  # of the feature, as of the camera's
-MAX_CODE = 4095
-FILES_IN_A_CHUNK = 1000
+MAX_CODE = 4095  # of 12 bits
+FILES_IN_A_CHUNK = 1000  # LeRobot's own default
 EPISODES = "lerobot"  # folder beside the records of parts: what the tables are to say of each episode
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}

@@ -27,7 +27,7 @@ from gelform.batch.outputs.files import (
 from gelform.errors import needed
 from gelform.reconstruction import Reconstruction
 
-MOST_SHARD_FRAMES = 64
+MOST_SHARD_FRAMES = 64  # which are in memory until the shard is full
 MISSING = 2**64 - 1  # offset and size of a chunk that is not there: the array's fill value
 FILL = {"f": "NaN", "b": False, "u": 0}
 BLOSC: dict[str, Any] = {"cname": "lz4", "clevel": 1, "shuffle": "bitshuffle", "blocksize": 0}
@@ -108,8 +108,8 @@ def shard_bytes(chunks: list[bytes], length: int) -> bytes:
         if chunk:
             index[k] = offset, len(chunk)
             offset += len(chunk)
-    told = index.tobytes()
-    return b"".join([*chunks, told, google_crc32c.value(told).to_bytes(4, "little")])
+    trailer = index.tobytes()
+    return b"".join([*chunks, trailer, google_crc32c.value(trailer).to_bytes(4, "little")])
 
 
 def _compressed(values: NDArray[Any]) -> bytes:

@@ -154,7 +154,7 @@ def batch(
       gelform batch press_set --dataset observation.images.gel -c cal.npz -o with_depth --format lerobot
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
-    from gelform.batch import run_batch
+    from gelform.batch import RunOptions, run_batch
 
     settings = results.settings(frames.background_frames)
     table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
@@ -166,10 +166,9 @@ def batch(
             settings,
             background=frames.background,
             dataset=frames.dataset,
-            shard=machines.shard,
-            engine=machines.made(),
             table=table,
-            **vars(run),
+            engine=machines.made(),
+            options=RunOptions(shard=machines.shard, **vars(run)),
             progress=progress,
         )
     shown.json({"output": output, **asdict(summary)})
