@@ -85,15 +85,15 @@ class RestAnchor:
         Inst. 52, 1987), and times `1 - exp(-(d/REACH_MM)^2)`, d their distance from touched gel. Where so much is
         touched that no coarse pixel is at rest, those count as rest that are untouched most.
         """
-        trust, share = np.empty((2, *self._coarse), dtype=np.float32)
+        trust, fraction = np.empty((2, *self._coarse), dtype=np.float32)
         weight, anchor = np.empty(self._coarse, np.float32), np.empty(self.shape, np.float32)
         with self._pool.one() as work:
-            _coarse_trust(confidence, untouched, work, trust, share)
+            _coarse_trust(confidence, untouched, work, trust, fraction)
             slopes = self._coarse_slopes(gradients, confidence, trust, work)
             depth = self._solver(slopes).depth_mm
-            far = self._far_from(share < min(TOUCHED_FRACTION, float(share.max())), work)
+            far = self._far_from(fraction < min(TOUCHED_FRACTION, float(fraction.max())), work)
             limits = self.hold, UNTOUCHED_FRACTION, PRESSED_MM, FACE_MM
-            _rest_hold(depth, share, far, work, weight, *limits)
+            _rest_hold(depth, fraction, far, work, weight, *limits)
             _spread_over_chosen(weight, untouched, work, anchor)
         return anchor
 

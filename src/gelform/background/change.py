@@ -159,7 +159,7 @@ class PreparedBackground:
         return self.pending(image, exposure).write(np.empty(self._light.shape, dtype=np.float32))
 
     def pending(self, image: NDArray[Any], exposure: Exposure | None = None) -> PendingChange:
-        """`change`, still to be computed: all of it but the pass over the pixels."""
+        """`change`, yet to be computed: all of it but the pass over the pixels."""
         light = light_from_image(image, self.settings)
         gain = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
         if self.settings.crosstalk is not None and np.ptp(gain) > 0:

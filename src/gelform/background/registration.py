@@ -42,8 +42,8 @@ class Registration:
     shift_px : (2,) float64, x and y: what was at p is at p + shift_px, at the image's centre
     shift_sigma_px : (2,) float64, one standard deviation; 5 along a direction without any texture, which means unknown
     turn_deg, turn_sigma_deg : float, about the centre, from x towards y
-    stretch, stretch_sigma : float, how much larger the image has become, as a share
-    untouched : float, 0-1, share of the image that it was read from; 0: it is all touched, and nothing is known
+    stretch, stretch_sigma : float, how much larger the image has become, as a fraction
+    untouched : float, 0-1, fraction of the image that it was read from; 0: it is all touched, and nothing is known
     """
 
     shift_px: NDArray[np.float64]
@@ -106,18 +106,18 @@ class PreparedRegistration:
     def __call__(self, image: NDArray[Any], touched: NDArray[np.bool_] | None = None) -> Registration:
         """Register an image (H, W, 3), 0-255, of the background's size."""
         logs = _logs(image)
-        motion, covariance, share = self._start(logs, touched), PRIOR_PX**2 * np.eye(4), 0.0
+        motion, covariance, fraction = self._start(logs, touched), PRIOR_PX**2 * np.eye(4), 0.0
         for blur in BLURS_PX:
             motion[:2] = np.round(motion[:2] / STEP) * STEP
             used = self._untouched(self._moved_back(logs, motion) - self._logs, touched)
-            share = float(used.mean())
-            if share < MIN_UNTOUCHED:
+            fraction = float(used.mean())
+            if fraction < MIN_UNTOUCHED:
                 return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, 0.0)
             change, covariance = self._fit(logs, motion, blur, used)
             motion = motion + change
             if np.abs(motion).max() > 2 * MOST_PX:  # it ran away: nothing that it could hold to
-                return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, share)
-        return _registration(motion, covariance, self._half, share)
+                return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, fraction)
+        return _registration(motion, covariance, self._half, fraction)
 
     def _regressors(self, blur: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The blurred background, and (H*W, 10): quadratic light, then what shift, turn and stretch change."""
@@ -201,7 +201,7 @@ def _solved(
 
 
 def _registration(
-    motion: NDArray[np.float64], covariance: NDArray[np.float64], half: float, share: float
+    motion: NDArray[np.float64], covariance: NDArray[np.float64], half: float, fraction: float
 ) -> Registration:
     sigma = np.minimum(np.sqrt(np.diag(covariance)), PRIOR_PX)
     degrees = np.rad2deg(1 / half)
@@ -212,7 +212,7 @@ def _registration(
         turn_sigma_deg=float(sigma[2] * degrees),
         stretch=float(motion[3] / half),
         stretch_sigma=float(sigma[3] / half),
-        untouched=share,
+        untouched=fraction,
     )
 
 

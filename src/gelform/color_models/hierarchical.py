@@ -177,7 +177,7 @@ class PreparedHierarchical:
     def gradients_in_one_pass(
         self, pending: PendingChange, out: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], None]:
-        """The same of an image whose color change is still to be computed: that is written to `out` (H, W, 3)."""
+        """The same of an image whose color change is yet to be computed: that is written to `out` (H, W, 3)."""
         gradients = np.empty((*out.shape[:2], 2), dtype=np.float32)
         work = np.empty(pending.work_size + self._work_size, dtype=np.float32)
         _hierarchical_from_image(*pending.arguments, self._nodes, self._parents, work, out, gradients)

@@ -35,12 +35,12 @@ def corner_weights(coordinates: list[NDArray[np.float64]], sizes: tuple[int, ...
     columns, values = [], []
     for corner in product(*[(0, 1) if size > 1 else (0,) for size in sizes]):
         node = np.zeros(count, dtype=int)
-        share = np.ones(count)
+        fraction = np.ones(count)
         for index, between, up, size in zip(low, part, corner, sizes):
             node = node * size + index + up
-            share = share * (between if up else 1 - between)
+            fraction = fraction * (between if up else 1 - between)
         columns.append(node)
-        values.append(share)
+        values.append(fraction)
     rows = np.tile(np.arange(count), len(columns))
     entries = np.concatenate(values), (rows, np.concatenate(columns))
     return scipy.sparse.csr_matrix(entries, shape=(count, int(np.prod(sizes))))

@@ -1,4 +1,4 @@
-"""Why each pixel of a frame was trusted or not: the sigma that each cause adds, its share, and what is named."""
+"""Why each pixel of a frame was trusted or not: the sigma that each cause adds, its part of the variance, what is named."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Explanation:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """The faults that matter: each with the share of the frame where it alone leaves nothing of a slope."""
+        """The faults that matter: each with the fraction of the frame where it alone leaves nothing of a slope."""
         return tuple(
             Finding(name, f"{100 * fraction:.1f} % of the frame is {CAUSES[name].sentence}", fraction)
             for name, one in self.maps.items()

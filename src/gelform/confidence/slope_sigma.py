@@ -88,7 +88,7 @@ class SlopeSigma:
     """Standard deviation of a slope component: that of its step, times factors of slope and place.
 
     Where no step is taken, the step's counts as 1 mm/mm and the factors are the deviation. 68 % of the errors on held-out
-    presses are within it: it is fitted to that share, not to the variance, which a few bad pixels would rule.
+    presses are within it: it is fitted to that fraction, not to the variance, which a few bad pixels would rule.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class SlopeSigma:
     clean : what 95 % of the pixels in contact stay under: confidence is 1 up to it, since errors that are alike over
         many pixels, unlike white ones, are not averaged away by weighting the pixels of a contact against each other
     correlation_px : over this distance the correlated part falls to exp(-1/2) (a Gaussian)
-    correlated_share : share of the variance that is correlated; the rest is white
+    correlated_share : fraction of the variance that is correlated; the rest is white
     rest_correlation_px, rest_correlated_share : the same of untouched gel, where noise is left that the color change's
         blur correlates over a pixel or two: over the first the errors fall to exp(-1/2), but for the second, 0-1,
         which is correlated over `correlation_px`; None: as in a contact, in calibrations that do not hold it

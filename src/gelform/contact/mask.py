@@ -69,7 +69,7 @@ class _Pressure(NamedTuple):
     """Pressure over the surface's tension, 1/mm, (H, W), and what it is estimated from."""
 
     pressure: NDArray[np.float32]
-    bed: NDArray[np.float32]  # the bed's share z/L^2 of it, of what depth is known to be there
+    bed: NDArray[np.float32]  # the bed's fraction z/L^2 of it, of what depth is known to be there
     finer: NDArray[np.float32] | None  # minus the Laplacian by the next finer smoothing, where there is one
     finer_noise: float
     half: float  # of the mean pressure around, where a contact ends
@@ -195,7 +195,7 @@ def _bent(
 
 
 def _noise(values: NDArray[np.float32], by_place: NDArray[np.float32]) -> float:
-    """Standard deviation of a map (H, W) where nothing is, at a place of unit noise: of the share that is smallest."""
+    """Standard deviation of a map (H, W) where nothing is, at a place of unit noise: of the fraction that is smallest."""
     step = max(1, values.size // NOISE_SAMPLES)
     work = np.empty(2 * -(-values.size // step), dtype=np.float32)
     magnitude = np.empty(1, dtype=np.float32)

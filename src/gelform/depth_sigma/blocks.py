@@ -21,22 +21,22 @@ LEAST_DEVIATION = 1e-6  # of the fractions within a block: none is 0, which the 
 class ErrorParts:
     """Parts of the variance of slope errors.
 
-    In a contact a share of it is correlated over a long distance (a color model's bias) and the rest is white. At rest
+    In a contact a fraction of it is correlated over a long distance (a color model's bias) and the rest is white. At rest
     no color model errs: what is left is the images' noise, blurred as the color change is. Over a block of pixels such
     short correlations are as good as independent errors of more variance.
 
     Attributes
     ----------
     block : pixels across a block
-    share : correlated share in a contact, 0-1
-    rest_share : share at rest that is correlated as in a contact, 0-1
+    fraction : correlated fraction in a contact, 0-1
+    rest_fraction : fraction at rest that is correlated as in a contact, 0-1
     rest_px : distance over which the other part falls to exp(-1/2) at rest; 0: it is white
     aspect : pitch along x over that along y
     """
 
     block: int
-    share: float
-    rest_share: float
+    fraction: float
+    rest_fraction: float
     rest_px: float
     aspect: float = 1.0
 
@@ -44,13 +44,13 @@ class ErrorParts:
     def of_blocks(self) -> tuple[float, float, float]:
         """Shares of the variance that are correlated, in contact and at rest; power of the others at rest."""
         power = white_as_blurred(self.aspect, self.block, self.rest_px)[0]
-        return self.share, self.rest_share, power
+        return self.fraction, self.rest_fraction, power
 
     @cached_property
     def within_blocks(self) -> NDArray[np.float32]:
-        """(2,), in contact and at rest: share of the deviation that, if it is white, moves depth as far within a block."""
+        """(2,), in contact and at rest: fraction of the deviation that, if white, moves depth as far within a block."""
         within = white_as_blurred(self.aspect, self.block, self.rest_px)[1]
-        contact, rest = np.sqrt(1 - self.share), np.sqrt((1 - self.rest_share) * within)
+        contact, rest = np.sqrt(1 - self.fraction), np.sqrt((1 - self.rest_fraction) * within)
         return np.maximum([contact, rest], LEAST_DEVIATION, dtype=np.float32)
 
 
@@ -148,9 +148,9 @@ def less_mean(depths: NDArray[np.float32], pixels: NDArray[np.bool_], block: int
     height, width, probes = depths.shape
     padded = np.zeros((height * block, width * block), dtype=np.float32)
     padded[: pixels.shape[0], : pixels.shape[1]] = pixels
-    share = padded.reshape(height, block, width, block).sum(axis=(1, 3)).ravel()
+    fraction = padded.reshape(height, block, width, block).sum(axis=(1, 3)).ravel()
     flat = depths.reshape(-1, probes)
-    mean = (share / max(float(share.sum()), 1.0)).astype(np.float32) @ flat
+    mean = (fraction / max(float(fraction.sum()), 1.0)).astype(np.float32) @ flat
     return np.asarray((flat - mean).reshape(height, width, probes))
 
 
@@ -181,7 +181,7 @@ def sigma_of_pixels(
     ----------
     variance : (h, w), mm^2, of the blocks, of `block` x `block` pixels; bilinear between their centres
     sigma : (H, W, 1 or 2), of the slopes
-    rest, white : (H, W) and (2,), the share of sigma that is white within a block: in contact, and at rest
+    rest, white : (H, W) and (2,), the fraction of sigma that is white within a block: in contact, and at rest
     within : (2,) of p and q: variance within a block for each unit of theirs
         The usual sigma of 3x3 pixels counts, their harmonic mean: one bad pixel among good ones is held by them.
     fading : (4,), how that gets less where an anchor holds: see `fading_within_blocks`

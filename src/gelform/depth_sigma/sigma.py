@@ -144,9 +144,9 @@ class DepthSigma:
             int(check_within(width, "width", 1, MOST_PX)),
         )
         self.pitch = check_mm_per_px(mm_per_px)
-        share = checked_share(correlation_px, correlated_share)
-        rest_share = share if rest_correlated_share is None else rest_correlated_share
-        rest_share = checked_share(correlation_px, rest_share)
+        fraction = checked_share(correlation_px, correlated_share)
+        rest_fraction = fraction if rest_correlated_share is None else rest_correlated_share
+        rest_fraction = checked_share(correlation_px, rest_fraction)
         check_within(rest_correlation_px, "rest_correlation_px", 0, MOST_PX)
         probes = checked_probes(probes)
         block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
@@ -154,12 +154,12 @@ class DepthSigma:
         rng = rng or np.random.default_rng(0)
         white = white_draws(probes, blocks, rng)
         common = np.zeros_like(white)
-        if max(share, rest_share) > 0:
+        if max(fraction, rest_fraction) > 0:
             length, power = correlation_of_blocks(correlation_px, block)
             common = np.float32(np.sqrt(power)) * correlated_draws(probes, blocks, length, rng)
         self._solver = ProbeSolver(white, common, (self.pitch[0] * block, self.pitch[1] * block))
         aspect, area = self.pitch[0] / self.pitch[1], self.pitch[0] * self.pitch[1]
-        self.parts = ErrorParts(block, share, rest_share, rest_correlation_px, aspect)
+        self.parts = ErrorParts(block, fraction, rest_fraction, rest_correlation_px, aspect)
         per_slope = variance_within_blocks(aspect, block)
         self._within = np.array(per_slope, dtype=np.float32) * np.float32(area)
         self._fading = np.array(fading_within_blocks(aspect, block), dtype=np.float32)

@@ -118,14 +118,14 @@ class Levels:
 
 
 def _finding(name: str, where: NDArray[np.bool_], what: str, advice: str) -> Finding | None:
-    """A finding whose figure is the share of the frame, of the channel where that is largest."""
-    shares = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
-    if shares.max() < LEAST_CLIPPED:
+    """A finding whose figure is the fraction of the frame, of the channel where that is largest."""
+    fractions = where.mean(axis=(0, 1)) if where.size else np.zeros(3)
+    if fractions.max() < LEAST_CLIPPED:
         return None
     said = ", ".join(
-        f"{channel} {100 * share:.0f} %" for channel, share in zip(CHANNELS, shares) if share > 0
+        f"{channel} {100 * fraction:.0f} %" for channel, fraction in zip(CHANNELS, fractions) if fraction > 0
     )
-    return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(shares.max()))
+    return Finding(name, f"Parts of the frame are {what}: {said}. {advice}", float(fractions.max()))
 
 
 FLAT_RANGE = 2  # grey levels within a block; a camera's noise alone gives more
@@ -213,16 +213,16 @@ class Torn:
         if jumps.max() <= JUMP:
             return np.zeros(0, dtype=np.intp)
         least = max(JUMP_FACTOR * float(np.median(jumps)), JUMP)
-        beside = np.stack([np.append(jumps[1:], 0), np.append(0, jumps[:-1])])
-        alone = (jumps > beside.min(axis=0) + JUMP) & (jumps > beside.max(axis=0) + JUMP / 2)
+        neighbours = np.stack([np.append(jumps[1:], 0), np.append(0, jumps[:-1])])
+        alone = (jumps > neighbours.min(axis=0) + JUMP) & (jumps > neighbours.max(axis=0) + JUMP / 2)
         return np.flatnonzero((jumps > least) & alone)
 
 
 def torn_finding(lost: NDArray[np.bool_]) -> Finding:
-    """The finding; its figure is the share of the frame."""
-    share = float(lost.mean())
+    """The finding; its figure is the fraction of the frame."""
+    fraction = float(lost.mean())
     message = (
-        f"{100 * share:.0f} % of the frame is torn: it holds one colour, rows of another part, or is displaced. "
+        f"{100 * fraction:.0f} % of the frame is torn: it holds one colour, rows of another part, or is displaced. "
         "Check the cable, and whether the camera's bandwidth is shared."
     )
-    return Finding("torn", message, share)
+    return Finding("torn", message, fraction)

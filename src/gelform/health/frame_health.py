@@ -45,7 +45,7 @@ class FrameFaults:
     Attributes
     ----------
     image : (H, W, 3), with the untouched image in place of what is lost, so that nothing is read from it
-    findings : `dark`, `saturated`, `torn` (figure: share of the frame), `frozen` (figure 1)
+    findings : `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1)
     lost : (H, W) bool, pixels that say nothing about the gel, a margin around torn parts included; None: there are none
     """
 

@@ -88,12 +88,12 @@ class MarkerFinder:
         darkness = self._darkness(image)
         mask = np.zeros(darkness.shape, dtype=bool)
         centers, areas = [np.zeros((0, 2))], [np.zeros(0)]
-        for share in LEVELS:
-            dots, labels, whole = _dots(darkness, share * self._peak, self._area)
+        for level in LEVELS:
+            dots, labels, whole = _dots(darkness, level * self._peak, self._area)
             new = _peaks(darkness, labels, len(dots)) > 0.5 * self._peak
             new &= np.bincount(labels[mask], minlength=len(dots) + 1)[1:] == 0
             found = np.concatenate([[False], new])[labels]
-            mask |= found if share == LEVELS[0] else _grown(found)
+            mask |= found if level == LEVELS[0] else _grown(found)
             centers.append(_centers(darkness, labels, len(dots))[new])
             areas.append(dots[new & whole])
         sizes = areas[1] if len(areas[1]) else np.concatenate(areas)
@@ -110,9 +110,9 @@ class MarkerFinder:
             return np.zeros(image.shape[:2], dtype=bool)
         level = level_from_image(image)
         closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel)
-        share = LEVELS[0] * self._peak
+        edge = LEVELS[0] * self._peak
         dark = cv2.compare(
-            level, cv2.convertScaleAbs(closed, alpha=1 - share, beta=-share * LEVEL_OFFSET), cv2.CMP_LT
+            level, cv2.convertScaleAbs(closed, alpha=1 - edge, beta=-edge * LEVEL_OFFSET), cv2.CMP_LT
         )
         dark |= self.untouched.mask.view(np.uint8) * np.uint8(255)
         if grow_px:
@@ -120,7 +120,7 @@ class MarkerFinder:
         return dark > 0
 
     def _darkness(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """How much darker (H, W) than the gel around it, as a share; 0-1."""
+        """How much darker (H, W) than the gel around it, as a fraction; 0-1."""
         level = level_from_image(image)
         closed = cv2.morphologyEx(level, cv2.MORPH_CLOSE, self._kernel).astype(np.float32)
         darkness: NDArray[np.float32] = (closed - level) / (closed + np.float32(LEVEL_OFFSET))
@@ -261,7 +261,7 @@ class CandidateFinder:
     """Where a dot could be: darker than what is around, by a dot's size. Prepared for one gel."""
 
     def __init__(self, logs: NDArray[np.float32], centers_px: NDArray[Any], radius_px: float) -> None:
-        self._inner, self._outer = (max(1, round(share * radius_px)) | 1 for share in (INNER, OUTER))
+        self._inner, self._outer = (max(1, round(width * radius_px)) | 1 for width in (INNER, OUTER))
         self._near = np.ones((max(3, round(radius_px) | 1),) * 2, dtype=np.uint8)
         column, row = np.rint(centers_px).astype(np.intp).T
         self._threshold = LEAST_RESPONSE * float(np.median(self._response(logs)[row, column]))

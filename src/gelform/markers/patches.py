@@ -178,10 +178,10 @@ class StretchedPatches:
             places = (self._patches.centers_px[i] + shift + u @ warp.T).astype(np.float32)
             evidence = weight * _sampled(logs, places)
             fit = inverse @ (columns.T @ evidence)
-            step, bend = _limited(fit[SHIFT:] / max(fit[LIGHT], STRENGTH[0]), 0.6 * radius)
-            warp = warp @ np.linalg.inv(np.eye(2) + bend)
+            step, change = _limited(fit[SHIFT:] / max(fit[LIGHT], STRENGTH[0]), 0.6 * radius)
+            warp = warp @ np.linalg.inv(np.eye(2) + change)
             shift = shift - warp @ step
-            last = float(np.linalg.norm(step) + radius * np.abs(bend).max())
+            last = float(np.linalg.norm(step) + radius * np.abs(change).max())
             if last < ENOUGH_PX or not _is_of_rubber(warp):
                 break
         left = float(np.sum((evidence - columns @ fit) ** 2))
@@ -207,8 +207,8 @@ class StretchedPatches:
         x, y = u.T / (side // 2)
         dot, across, down = (part[at].ravel() for part in (self._logs, self._across, self._down))
         light = [np.ones_like(x), x, y, x * x, x * y, y * y]
-        bend = [across * u[:, 0], across * u[:, 1], down * u[:, 0], down * u[:, 1]]
-        return u, weight, np.column_stack([*light, dot, across, down, *bend]) * weight[:, None]
+        change = [across * u[:, 0], across * u[:, 1], down * u[:, 0], down * u[:, 1]]
+        return u, weight, np.column_stack([*light, dot, across, down, *change]) * weight[:, None]
 
 
 def _sampled(logs: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -19,12 +19,12 @@ def planes(values: NDArray[Any]) -> Tensor:
 
 
 def block_shares(size: int, blocks: int) -> Tensor:
-    """Which share of each pixel of a line goes into each block's mean, (blocks, size), as OpenCV has them."""
+    """Which fraction of each pixel of a line goes into each block's mean, (blocks, size), as OpenCV has them."""
     return _resized(size, blocks, cv2.INTER_AREA)
 
 
 def bilinear_shares(few: int, size: int) -> Tensor:
-    """Which share of each sample of a coarser line goes into each pixel, (size, few), as OpenCV has them."""
+    """Which fraction of each sample of a coarser line goes into each pixel, (size, few), as OpenCV has them."""
     return _resized(few, size, cv2.INTER_LINEAR)
 
 

@@ -39,7 +39,7 @@ def train(
         raise ValueError(f"Expected hidden layers, steps and samples, got {hidden}, {steps}, {len(change)}.")
     with _one_thread(torch):
         random = torch.Generator().manual_seed(seed)
-        touched, rest, target, share = _tensors(torch, change, place, gradients, weight)
+        touched, rest, target, relative = _tensors(torch, change, place, gradients, weight)
         layers = _initial(torch, (touched.shape[1], *hidden, 2), random)
         optimizer = torch.optim.AdamW(
             [p for pair in layers for p in pair], lr=LEARNING_RATE, weight_decay=weight_decay
@@ -49,7 +49,7 @@ def train(
             rows = torch.randint(len(touched), (min(BATCH, len(touched)),), generator=random)
             answers = _forward(torch, layers, torch.cat([touched[rows], rest[rows]]))
             residual = torch.linalg.norm(answers[: len(rows)] - answers[len(rows) :] - target[rows], dim=1)
-            loss = (share[rows] * _huber(torch, residual)).mean()
+            loss = (relative[rows] * _huber(torch, residual)).mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -85,11 +85,12 @@ def _tensors(
     """Inputs when touched, inputs at rest, targets, and weights of mean 1."""
     touched = np.concatenate([change, place], axis=1)
     rest = np.concatenate([np.zeros_like(change), place], axis=1)
-    share = np.asarray(weight) / max(float(np.mean(weight)), 1e-12)
-    touched, rest, target, share = (
-        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in (touched, rest, gradients, share)
+    relative = np.asarray(weight) / max(float(np.mean(weight)), 1e-12)
+    touched, rest, target, relative = (
+        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32))
+        for a in (touched, rest, gradients, relative)
     )
-    return touched, rest, target, share
+    return touched, rest, target, relative
 
 
 def _initial(torch: Any, sizes: tuple[int, ...], random: Any) -> list[tuple[Any, Any]]:
