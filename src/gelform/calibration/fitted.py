@@ -43,6 +43,13 @@ CLIPPED_SHARE = 0.01  # of the training pixels: fewer teach nothing of what a cl
 MAX_NOISE_IMAGES = 12  # whose noise is measured
 # What a Reconstructor weighs slopes by until held-out presses were measured; any sensor's, roughly.
 FIRST_GUESS = SlopeSigma(rest=0.02, slopes=(0.0, 0.5), sigmas=(0.02, 0.06), clean=0.04, correlation_px=10.0)
+LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
+BLURRED_PX = 4.0  # around a contact the blurred image still shows the ball
+REACH_MM = 3.0  # around a contact: the gel is level beyond
+LEAST_SEEN = 0.75  # of a ring's pixels: over a whole ring a tilt of all slopes cancels
+LEAST_RINGS = 5  # of 1 px around a contact
+LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
+MOST_PRESSES = 24  # whose surroundings are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,15 +221,6 @@ def image_noise(images: Sequence[NDArray[Any]], background: NDArray[np.float32])
     some = images[:: max(1, len(images) // MAX_NOISE_IMAGES)]
     found = [noise_from_image(image.astype(np.float32) - background) for image in some]
     return np.asarray(np.median(found, axis=0), dtype=np.float64)
-
-
-LENGTHS_MM = np.geomspace(0.15, 2.0, 53)
-BLURRED_PX = 4.0  # around a contact the blurred image still shows the ball
-REACH_MM = 3.0  # around a contact: the gel is level beyond
-LEAST_SEEN = 0.75  # of a ring's pixels: over a whole ring a tilt of all slopes cancels
-LEAST_RINGS = 5  # of 1 px around a contact
-LEAST_EXPLAINED = 0.5  # of the slopes' sum of squares
-MOST_PRESSES = 24  # whose surroundings are looked at
 
 
 def relaxation_from_presses(

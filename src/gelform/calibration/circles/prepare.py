@@ -24,6 +24,7 @@ from gelform.progress import Progress, no_progress
 
 BLUR_PX = 1.25  # at 240 rows: a camera's noise, not the gel's edges
 USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset
+BLUR_REACH = 2.0  # standard deviations of the blur, beyond which a dot is not seen
 
 
 class ColorChanges:
@@ -106,9 +107,6 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
         found.append(find_contact(press.color_change))
         progress(done + 1, len(prepared), "finding contact circles")
     return found
-
-
-BLUR_REACH = 2.0  # standard deviations of the blur, beyond which a dot is not seen
 
 
 def change_without_markers(

@@ -30,6 +30,8 @@ MAX_LEAN_RAD = np.deg2rad(15)
 MIN_PROMINENCE = 4.0  # of the wave over the spectrum's median
 FUNDAMENTAL = 0.35  # of the peak: a wave below it that is so strong is its fundamental
 THREAD_SIGMA = 0.003  # relative, what the crests' shape leaves open
+STEP_SIGMA_PX = 0.1  # what the images' likeness leaves open about the shift
+MIN_LIKENESS = 0.5  # correlation, 0-1
 
 
 def scale_from_punch(
@@ -288,10 +290,6 @@ def _refined(change: NDArray[np.float32], start: NDArray[np.float64]) -> NDArray
 
     found = minimize(negative, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6})
     return np.asarray(start + found.x * scale)
-
-
-STEP_SIGMA_PX = 0.1  # what the images' likeness leaves open about the shift
-MIN_LIKENESS = 0.5  # correlation, 0-1
 
 
 def scale_from_stage(

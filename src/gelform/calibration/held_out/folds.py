@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from gelform.calibration.circles.find import ContactCircle, scale_of
 from gelform.calibration.circles.locate import refine
@@ -21,6 +22,12 @@ from gelform.color_models import StartableModel
 from gelform.progress import Progress, no_progress
 
 FOLDS = 5  # each trains on four fifths of the presses
+SHORTER_SIDE = 12  # px of the small copies that are compared: noise averages out in them
+MAX_DIFFERENCE = (
+    0.08  # of the smaller change; frames of one press: up to 0.06, two presses of real sets: 0.081 or more
+)
+NEAR_PX, NEAR_RADIUS = 2.0, 0.04  # at 240 rows; of the smaller radius: circles of one press saved in two ways
+MOVES = 4  # of a circle to a model that has not seen it: it stays after three
 
 
 @dataclass(frozen=True)
@@ -71,13 +78,6 @@ def _fold(
     )
 
 
-SHORTER_SIDE = 12  # px of the small copies that are compared: noise averages out in them
-MAX_DIFFERENCE = (
-    0.08  # of the smaller change; frames of one press: up to 0.06, two presses of real sets: 0.081 or more
-)
-NEAR_PX, NEAR_RADIUS = 2.0, 0.04  # at 240 rows; of the smaller radius: circles of one press saved in two ways
-
-
 def near_duplicates(
     presses: Sequence[PreparedPress], found: Sequence[ContactCircle], among: Sequence[int]
 ) -> list[list[int]]:
@@ -95,18 +95,8 @@ def near_duplicates(
     difference = np.maximum(square[:, None] + square - 2 * product, 0)
     alike = difference < MAX_DIFFERENCE**2 * np.minimum(square[:, None], square)
     alike |= _same_circle([presses[i] for i in among], [found[i] for i in among])
-    groups: list[list[int]] = []
-    unassigned = dict.fromkeys(range(len(among)))
-    while unassigned:
-        group, to_visit = set(), [next(iter(unassigned))]
-        while to_visit:
-            k = to_visit.pop()
-            if k in unassigned:
-                del unassigned[k]
-                group.add(k)
-                to_visit += [int(other) for other in np.flatnonzero(alike[k])]
-        groups.append([among[k] for k in sorted(group)])
-    return groups
+    count, group = connected_components(alike, directed=False)
+    return [[among[k] for k in np.flatnonzero(group == g).tolist()] for g in range(count)]
 
 
 def _same_circle(presses: Sequence[PreparedPress], found: Sequence[ContactCircle]) -> NDArray[np.bool_]:
@@ -126,9 +116,6 @@ def _small(change: NDArray[np.float32]) -> NDArray[np.float64]:
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = cv2.resize(change, size, interpolation=cv2.INTER_AREA)
     return (small - np.median(small, axis=(0, 1))).ravel().astype(np.float64)
-
-
-MOVES = 4  # of a circle to a model that has not seen it: it stays after three
 
 
 def circle_sigmas(

@@ -47,6 +47,8 @@ from gelform.view import View, image_from_frame, image_px_from_frame_px
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 BALL, FLAT = "ball", "flat"  # indenters
 NAMED_ODD = 5  # images of another size, in a message
+PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
+TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
 
 
 def read_presses(
@@ -209,8 +211,6 @@ def plain_source(folder: Path, options: ReadOptions) -> PressSource:
     return PressSource(read_background(rest_path), listed, lambda k: read_image(images[k]))
 
 
-PRESS_FOLDER, GS_SDK, PY3DCAL = "press folder", "gs_sdk folder", "py3DCal folder"
-TAXIM, PLAIN, VIDEO = "Taxim dataPack", "folder of images", "video"
 SOURCES: Mapping[str, Callable[[Path, ReadOptions], PressSource]] = {
     PRESS_FOLDER: press_folder_source,
     GS_SDK: gs_sdk_source,

@@ -22,6 +22,9 @@ from gelform.view import View, image_from_frame
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
+MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # diameters: others are in another unit
+MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # of flat punches over the gel
+
 
 @dataclass(frozen=True)
 class Press:
@@ -264,10 +267,6 @@ def flat_from_frame(listed: ListedFlat, frame: NDArray[Any], view: View) -> Flat
     """A press of a flat punch whose image is the frame seen through the view."""
     image = np.ascontiguousarray(image_from_frame(frame, view))
     return FlatPress(listed.name, image, listed.height_mm, pixels_digest(image))
-
-
-MIN_BALL_MM, MAX_BALL_MM = 0.1, 200.0  # diameters: others are in another unit
-MIN_HEIGHT_MM, MAX_HEIGHT_MM = 0.01, 20.0  # of flat punches over the gel
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:

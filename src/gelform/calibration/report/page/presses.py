@@ -21,6 +21,11 @@ SHOWN = (
     ("radius_percent", "radius", " %", 1),
     ("off_contact_um", "off contact", " µm", 0),
 )
+BUDGET_BYTES = 1_300_000  # of all pictures of presses: the page stays under 3 MB
+WIDTHS_PX = (320, 240, 160, 112, 80, 56)  # of a press's picture, the first that the budget allows
+QUALITY = 82  # of JPEG, %
+TILE_PX = 56  # of a picture of depth minus cap
+HIGH, LOW = (214, 69, 65), (40, 110, 200)  # RGB of depth above and below the ball
 
 
 def presses_section(content: dict[str, Any], images: Sequence[NDArray[np.uint8]]) -> str:
@@ -121,13 +126,6 @@ def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> s
         "a scratch or a shadow.</p>"
         f'<div class="caps">{"".join(tiles)}</div>'
     )
-
-
-BUDGET_BYTES = 1_300_000  # of all pictures of presses: the page stays under 3 MB
-WIDTHS_PX = (320, 240, 160, 112, 80, 56)  # of a press's picture, the first that the budget allows
-QUALITY = 82  # of JPEG, %
-TILE_PX = 56  # of a picture of depth minus cap
-HIGH, LOW = (214, 69, 65), (40, 110, 200)  # RGB of depth above and below the ball
 
 
 def jpeg_url(image: NDArray[np.uint8], width_px: int) -> str:
