@@ -56,27 +56,28 @@ static inline void variance_of_walls(const struct causes *c, struct lines *restr
 }
 
 // Variance of slopes whose colour leaves a residual of more than half of `outlier`, in units of its covariance, to which that of
-// a wall's slopes comes: from `outlier` on nothing is left of the slope, and less beyond, but never so little as of what is not
-// seen: a frame full of outliers would fall to pieces. Pixels that say nothing anyway have
-// none: what clips, is hidden or is not lit is no colour.
+// a wall's slopes is added: from `outlier` on nothing is known of the slope. Pixels that say nothing anyway have no outlier:
+// what clips, is hidden or is not lit is no colour.
 static inline void variance_of_outliers(const struct causes *c, struct lines *restrict l, const float *restrict residual,
                                         const float *restrict of_step, const bool *restrict unseen_at, int n) {
   memset(l->outlier, 0, sizeof l->outlier);
   if (residual == NULL || !any_from(residual, 0.5f * c->outlier, n)) return;
   for (int k = 0; k < n; k++) {
     const float share = residual[k] * of_step[k] / ((of_step[k] + l->wall[k]) * c->outlier);
-    l->outlier[k] = smaller(square_of(c->unknown * larger(2 * share - 1, 0)), 0.25f * square_of(c->unseen));
+    l->outlier[k] = smaller(square_of(c->unknown * larger(2 * share - 1, 0)), square_of(c->unseen));
   }
   if (unseen_at != NULL)
     for (int k = 0; k < n; k++) l->outlier[k] = unseen_at[k] ? 0 : l->outlier[k];
 }
 
-static inline void finish(const struct causes *c, const float *restrict variance, const float *restrict gain,
+// A wall alone costs a slope no more of its confidence than leaves `least`.
+static inline void finish(const struct causes *c, const struct lines *restrict l, const float *restrict gain,
                           float *restrict sigma, float *restrict confidence, int n) {
+  const float clean = c->clean * c->clean, most_of_wall = clean / c->least;
   for (int k = 0; k < n; k++) {
-    const float noise = c->added * gain[k], total = sigma[k] * sigma[k] + variance[k] + noise * noise;
-    sigma[k] = sqrtf(total);
-    confidence[k] = smaller(larger(c->clean * c->clean / total, total < c->unseen * c->unseen ? c->least : 0), 1);
+    const float noise = c->added * gain[k], others = sigma[k] * sigma[k] + l->variance[k] + noise * noise;
+    sigma[k] = sqrtf(others + l->wall[k]);
+    confidence[k] = smaller(clean / (others + smaller(l->wall[k], most_of_wall)), 1);
   }
 }
 
@@ -105,10 +106,10 @@ EXPORT int raise_sigma(const float *gradients, const float *residual, const floa
                            unseen_at == NULL ? NULL : unseen_at + at, n);
       write_roots(walls == NULL ? NULL : walls + at, l.wall, n);
       write_roots(outliers == NULL ? NULL : outliers + at, l.outlier, n);
-      for (int k = 0; k < n; k++) l.variance[k] = l.wall[k] + l.outlier[k];
+      for (int k = 0; k < n; k++) l.variance[k] = l.outlier[k];
       if (unseen_at != NULL)
         for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
-      finish(&c, l.variance, gain + at, sigma + at, confidence + at, n);
+      finish(&c, &l, gain + at, sigma + at, confidence + at, n);
     }
   return OK;
 }

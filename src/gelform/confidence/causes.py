@@ -70,8 +70,8 @@ ALIKE = 0.5
 # error over what they differ by more.
 DIFFERENCE_FROM, ERROR_OF_DIFFERENCE = 0.1, 1.75
 UNSEEN = 1000.0  # clean sigmas, of what says nothing: a weight of 1e-6, which solvers take for none
-# Of a slope that the image says something of: what has less is filled from its neighbours.
-LEAST_CONFIDENCE = 0.01
+# Of a wall at least: with less than 0.001 it is filled from its neighbours, and the object is gone.
+WALL_CONFIDENCE = 0.01
 UNLIT_TO = 8  # grey levels of the untouched image's brightest channel, as of a block that is dark
 LEAST_OUTSIDE_PX = 25  # connected pixels: a region of fewer is dust
 # Mean grey level of a block that was lost, up to or from which it is dark or saturated, and torn between.
@@ -115,7 +115,7 @@ class PreparedCauses:
         self._gain = np.ascontiguousarray(gain_from_background(rest, change).mean(axis=-1))
         self._outside, self._disc = outside, bloom_disc(change.blur_px)
         error = ERROR_OF_DIFFERENCE if walls else 0.0
-        self._rules = error, DIFFERENCE_FROM, UNKNOWN, LEAST_CONFIDENCE, reach_px(change.blur_px)
+        self._rules = error, DIFFERENCE_FROM, UNKNOWN, WALL_CONFIDENCE, reach_px(change.blur_px)
 
     def __call__(
         self,
@@ -128,8 +128,7 @@ class PreparedCauses:
     ) -> NDArray[np.float32]:
         """Raise the sigma (H, W) of a frame's slopes in place; the confidence (H, W) that follows.
 
-        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but 0.01 at least where the image says
-        something of the slope.
+        Confidence is min(1, (clean / sigma)^2): the only rule, whatever the cause; but of a wall 0.01 is left.
 
         Parameters
         ----------
