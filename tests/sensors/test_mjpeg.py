@@ -93,6 +93,7 @@ def test_closing_wakes_a_waiting_reader():
     assert time.monotonic() - started < WAIT_S
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
 def test_a_killed_camera_is_back_when_it_returns():
     with FfmpegCamera() as camera, Grabber(camera.url) as grabber:

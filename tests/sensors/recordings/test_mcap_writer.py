@@ -58,6 +58,7 @@ def test_stamps_follow_the_monotonic_clock_where_the_other_is_set(tmp_path):
     assert times == pytest.approx([0, 0.023, 0.04], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_a_killed_recorder_wrote_is_read_up_to_the_last_second(tmp_path):
     path = tmp_path / "a.mcap"
     tests = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
