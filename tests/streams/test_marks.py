@@ -18,7 +18,7 @@ def marks_in(images, contact=None):
     for image in images:
         noisy = (image + rng.normal(0, 0.2, image.shape)).astype(np.float32)
         start = REST.astype(np.float32)
-        found = marks(Evidence(0.0, noisy, 60, start, ones, nowhere, nowhere if contact is None else contact))
+        found = marks(Evidence(noisy, start, ones, nowhere, nowhere if contact is None else contact))
     return [finding.name for finding in found]
 
 

@@ -23,10 +23,8 @@ def looks(start, images, *, touched=0.0, different=0.0):
     somewhere[: int(touched * shape[0])] = True
     light, nowhere = np.ones((*shape, 3), np.float32), np.zeros(shape, bool)
     return [
-        same_gel(
-            Evidence(10.0 * k, image.astype(np.float32), 600, start, light, somewhere, nowhere, different)
-        )
-        for k, image in enumerate(images)
+        same_gel(Evidence(image.astype(np.float32), start, light, somewhere, nowhere, different))
+        for image in images
     ]
 
 

@@ -74,9 +74,7 @@ def evidence(now, contact=None):
     nowhere = np.zeros(SHAPE, bool)
     start = start_levels()
     return Evidence(
-        10.0,
         now.astype(np.float32),
-        10,
         start,
         np.ones_like(start),
         nowhere,

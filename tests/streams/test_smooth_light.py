@@ -1,7 +1,6 @@
 """Smooth light over the image: found to a part of its noise, not bent by what touches."""
 
 import numpy as np
-import pytest
 
 from gelform.streams.smooth_light import SmoothLight, block_means
 
@@ -54,10 +53,3 @@ def test_what_touches_does_not_bend_the_light():
     free[:, 8:] = False
     named = fitted(seen, rest, free, rounds=1)
     assert np.abs(named.at(BLOCKS) - 1).max() < 0.2  # where nothing is free it is not thrown about
-
-
-@pytest.mark.parametrize("noise", [0.05, 0.5])
-def test_noise_is_measured(noise):
-    rest = rest_levels()
-    light = fitted(drifted(rest, noise)[0], rest, np.ones(BLOCKS, bool))
-    np.testing.assert_allclose(light.noise, noise, rtol=0.2)

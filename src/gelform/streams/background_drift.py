@@ -48,9 +48,7 @@ class Evidence:
 
     Attributes
     ----------
-    time_s : when the last of them was captured
     image : (H, W, 3) float32, their mean, 0-255
-    frames : how many
     start : (H, W, 3) float32, the untouched image from which the sequence started
     light : (H, W, 3) float32, how much brighter the smooth light is than then
     touched : (H, W) bool, where something may have touched meanwhile, with a margin
@@ -58,9 +56,7 @@ class Evidence:
     different : float, 0-1, fraction of the frames that differ from the untouched image nearly everywhere
     """
 
-    time_s: float
     image: NDArray[np.float32]
-    frames: int
     start: NDArray[np.float32]
     light: NDArray[np.float32]
     touched: NDArray[np.bool_]
@@ -196,7 +192,7 @@ class BackgroundDrift:
     def _keep_mean_image(self, time_s: float) -> None:
         light = self.light.at(self._local.shape[:2])
         mean = self._sum * np.float32(1 / self._sum_count)
-        self.evidence = self._evidence(time_s, mean, light)
+        self.evidence = self._evidence(mean, light)
         image = mean * np.float32(PER_GREY_LEVEL) / light
         levels = np.clip(np.rint(image), 0, 255 * PER_GREY_LEVEL).astype(np.uint16)
         self._waiting.append(MeanImage(self._mean_image_s, time_s, levels))
@@ -204,12 +200,10 @@ class BackgroundDrift:
         self._sum[:], self._sum_count, self._different = 0, 0, 0
         self._contact_long[:] = False
 
-    def _evidence(self, time_s: float, mean: NDArray[np.float32], light: NDArray[np.float32]) -> Evidence:
+    def _evidence(self, mean: NDArray[np.float32], light: NDArray[np.float32]) -> Evidence:
         touched = ~self.touched.not_since(self._mean_image_s)
         return Evidence(
-            time_s=time_s,
             image=mean,
-            frames=self._sum_count,
             start=self.start,
             light=light,
             touched=_as_pixels(touched, self._local.shape[:2]),

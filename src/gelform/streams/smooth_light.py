@@ -34,7 +34,6 @@ class SmoothLight:
         self._basis = np.stack([in_y[:, None, j] * in_x[None, :, i] for i, j in POWERS], axis=-1)
         self._steps = np.array([MEAN_STEP if power == (0, 0) else STEP for power in POWERS])
         self.coefficients = np.zeros((3, len(POWERS)))
-        self.noise = np.full(3, LEAST_NOISE)
 
     @property
     def gains(self) -> NDArray[np.float64]:
@@ -78,7 +77,7 @@ class SmoothLight:
                 normal[np.diag_indices_from(normal)] += (noise / self._steps) ** 2
                 right = columns.T @ (weights * (wanted - columns @ before))
                 coefficients = before + np.linalg.solve(normal, right)
-            self.coefficients[channel], self.noise[channel] = coefficients, noise
+            self.coefficients[channel] = coefficients
 
 
 def robust_sigma(off: NDArray[Any], axis: Any = None) -> Any:
