@@ -15,7 +15,6 @@ import numpy as np
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
-from gelform.sensors.playback import USUAL_RATE_HZ
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
 from gelform.sensors.recordings.image_folder import FACTS, frame_of_row, is_recorded_folder, rows_of
 from gelform.sensors.recordings.mcap_reader import (
@@ -25,7 +24,7 @@ from gelform.sensors.recordings.mcap_reader import (
     mcap_file_in,
     picture_topic_of,
 )
-from gelform.sensors.video_files import Video, is_video
+from gelform.sensors.video_files import USUAL_RATE_HZ, Video, is_video
 
 MAGIC_BYTES = 8  # at the start of an MCAP file
 KEPT_CHUNKS = 2  # those that were last looked at

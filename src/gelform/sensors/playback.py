@@ -11,9 +11,7 @@ from gelform.checks import check_positive
 from gelform.errors import DataError
 from gelform.frames import Frame
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
-from gelform.sensors.video_files import Video
-
-USUAL_RATE_HZ = 25.0  # of images that do not say when they were taken
+from gelform.sensors.video_files import USUAL_RATE_HZ, Video
 
 
 class Pace:

@@ -14,6 +14,7 @@ from gelform.errors import DataError
 from gelform.frames import Frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+USUAL_RATE_HZ = 25.0  # of videos and images that do not say when they were taken
 COMPLETE_FRACTION = 0.9  # of the declared frames: containers count a few too many
 
 
@@ -84,7 +85,7 @@ class Video:
     def _frame(self, capture: cv2.VideoCapture, index: int) -> Frame:
         time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
         if index and not time_s > 0:  # no time stamps: by the frame rate
-            time_s = index / (self.facts.frame_rate_hz or 25.0)
+            time_s = index / (self.facts.frame_rate_hz or USUAL_RATE_HZ)
         decoded, pixels = capture.retrieve()
         if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
             raise DataError(f"Frame {index} of {self.path} is damaged or no colour. Record the video again.")

@@ -30,8 +30,8 @@ BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # s, within which a frame has to come
 
 
 @contextmanager
-def single_keys(purpose: str) -> Iterator[Callable[[float], str | None]]:
-    """Gives a function that waits for a key, at most so many seconds; None where none was pressed, "" at the end.
+def single_keys(purpose: str) -> Iterator[Callable[[], str]]:
+    """Gives a function that waits for a key; "" at the end of the input.
 
     The terminal's own settings come back with the end of the block.
 
@@ -53,36 +53,28 @@ def single_keys(purpose: str) -> Iterator[Callable[[float], str | None]]:
 
 
 @contextmanager
-def _of_terminal() -> Iterator[Callable[[float], str | None]]:
-    import select
+def _of_terminal() -> Iterator[Callable[[], str]]:
     import termios
     import tty
 
     handle = sys.stdin.fileno()
     before = termios.tcgetattr(handle)
 
-    def read(timeout_s: float) -> str | None:
-        ready = select.select([handle], [], [], timeout_s)[0]
-        return os.read(handle, 1).decode("latin-1") if ready else None
-
     try:
         tty.setcbreak(handle)  # Ctrl-C still interrupts
-        yield read
+        yield lambda: os.read(handle, 1).decode("latin-1")
     finally:
         termios.tcsetattr(handle, termios.TCSADRAIN, before)
 
 
 @contextmanager
-def _of_windows() -> Iterator[Callable[[float], str | None]]:
+def _of_windows() -> Iterator[Callable[[], str]]:
     import msvcrt
 
-    def read(timeout_s: float) -> str | None:
-        until = time.monotonic() + timeout_s
-        while time.monotonic() < until:
-            if msvcrt.kbhit():  # type: ignore[attr-defined]
-                return str(msvcrt.getwch())  # type: ignore[attr-defined]
-            time.sleep(POLL_S)
-        return None
+    def read() -> str:
+        while not msvcrt.kbhit():  # type: ignore[attr-defined]
+            time.sleep(POLL_S)  # Ctrl-C interrupts this, and not what waits for a key
+        return str(msvcrt.getwch())  # type: ignore[attr-defined]
 
     yield read
 
@@ -270,7 +262,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> N
     with single_keys("record --presses") as key, Grabber(opened) as grabber:
         taken = TakenPresses(output, _sensor_settings(grabber, wanted), wanted.ball_diameter_mm)
         shown.say("Leave the gel untouched and press the space bar: the background. q ends.")
-        while (pressed := key(0.2)) not in (" ", "q", ""):
+        while (pressed := key()) not in (" ", "q", ""):
             pass
         if pressed == " ":
             taken.take_background(_fresh(grabber, BACKGROUND_FRAMES))
@@ -288,7 +280,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> N
 
 def _take(taken: Any, grabber: Grabber, key: Any, shown: Shown) -> None:
     """A press per space bar, until q or the end of the input."""
-    while (pressed := key(0.2)) not in ("q", ""):
+    while (pressed := key()) not in ("q", ""):
         if pressed == " ":
             try:
                 name = taken.take_press(_fresh(grabber, 1)[0])
