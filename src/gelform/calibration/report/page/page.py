@@ -7,20 +7,8 @@ from html import escape
 from typing import Any
 
 from gelform.calibration.presses.folder import Presses
+from gelform.calibration.report.page import sections
 from gelform.calibration.report.page.presses import caps_section, presses_section
-from gelform.calibration.report.page.sections import (
-    coverage_section,
-    errors_section,
-    figures_section,
-    gain_section,
-    history_section,
-    learning_section,
-    models_section,
-    section,
-    sigma_section,
-    table,
-    where_section,
-)
 from gelform.calibration.report.page.style import STYLE
 from gelform.calibration_file import Calibration
 
@@ -55,20 +43,20 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
     """
     name = content["calibration"]["sensor_name"]
     samples = calibration.report.samples
-    sections = [
-        figures_section(content),
+    parts = [
+        sections.figures_section(content),
         _saved_section(calibration.report),
         presses_section(content, [press.image for press in presses.presses]),
-        coverage_section(content),
-        models_section(content),
-        errors_section(content, caps_section(content, samples)),
-        where_section(content),
-        gain_section(content),
-        learning_section(content),
-        sigma_section(content),
-        history_section(content, calibration.background),
+        sections.coverage_section(content),
+        sections.models_section(content),
+        sections.errors_section(content, caps_section(content, samples)),
+        sections.where_section(content),
+        sections.gain_section(content),
+        sections.learning_section(content),
+        sections.sigma_section(content),
+        sections.history_section(content, calibration.background),
     ]
-    return _document(f"Calibration of {name}", [_head(content), _verdict(content), _nav(), *sections])
+    return _document(f"Calibration of {name}", [_head(content), _verdict(content), _nav(), *parts])
 
 
 def _saved_section(report: Any) -> str:
@@ -77,13 +65,13 @@ def _saved_section(report: Any) -> str:
         f"<tr><td>{escape(name.replace('_', ' '))}</td><td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td></tr>"
         for name, saved in report.held_out_saved.items()
     )
-    return section(
+    return sections.section(
         "saved",
         "Which figure is whose",
         '<p class="lead">The saved model: its kind and settings, '
         "fitted without each press and read on it. Choice and fit: the model is chosen anew without each press too, as "
         "above; a little worse, because a choice among models was made.</p>",
-        table("<th>held-out figure</th><th>saved model</th><th>choice and fit</th>", rows),
+        sections.table("<th>held-out figure</th><th>saved model</th><th>choice and fit</th>", rows),
     )
 
 

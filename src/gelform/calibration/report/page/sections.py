@@ -9,18 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.report.page.charts import (
-    SUPPORT_OPACITY,
-    coverage_map,
-    gain_chart,
-    learning_chart,
-    limit_bar,
-    range_bar,
-    scale_of_errors,
-    share_map,
-    sigma_chart,
-    slope_error_map,
-)
+from gelform.calibration.report.page import charts
 from gelform.calibration.report.page.presses import jpeg_url
 from gelform.calibration.report.verdict import shown
 
@@ -71,7 +60,7 @@ def figures_section(content: dict[str, Any]) -> str:
         between = f" <small>{digits(interval[0])} – {digits(interval[1])}</small>" if interval else ""
         cards.append(
             f'<div class="card">{label}<b>{digits(one["value"])}{unit}{between}</b>'
-            f"{limit_bar(one['value'], interval, check['good'], check['fair'])}"
+            f"{charts.limit_bar(one['value'], interval, check['good'], check['fair'])}"
             f'<span class="muted">{meaning}; {one["presses"]} presses</span></div>'
         )
     head = (
@@ -106,7 +95,7 @@ def coverage_section(content: dict[str, Any]) -> str:
     )
     filled = (
         f'<i style="background:var(--accent);opacity:{opacity}"></i>{count}'
-        for count, opacity in zip(("one", "two", "three or more"), SUPPORT_OPACITY[1:])
+        for count, opacity in zip(("one", "two", "three or more"), charts.SUPPORT_OPACITY[1:])
     )
     key = _key(
         '<i style="background:var(--card);border:1px solid var(--line)"></i>no press',
@@ -120,7 +109,7 @@ def coverage_section(content: dict[str, Any]) -> str:
         "A petal is a slope direction; it is empty where no press has shown it, and full from three presses on. "
         "The dashed circles are where another press of the same ball would take most from the error: few presses "
         "there, and large errors on held-out ones.</p>"
-        f'<div class="two"><div>{coverage_map(coverage, facts["image_shape"])}{key}'
+        f'<div class="two"><div>{charts.coverage_map(coverage, facts["image_shape"])}{key}'
         f"</div><div><h3>Press here next</h3><ol>{places}</ol></div></div>",
     )
 
@@ -136,7 +125,7 @@ def models_section(content: dict[str, Any]) -> str:
     for row in rows:
         kind, chosen = (' class="chosen"', " ← chosen") if row["chosen"] else ("", "")
         figures = "".join(f"<td>{_with_error(row, key)}</td>" for key in keys)
-        body += f"<tr{kind}><td>{escape(row['candidate'])}{chosen}</td>{figures}<td>{range_bar(row, end)}</td></tr>"
+        body += f"<tr{kind}><td>{escape(row['candidate'])}{chosen}</td>{figures}<td>{charts.range_bar(row, end)}</td></tr>"
     return section(
         "models",
         "The color models that were tried",
@@ -176,7 +165,7 @@ def _with_error(row: dict[str, Any], key: str) -> str:
 def errors_section(content: dict[str, Any], caps: str) -> str:
     """Held-out slope errors over the frame, and depth minus the cap of every press."""
     errors = content["error_map"]
-    limit = scale_of_errors(errors)
+    limit = charts.scale_of_errors(errors)
     shades = (
         f'<i style="background:var(--poor);opacity:{0.04 + 0.9 * part:.2f}"></i>{part * limit:.2f} mm/mm'
         for part in (0.25, 0.5, 1)
@@ -185,7 +174,7 @@ def errors_section(content: dict[str, Any], caps: str) -> str:
     return section(
         "errors",
         "Where the errors are",
-        f'<div class="two"><div>{slope_error_map(errors, content["calibration"]["image_shape"])}</div><div>'
+        f'<div class="two"><div>{charts.slope_error_map(errors, content["calibration"]["image_shape"])}</div><div>'
         "<p>Error of the held-out slopes by place. The shade is its RMS size; an arrow is the mean error, "
         "which more pixels do not average out: arrows that agree over a region mean that the model does not know that "
         f"region's light.</p>{key}</div></div>{caps}",
@@ -245,7 +234,7 @@ def gain_section(content: dict[str, Any]) -> str:
     return section(
         "gain",
         "Are slopes read at their full size?",
-        f'<div class="two"><div>{gain_chart(gain)}{key}</div>'
+        f'<div class="two"><div>{charts.gain_chart(gain)}{key}</div>'
         "<div><p>Recovered over true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1 slopes are read "
         "too flat (noise pulls them to the mean, or such slopes were never pressed), above 1 too steep. Bands are 95 % "
         "intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel has "
@@ -273,7 +262,7 @@ def learning_section(content: dict[str, Any]) -> str:
         "learning",
         title,
         f"<p><strong>{escape(learning['sentence'])}</strong></p>"
-        f'<div class="two"><div>{learning_chart(learning)}</div><div><p class="muted">Each time '
+        f'<div class="two"><div>{charts.learning_chart(learning)}</div><div><p class="muted">Each time '
         f"{learning['held_out_presses']} presses are held out and some of the others train, their circles refined by "
         "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
         "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
@@ -295,7 +284,7 @@ def sigma_section(content: dict[str, Any]) -> str:
         f"Overall {100 * sigma['all']:.0f} %. Outside the edge of the contact the gel has left the ball, and nothing "
         "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
         "worse.</p>"
-        f'<div class="two"><div>{sigma_chart(sigma)}</div><div>{share_map(sigma, shape)}'
+        f'<div class="two"><div>{charts.sigma_chart(sigma)}</div><div>{charts.share_map(sigma, shape)}'
         "<p class='muted'>The same by place.</p></div></div>",
     )
 
