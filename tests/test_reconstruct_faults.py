@@ -13,7 +13,6 @@ from made.small_gel import (
     Touch,
     background,
     calibration,
-    depth_error,
     depth_of,
     image_of,
 )
@@ -62,13 +61,6 @@ def test_what_is_left_of_a_torn_frame_is_measured(reconstruct):
     assert result.depth_sigma_mm[24:].max() < 0.5
     below = slice(24, None)
     assert np.abs(result.depth_mm[below] - depth_of(TOUCH)[below]).max() < 0.03
-
-
-def test_a_sound_frame_is_measured_as_ever(reconstruct):
-    result = reconstruct(image_of(TOUCH))
-    assert names(result) == []
-    assert depth_error(result.depth_mm, TOUCH) is None
-    assert result.known.all()
 
 
 def test_a_background_that_is_none_is_refused():

@@ -28,15 +28,6 @@ def test_the_same_depth_as_by_hand(tree, cal, images, tmp_path):
         )
 
 
-def test_the_same_bytes_in_any_order(tree, cal, tmp_path, visible):
-    parts = plan_of(listing_of(tree), 3)
-    for name, order in (("a", parts), ("b", parts[::-1])):
-        worker = Worker(job(cal, tmp_path / name))
-        for part in order:
-            worker.do(part)
-    assert visible(tmp_path / "a") == visible(tmp_path / "b")
-
-
 def test_a_background_of_each_sequence(tmp_path, cal):
     """The gel of the second sequence has a brighter red light: with its own background its rest is flat all the same."""
     rest = image_of(None)

@@ -21,7 +21,7 @@ def test_pictures_are_saved_as_they_are(tmp_path):
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(GelformError, match=r"pip install 'gelform\[plots\]'"):
+    with pytest.raises(GelformError, match=r'pip install "gelform\[plots\]"'):
         canvas(2, 2)
 
 

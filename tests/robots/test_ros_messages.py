@@ -78,4 +78,4 @@ from gelform.robots.ros_messages import RosMessages
 RosMessages("left")
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert "DataError: Bags of ROS 2 need the extra ros: pip install 'gelform[ros]'" in ran.stderr
+    assert 'DataError: A message of ROS 2 needs the extra ros: pip install "gelform[ros]"' in ran.stderr

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_is, check_path
-from gelform.errors import DataError
+from gelform.errors import DataError, needed
 from gelform.exporters.quantised import levels_from_depth
 from gelform.npz_files import written_file
 from gelform.reconstruction import Reconstruction
@@ -146,13 +146,8 @@ def _grid_triangles(height: int, width: int) -> NDArray[np.int64]:
 
 
 def _mesh_bytes(points: NDArray[Any], triangles: NDArray[Any], form: str) -> bytes:
-    try:
-        import trimesh
-    except ImportError as missing:
-        raise DataError('Writing meshes needs trimesh: pip install "gelform[mesh]".') from missing
-    mesh = trimesh.Trimesh(points, triangles, process=False)
-    content: bytes = mesh.export(file_type=form)
-    return content
+    trimesh = needed("trimesh", "mesh", "Writing meshes")
+    return bytes(trimesh.Trimesh(points, triangles, process=False).export(file_type=form))
 
 
 def _ply(result: Reconstruction) -> bytes:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.checks import check_image
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, needed
 from gelform.npz_files import written_file
 
 DPI, WIDTH = 110, 13.0  # pixels per inch, and inches of most pictures
@@ -22,11 +22,8 @@ ORANGE, BLUE = "#f4731c", "#29a3e0"
 
 
 def check_matplotlib() -> None:
-    """Raise GelformError, naming the extra, where matplotlib is not installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as problem:
-        raise GelformError("Pictures need matplotlib. Install it: pip install 'gelform[plots]'.") from problem
+    """Raise DataError, naming the extra, where matplotlib is not installed."""
+    needed("matplotlib", "plots", "A picture")
 
 
 def canvas(width: float, height: float, *, layout: Any = "constrained") -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import DataError
+from gelform.errors import needed
 from gelform.exporters.surface import points_from_result
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
@@ -143,8 +143,5 @@ class RosMessages:
 
 def typestore() -> Any:
     """Definitions of ROS 2's own messages; DataError, naming the extra, where they are not installed."""
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as problem:
-        raise DataError("Bags of ROS 2 need the extra ros: pip install 'gelform[ros]'.") from problem
-    return get_typestore(Stores.ROS2_JAZZY)
+    typesys = needed("rosbags.typesys", "ros", "A message of ROS 2")
+    return typesys.get_typestore(typesys.Stores.ROS2_JAZZY)

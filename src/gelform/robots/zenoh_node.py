@@ -14,7 +14,7 @@ from hashlib import blake2b
 from types import TracebackType
 from typing import Any
 
-from gelform.errors import DataError, GelformError
+from gelform.errors import GelformError, needed
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.robots.ros_messages import RosMessages
@@ -167,12 +167,7 @@ class _Publisher:
 
 def _session(router: str) -> Any:
     """A session as rmw_zenoh's: finds its peers by the router, sends to them directly."""
-    try:
-        import zenoh
-    except ImportError as problem:
-        raise DataError(
-            "Publishing for ROS 2 needs the extra zenoh: pip install 'gelform[zenoh]'."
-        ) from problem
+    zenoh = needed("zenoh", "zenoh", "Publishing for ROS 2")
     config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": "peer",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gelform.batch.inputs.listing import listing_of, natural
+from gelform.batch.inputs.listing import listing_of
 from gelform.errors import DataError
 
 NATURAL = ("frame1.png", "frame2.png", "frame10.png", "frame11.png")
@@ -12,11 +12,6 @@ def test_a_tree_in_natural_order(tree):
     listing = listing_of(tree)
     assert [(one.name, one.images) for one in listing.sequences] == [("", NATURAL), ("day2", NATURAL)]
     assert listing.searched
-
-
-def test_natural_order_of_names():
-    names = ["b", "a10", "a9", "a09", "10", "9", "a"]
-    assert sorted(names, key=natural) == ["9", "10", "a", "a09", "a9", "a10", "b"]
 
 
 def test_videos_and_recordings_are_sequences_of_their_own(tree, film):
