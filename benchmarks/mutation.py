@@ -51,8 +51,8 @@ ROOMS = (
     "color_models",
     "color_models/_shared",
 )
-ROOMS += ("calibration/held_out", "calibration/circles", "contact", "markers")
-FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth")
+ROOMS += ("calibration/held_out", "calibration/circles", "markers")
+FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth", "contact", "health")
 
 
 def modules() -> list[str]:

@@ -29,7 +29,7 @@ MOVED = {  # public until 0.1, and the modules that have them: these aliases end
     "MarkerFollower": "markers.follower",
     "fill_unknown": "gradients",
     "edge_residuals": "depth",
-    "contacts_from_mask": "contact.contacts",
+    "contacts_from_mask": "contact",
     "with_crosstalk": "calibration.presses.folder",
     "with_view": "calibration.presses.folder",
     "save_picture": "plots.canvas",

@@ -27,8 +27,8 @@ from .depth import integrate as integrate
 from .depth import Integration as Integration
 from .depth_sigma.sigma import depth_sigma_from_gradients_sigma as depth_sigma_from_gradients_sigma
 from .depth_sigma.sigma import DepthSigma as DepthSigma
-from .contact.mask import contact_from_depth as contact_from_depth
-from .contact.contacts import Contact as Contact
+from .contact import contact_from_depth as contact_from_depth
+from .contact import Contact as Contact
 from .calibration.presses.folder import read_presses as read_presses
 from .calibration.presses.video import presses_from_frames as presses_from_frames
 from .calibration.geometry.scale import Scale as Scale

@@ -13,7 +13,7 @@ import gelform
 from gelform.background.change import ChangeSettings, image_from_color_change
 from gelform.background.exposure import exposure_from_image
 from gelform.calibration.presses.folder import with_crosstalk, with_view
-from gelform.contact.contacts import contacts_from_mask
+from gelform.contact import contacts_from_mask
 from gelform.depth import edge_residuals
 from gelform.exporters.press_folder import save_press_folder
 from gelform.gradients import fill_unknown

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelform.frames import as_levels
-from gelform.health.blocks import Blocks, blocks_from_image
+from gelform.health import Blocks, blocks_from_image
 
 SHAPE = (96, 128)
 

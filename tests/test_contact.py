@@ -6,9 +6,15 @@ from scipy import ndimage
 from scipy.special import k0
 
 import gelform
+from gelform import contact as contact_module
 from gelform.background.change import ChangeSettings, PreparedBackground
-from gelform.contact import contact_from_depth, mask, noise_by_place
-from gelform.contact.mask import LEAST_NOISE, MOST_NOISE
+from gelform.contact import (
+    LEAST_NOISE,
+    MOST_NOISE,
+    contact_from_depth,
+    contacts_from_mask,
+    noise_by_place,
+)
 from gelform.simulate import LAYOUTS, Ball, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
@@ -118,7 +124,9 @@ def test_a_noisy_place_is_no_contact_and_hides_none_elsewhere():
     sigma, taken = 0.02 * noise, 0
     for seed in range(4):
         rest = slopes_noise(noise.shape, 0.02 * noise[..., None], seed)
-        knows, does_not = (mask.PreparedContact((PITCH, PITCH), 0.5, n) for n in (noise, np.ones_like(noise)))
+        knows, does_not = (
+            contact_module.PreparedContact((PITCH, PITCH), 0.5, n) for n in (noise, np.ones_like(noise))
+        )
         assert not knows(rest, sigma).any()
         assert knows((rest + touched).astype(np.float32), sigma)[:, :160].any()
         taken += does_not(rest, sigma).any()
@@ -188,7 +196,9 @@ def test_bending_agrees_with_numpy(margin, shape):
         return smooth, bent[np.ix_(y, x)]
 
     blank, work = np.empty_like(depth), np.empty(1000, np.float32)
-    assert_kernel_agrees(mask._bent_surface, by_numpy, depth, taps, blank, blank, work, 2.0, 3.0, margin)
+    assert_kernel_agrees(
+        contact_module._bent_surface, by_numpy, depth, taps, blank, blank, work, 2.0, 3.0, margin
+    )
 
 
 def test_noise_agrees_with_numpy():
@@ -201,7 +211,9 @@ def test_noise_agrees_with_numpy():
     arguments = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
     for units in (None, np.linspace(0.5, 3, values.size, dtype=np.float32).reshape(values.shape)):
         for step in (1, 3):
-            assert_kernel_agrees(mask._magnitude_of_share, by_numpy, values, units, *arguments, step, 0.3)
+            assert_kernel_agrees(
+                contact_module._magnitude_of_share, by_numpy, values, units, *arguments, step, 0.3
+            )
 
 
 @pytest.mark.parametrize("shift", [0.0, -3.0, 5.0])
@@ -215,7 +227,7 @@ def test_noise_of_the_depths_below_0_agrees_with_numpy(shift):
 
     arguments = np.empty(2 * 527, np.float32), np.empty(1, np.float32)
     for step in (1, 3):
-        assert_kernel_agrees(mask._median_below, by_numpy, values, *arguments, step)
+        assert_kernel_agrees(contact_module._median_below, by_numpy, values, *arguments, step)
 
 
 @pytest.mark.parametrize("with_sigma", [True, False])
@@ -236,7 +248,7 @@ def test_pressure_agrees_with_numpy(with_sigma, least, known):
     work = np.empty(2 * depth.size, np.float32)
     for stiffest in (0.1, 25.0):
         arguments = sigma, depth, bent, work, known, 0.1, 2.0, -0.3, least, stiffest
-        assert_kernel_agrees(mask._pressure_on_bed, by_numpy, *arguments)
+        assert_kernel_agrees(contact_module._pressure_on_bed, by_numpy, *arguments)
 
 
 def regions_by_numpy(
@@ -297,7 +309,7 @@ def test_regions_agree_with_numpy(shape, with_finer):
     rules = 4, 0.2, 0.35, 0.4, 0.75, 0.65, 0.6, 2.0, 0.8, 6.0, 3.0
     noise = rng.uniform(0.5, 2, shape).astype(np.float32)
     maps = pressure, bed, noise, finer, np.empty(shape, bool), np.empty(40_000, np.float32)
-    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, *maps, *rules)
+    assert_kernel_agrees(contact_module._contact_regions, regions_by_numpy, *maps, *rules)
 
 
 def test_a_face_pressed_flat_is_contact_in_its_middle():
@@ -308,7 +320,7 @@ def test_a_face_pressed_flat_is_contact_in_its_middle():
     rules = 4, 0.2, 0.35, 0.4, 0.75, 0.65, 0.6, 2.0, 0.8, 6.0, 3.0
     everywhere = np.ones_like(pressure)
     maps = pressure, bed, everywhere, None, np.empty(pressure.shape, bool), np.empty(40_000, np.float32)
-    assert_kernel_agrees(mask._contact_regions, regions_by_numpy, *maps, *rules)
+    assert_kernel_agrees(contact_module._contact_regions, regions_by_numpy, *maps, *rules)
     wanted = regions_by_numpy(pressure, bed, everywhere, None, None, None, *rules)
     assert wanted[10:20, 12:28].all()
     assert not wanted[8:22, 10:30].all()
@@ -362,3 +374,134 @@ def test_it_stays_within_bounds():
     assert found.dtype == np.float32
     blind = noise_by_place(Linear(np.zeros((3, 2))), untouched(background), None)
     assert (blind == 1).all()
+
+
+UNEVEN_PITCH = (0.05, 0.08)
+
+
+def ellipse(shape, center, axes_mm, angle_deg):
+    """Mask of an ellipse with full axes in mm, its major axis turned from x towards y."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    u, v = (x - center[0]) * UNEVEN_PITCH[0], (y - center[1]) * UNEVEN_PITCH[1]
+    c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    return ((u * c + v * s) * 2 / axes_mm[0]) ** 2 + ((v * c - u * s) * 2 / axes_mm[1]) ** 2 < 1
+
+
+@pytest.mark.parametrize("angle", [-80, -30, 0, 20, 75])
+def test_the_axes_of_an_ellipse(angle):
+    mask = ellipse((120, 200), (90.3, 61.2), (4.0, 2.0), angle)
+    ((found,), _) = contacts_from_mask(mask, np.ones(mask.shape), mm_per_px=UNEVEN_PITCH)
+    assert found.axes_mm == pytest.approx((4, 2), rel=0.01)
+    assert found.angle_deg == pytest.approx(angle, abs=1)
+    assert found.centroid_px == pytest.approx((90.3, 61.2), abs=0.1)
+    assert found.area_mm2 == pytest.approx(np.pi * 2, rel=0.01)
+
+
+def test_volume_and_deepest_place_of_a_paraboloid():
+    y, x = np.mgrid[:120, :200].astype(float)
+    r2 = ((x - 120) * UNEVEN_PITCH[0]) ** 2 + ((y - 40) * UNEVEN_PITCH[1]) ** 2
+    depth = 0.6 * (1 - r2 / 1.5**2)
+    ((found,), _) = contacts_from_mask(depth > 0, depth, mm_per_px=UNEVEN_PITCH)
+    assert found.volume_mm3 == pytest.approx(0.6 * np.pi * 1.5**2 / 2, rel=0.01)
+    assert found.deepest_px == (120, 40)
+    assert found.deepest_mm == pytest.approx(0.6)
+
+
+def test_a_ring_is_one_contact_and_stays_hollow():
+    outer = ellipse((120, 200), (90, 60), (6.0, 6.0), 0)
+    inner = ellipse((120, 200), (90, 60), (4.0, 4.0), 0)
+    found, labels = contacts_from_mask(outer & ~inner, np.ones(outer.shape), mm_per_px=UNEVEN_PITCH)
+    assert len(found) == 1
+    assert found[0].area_mm2 == pytest.approx(np.pi * (9 - 4), rel=0.02)
+    assert labels[60, 90] == 0
+
+
+def test_several_contacts_come_largest_first_and_corners_connect():
+    mask = np.zeros((30, 40), dtype=bool)
+    mask[2:4, 2:4] = mask[4:6, 4:6] = True
+    mask[10:20, 10:20] = True
+    found, labels = contacts_from_mask(mask, mask * 0.5, mm_per_px=0.1)
+    assert [one.area_px for one in found] == [100, 8]
+    for one in found:
+        assert (labels == one.label).sum() == one.area_px
+        x, y = one.deepest_px
+        assert labels[y, x] == one.label
+    assert [one.volume_mm3 for one in found] == pytest.approx([0.5, 0.04])
+
+
+@pytest.mark.parametrize("side", [np.s_[0, 5], np.s_[-1, 5], np.s_[5, 0], np.s_[5, -1]])
+def test_every_border_cuts(side):
+    mask = np.zeros((12, 12), dtype=bool)
+    mask[5, 5] = True
+    assert not contacts_from_mask(mask, mask * 1.0, mm_per_px=1.0)[0][0].cut_by_border
+    mask[side] = True
+    cut = [one.cut_by_border for one in contacts_from_mask(mask, mask * 1.0, mm_per_px=1.0)[0]]
+    assert sum(cut) == 1
+
+
+def test_one_pixel_is_a_contact_of_a_pixel_s_size():
+    mask = np.zeros((12, 12), dtype=bool)
+    mask[7, 3] = True
+    ((found,), _) = contacts_from_mask(mask, np.full(mask.shape, -0.2), mm_per_px=0.1)
+    assert found.axes_mm == pytest.approx((0.1 * 4 / 12**0.5,) * 2)
+    assert (found.deepest_mm, found.volume_mm3) == pytest.approx((-0.2, -0.002))
+
+
+def test_nothing_touches():
+    found, labels = contacts_from_mask(np.zeros((5, 6), bool), np.zeros((5, 6)), mm_per_px=0.1)
+    assert found == ()
+    assert (labels.shape, labels.dtype, labels.any()) == ((5, 6), np.uint16, False)
+
+
+def test_wrong_input():
+    depth = np.zeros((8, 8))
+    with pytest.raises(TypeError, match="contact as bool"):
+        contacts_from_mask(depth, depth, mm_per_px=1.0)
+    with pytest.raises(ValueError, match="contact as an array, got a list of unequal parts"):
+        contacts_from_mask([[1, 2], [3]], depth, mm_per_px=1.0)
+    with pytest.raises(ValueError, match=r"one frame, \(H, W\), got \(8, 7\)"):
+        contacts_from_mask(np.zeros((8, 7), bool), depth, mm_per_px=1.0)
+    with pytest.raises(ValueError, match="mm_per_px > 0"):
+        contacts_from_mask(np.zeros((8, 8), bool), depth, mm_per_px=0)
+
+
+def test_moments_agree_with_numpy():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 4, (13, 17)).astype(np.uint16)
+    depth = rng.normal(0, 1, labels.shape).astype(np.float32)
+
+    def by_numpy(labels, depth, moments):
+        y, x = np.mgrid[: labels.shape[0], : labels.shape[1]].astype(float)
+        rows = []
+        for k in range(1, 4):
+            here = labels == k
+            top = np.argmax(np.where(here, depth, -9))
+            u, v, z = x[here], y[here], depth[here].astype(float)
+            sums = [len(u), u.sum(), v.sum(), (u * u).sum(), (u * v).sum(), (v * v).sum(), z.sum(), z.max()]
+            rows.append([*sums, top % 17, top // 17, u.min(), u.max(), v.min(), v.max()])
+        return np.array(rows)
+
+    assert_kernel_agrees(contact_module._region_moments, by_numpy, labels, depth, np.empty((3, 14)))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.35, 0.6, 1.0])
+@pytest.mark.parametrize("shape", [(1, 9), (13, 1), (37, 51)])
+def test_labels_agree_with_scipy(share, shape):
+    mask = np.random.default_rng(0).random(shape) < share
+
+    def by_scipy(mask, labels, work):
+        labels, count = ndimage.label(mask, np.ones((3, 3)))
+        firsts = np.argsort([np.argmax(labels == k) for k in range(1, count + 1)])
+        order = np.zeros(count + 1, np.uint16)
+        order[firsts + 1] = np.arange(1, count + 1)
+        return order[labels]
+
+    work = np.empty(contact_module.runs_work(shape), np.int32)
+    assert_kernel_agrees(contact_module._label_regions, by_scipy, mask, np.empty(shape, np.uint16), work)
+
+
+def test_more_regions_than_labels_are_told():
+    mask = np.zeros((600, 600), bool)
+    mask[::2, ::2] = True
+    with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
+        contact_module.labelled(mask)
