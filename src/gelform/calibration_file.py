@@ -255,7 +255,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
 
 
 def _own_words(problem: Exception) -> str:
-    """What a check of ours says; of any other error, that the content does not fit together."""
+    """The text of a check of ours; for any other error, that the content does not fit together."""
     said = str(problem)
     return said if said.startswith("Expected") else "what it holds does not make a calibration."
 

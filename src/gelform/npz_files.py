@@ -227,7 +227,7 @@ def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
 
 
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:
-    """What a file says it is (its `format`), or None where it is no such file; nothing else is read."""
+    """The kind that a file names (its `format`), or None where it is no such file; nothing else is read."""
     if not check_path(path).is_file():  # opening a pipe would wait for ever
         return None
     try:

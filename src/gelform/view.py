@@ -195,7 +195,7 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _maps_to_image(view: View) -> tuple[slice, slice, tuple[int, int], NDArray[Any], NDArray[Any]]:
-    """What to cut out of the frame, the box to average there, and where each image pixel then lies in it."""
+    """The rows and columns to cut out of the frame, the box to average there, and where each image pixel then lies in it."""
     (frame, image), (left, top, width, height) = view._sizes, view._box
     x, columns, box_x = box_centres(left, width, frame[1], image[1], "x" in view.flip)
     y, rows, box_y = box_centres(top, height, frame[0], image[0], "y" in view.flip)

@@ -143,7 +143,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class PressOptions:
-    """What is said of presses beside their folder: keywords of `read_presses`."""
+    """Facts of presses that their folder may lack: keywords of `read_presses`."""
 
     sensor: Sensor = None
     mm_per_px: MmPerPx = None

@@ -78,7 +78,7 @@ def _said(text: str, status: int) -> int:
 
 
 def one_line(text: object) -> str:
-    """What a message says, on one line."""
+    """A message on one line."""
     return " ".join(str(text).split())
 
 

@@ -41,7 +41,7 @@ def prepared(calibration: Path, background: Path | None, **settings: Any) -> Rec
 
 
 def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) -> Reconstruction:
-    """What the image of a file gave; an image that is refused is named."""
+    """The reconstruction of a file's image; an image that is refused is named."""
     try:
         return run.from_image(image)
     except GelformError as problem:

@@ -99,7 +99,7 @@ def import_calibration(
 
 
 def _options(package: str, position: str | None, flip_depth: bool) -> dict[str, Any]:
-    """What the package's reader takes beside the file and the background."""
+    """Keywords of the package's reader."""
     if package not in PACKAGES:
         raise ValueError(f"Expected a package among {', '.join(PACKAGES)}, got {package!r}.")
     if position is not None:

@@ -98,17 +98,17 @@ class Grabber:
 
     @property
     def name(self) -> str:
-        """Of the source, for people."""
+        """The source's name, for people."""
         return self.source.name
 
     @property
     def serial(self) -> str | None:
-        """Of the camera, where it has one."""
+        """The camera's serial number, where it has one."""
         return self.source.serial
 
     @property
     def settings(self) -> dict[str, float | str]:
-        """Of the camera, read back."""
+        """The camera's settings, read back."""
         return self.source.settings
 
     # -- for consumers ------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class Results:
-    """What is worked out and how it is written."""
+    """Which maps are worked out, and in which form they are written."""
 
     form: Annotated[
         str,

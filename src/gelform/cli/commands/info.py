@@ -140,7 +140,7 @@ def _result(path: Path) -> dict[str, Any]:
 
 
 def _roughness(result: Reconstruction) -> dict[str, Any] | None:
-    """Of what is in contact, by ISO 25178; None where there is too little of it, or no scale."""
+    """The roughness of what is in contact, by ISO 25178; None where there is too little of it, or no scale."""
     from gelform.metrics.roughness import LEAST_PX, areal_roughness
 
     inside = result.contact & result.known
@@ -151,7 +151,7 @@ def _roughness(result: Reconstruction) -> dict[str, Any] | None:
 
 
 def _video(path: Path) -> dict[str, Any]:
-    """What the file says of itself; its presses are found when it is calibrated."""
+    """The file's own facts; its presses are found when it is calibrated."""
     from gelform.sensors.video_files import Video
 
     video = Video(path)

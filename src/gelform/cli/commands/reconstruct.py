@@ -127,7 +127,7 @@ def _write(
 
 
 def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
-    """What is said of one result."""
+    """The figures of one result, for JSON and for the table."""
     return {
         "image": str(path),
         "outputs": [str(one) for one in results.values()],

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sent:
-    """What is made of a source: its topics, the name they begin with, how long, against which untouched image."""
+    """Topics to make of a source, the name that they begin with, how long, and the untouched image."""
 
     topics: Annotated[str, Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")] = ALL_TOPICS
     name: Annotated[

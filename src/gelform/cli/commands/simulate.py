@@ -68,7 +68,7 @@ class Face:
     mesh_mm_per_unit: Annotated[float, number("Its unit: 1 for mm, 1000 for metres.")] = 1.0
 
     def read(self) -> Indenter | None:
-        """What is pressed; None for balls."""
+        """The thing to press; None for balls."""
         if self.mesh is not None:
             return _mesh(self.mesh, self.mesh_mm_per_unit)
         if self.height_map is not None:

@@ -307,7 +307,7 @@ def _fresh(grabber: Grabber, count: int) -> list[Any]:
 
 
 def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
-    """What sensor.toml says: the known sensor's scale and view, the unit's serial, the camera's settings."""
+    """The content of sensor.toml: the known sensor's scale and view, the unit's serial, the camera's settings."""
     from gelform.sensors.files import SensorSettings
     from gelform.sensors.profiles import profile_named
     from gelform.view import View

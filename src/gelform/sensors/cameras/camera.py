@@ -113,7 +113,7 @@ def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
 
 
 def _camera(entry: Path, by_path: dict[str, str]) -> Camera:
-    """What the entry and its USB device say."""
+    """A camera by its entry in sysfs and its USB device."""
     usb = _usb_device(entry)
     vendor, product = (_text(usb / name) if usb else None for name in ("idVendor", "idProduct"))
     usb_id = f"{vendor}:{product}" if vendor and product else None

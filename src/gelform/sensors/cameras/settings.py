@@ -98,7 +98,7 @@ def settings_mismatch(calibrated: Settings, used: Settings) -> dict[str, tuple[A
 
 
 def calibrated_settings(calibrated: Settings) -> dict[str, float | str]:
-    """What `open_source(settings=...)` sets a camera to, so that it is as in a calibration.
+    """The settings for `open_source(settings=...)` that make a camera as it was in a calibration.
 
     Parameters
     ----------

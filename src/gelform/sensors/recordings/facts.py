@@ -1,4 +1,4 @@
-"""What a recording says of its camera, and each frame's bytes."""
+"""A recording's facts of its camera, and each frame's bytes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class RecordingFacts:
 
     @classmethod
     def from_json(cls, text: str, where: str) -> RecordingFacts:
-        """What `to_json` wrote; DataError where it is damaged or of a newer format."""
+        """The facts that `to_json` wrote; DataError where it is damaged or of a newer format."""
         try:
             content: dict[str, Any] = json.loads(text)
             version = content.pop("format_version")

@@ -153,7 +153,7 @@ class PictureTopic:
 
 @dataclass
 class _Found:
-    """What the first records say."""
+    """Facts, topics and encodings that the first records name."""
 
     facts: RecordingFacts | None = None
     compressed: list[str] = field(default_factory=list)

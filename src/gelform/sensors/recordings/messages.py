@@ -67,7 +67,7 @@ class RawImage(NamedTuple):
 
 
 def raw_image_from_message(message: bytes) -> RawImage:
-    """What a message of an uncompressed picture holds; ValueError where it is no such."""
+    """The fields of an uncompressed picture's message; ValueError where it is none."""
     reader = _Fields(message)
     wall_time_ns = reader.time_ns()
     reader.content()  # frame_id

@@ -39,7 +39,7 @@ WAIT_S = 0.25  # for a frame, before it is asked whether to go on
 def attachments_of(
     calibration: Calibration | None, background: NDArray[np.floating] | None = None
 ) -> dict[str, bytes]:
-    """What `new_recording` attaches: the files by name.
+    """The files that `new_recording` attaches, by name.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Recording(Protocol):
 
 @dataclass(frozen=True)
 class RecordStats:
-    """Of a recording: frames written, frames that are missing between them, bytes, seconds from first to last."""
+    """Figures of a recording: frames written and missing between them, bytes, seconds from first to last."""
 
     frames: int
     missing: int
