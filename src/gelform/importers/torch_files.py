@@ -121,7 +121,7 @@ def _tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _followed(pickled: bytes) -> Any:
-    """The content that the pickle describes, of dicts, lists, tuples, numbers, text and tensors; anything else is refused."""
+    """The dicts, lists, tuples, numbers, texts and tensors that a pickle describes; anything else is refused."""
     stack: list[Any] = []
     memo: dict[int, Any] = {}
     for opcode, found, _ in pickletools.genops(pickled):
