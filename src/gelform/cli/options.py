@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
@@ -51,6 +51,15 @@ SENSORS = names_in("sensors/profiles.py", "SENSORS")
 def listed(names: tuple[str, ...]) -> str:
     """Names as a sentence has them: a, b or c."""
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+@contextmanager
+def usage_errors(option: str | None = None) -> Iterator[None]:
+    """Turn a ValueError about an option's value into a usage error that names the option."""
+    try:
+        yield
+    except ValueError as problem:
+        raise BadParameter(str(problem), param_hint=option) from problem
 
 
 def positive(text: str) -> float:

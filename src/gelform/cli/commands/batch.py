@@ -14,7 +14,7 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import CalibrationFile, Shown, one_of
+from gelform.cli.options import CalibrationFile, Shown, one_of, usage_errors
 from gelform.cli.process import MISTAKE
 from gelform.reconstruction.maps import KEPT_MAPS
 
@@ -77,12 +77,10 @@ class Results:
         from gelform.batch import BatchSettings
 
         maps = tuple(dict.fromkeys(one.strip() for one in self.keep.split(",") if one.strip()))
-        try:
+        with usage_errors():
             return BatchSettings(
                 self.form, maps, self.solver, self.sigma, background_frames, dtype=self.dtype or ""
             )
-        except ValueError as problem:
-            raise BadParameter(str(problem)) from problem
 
 
 @dataclass(frozen=True)
@@ -102,10 +100,8 @@ class Machines:
         """The engine; a usage error where there is no such."""
         from gelform.batch import Engine
 
-        try:
+        with usage_errors():
             return Engine(self.engine, self.workers, self.address)
-        except ValueError as problem:
-            raise BadParameter(str(problem)) from problem
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, Option
 
-from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, number
+from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, number, usage_errors
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
@@ -31,15 +31,11 @@ class Sent:
 
     def wanted(self) -> tuple[str, ...]:
         """The topics by name; usage errors of a topic or a name."""
-        try:
+        with usage_errors("--topics"):
             wanted = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
-        except ValueError as problem:
-            raise BadParameter(str(problem), param_hint="--topics") from problem
-        try:
+        with usage_errors("--name"):
             if self.name is not None:
                 check_sensor_name(self.name)
-        except ValueError as problem:
-            raise BadParameter(str(problem), param_hint="--name") from problem
         return wanted
 
     def settings(self, calibration: Calibration) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, number
+from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, number, usage_errors
 from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
@@ -142,10 +142,8 @@ def sensor_of(name_or_file: str) -> SimulatedSensor:
 
     if name_or_file.endswith(".toml"):
         return read_simulated_sensor(name_or_file)
-    try:
+    with usage_errors("--sensor"):
         return simulated_sensor_named(name_or_file)
-    except ValueError as problem:
-        raise BadParameter(str(problem), param_hint="--sensor") from problem
 
 
 def _twin_of(look: Look) -> Twin | None:

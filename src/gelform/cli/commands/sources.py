@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
-from gelform.cli.options import MmPerPx, Sensor, Shown, number
+from gelform.cli.options import MmPerPx, Sensor, Shown, number, usage_errors
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
@@ -346,10 +346,8 @@ def _settings(pairs: list[str]) -> dict[str, float | str]:
     if settings:
         from gelform.sensors.cameras.settings import check_settings
 
-        try:
+        with usage_errors("--set"):
             return check_settings(settings)
-        except ValueError as problem:
-            raise BadParameter(str(problem), param_hint="--set") from problem
     return settings
 
 
