@@ -17,18 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelform.errors import (
-    DataError,
-    GelformError,
-)
-from gelform.live.sinks import (
-    HOST,
-    SINKS,
-    Feeder,
-    FoxgloveSink,
-    RerunSink,
-    feed,
-)
+from gelform.errors import DataError, GelformError
+from gelform.live.sinks import HOST, SINKS, Feeder, FoxgloveSink, RerunSink, feed
 from live_waiting import until
 
 
