@@ -208,14 +208,7 @@ def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
     DataError
         The file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
     """
-    path = check_path(path)
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected {what} (.npy).")
-    if path.stat().st_size > MAX_ARRAY_BYTES:
-        raise DataError(
-            f"Expected {what} of at most {MAX_ARRAY_BYTES >> 20} MB, got {path}. Reduce it first."
-        )
-    content = path.read_bytes()
+    content = present_file(path, f"{what} (.npy)").read_bytes()
     if content.startswith(b"PK"):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save {what} alone.")
     try:
@@ -224,6 +217,16 @@ def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
         raise DataError(
             f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
         ) from problem
+
+
+def present_file(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_ARRAY_BYTES) -> Path:
+    """The path of a file that is there and not too large; a DataError names `what` was expected."""
+    path = check_path(path)
+    if not path.is_file():
+        raise DataError(f"No file {path}: expected {what}.")
+    if path.stat().st_size > max_bytes:
+        raise DataError(f"Expected {what} of at most {max_bytes >> 20} MB, got {path}. Reduce it first.")
+    return path
 
 
 def kind_of_npz(path: str | os.PathLike[str]) -> str | None:

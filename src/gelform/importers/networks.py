@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_path
 from gelform.color_models import NetworkModel
 from gelform.color_models._shared.layers import Layers
 from gelform.errors import DataError
 from gelform.importers.torch_files import read_tensors
+from gelform.npz_files import present_file
 
 WEB_SIZES = (5, 64, 64, 64, 2)  # of the layers of gsrobotics' browser port
 LAYERS = 4  # of each package's network
@@ -45,10 +45,8 @@ def read_gsrobotics_web(
     path: str | PathLike[str], background: NDArray[np.float32], *, position: str
 ) -> NetworkModel:
     """The browser port's weights: 8834 little-endian float32, W1 (64, 5) by rows, b1, ... W4 (2, 64), b4."""
-    path = check_path(path)
     wanted = sum(n_in * n_out + n_out for n_in, n_out in pairwise(WEB_SIZES))
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected {wanted} numbers, little-endian float32.")
+    path = present_file(path, f"{wanted} numbers, little-endian float32")
     if path.stat().st_size != 4 * wanted:
         raise DataError(
             f"Expected {4 * wanted} bytes ({wanted} numbers, little-endian float32), got {path} of "

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from gelform.checks import check_path, check_positive
 from gelform.errors import DataError
+from gelform.npz_files import present_file
 from gelform.simulate import HeightMap, Mesh
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-MAX_MESH_BYTES, MAX_IMAGE_BYTES = 2**29, 2**28  # larger ones take minutes
+MAX_MESH_BYTES = 2**29  # larger ones take minutes
 
 
 def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
@@ -36,7 +36,7 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
     scale = check_positive(mm_per_unit, "mm_per_unit")
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise DataError(f"Expected a mesh as {', '.join(MESH_SUFFIXES)}, got {path.name}.")
-    _check_file(path, "a mesh", MAX_MESH_BYTES)
+    present_file(path, "a mesh", MAX_MESH_BYTES)
     try:
         import trimesh
     except ImportError as problem:
@@ -62,8 +62,7 @@ def read_height_image(path: str | PathLike[str], *, mm_per_px: float, height_mm:
     DataError
         No such file, no image, or one in colour.
     """
-    path = check_path(path)
-    _check_file(path, "a grey image", MAX_IMAGE_BYTES)
+    path = present_file(path, "a grey image")
     grey = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if grey is None:
         raise DataError(f"{path} is no image, or a damaged one.")
@@ -73,10 +72,3 @@ def read_height_image(path: str | PathLike[str], *, mm_per_px: float, height_mm:
         )
     scale = check_positive(height_mm, "height_mm") / float(np.iinfo(grey.dtype).max)
     return HeightMap(grey.astype(np.float64) * scale, mm_per_px)
-
-
-def _check_file(path: Path, what: str, max_bytes: int) -> None:
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected {what}.")
-    if path.stat().st_size > max_bytes:
-        raise DataError(f"Expected {what} of at most {max_bytes >> 20} MB, got {path}. Reduce it first.")

@@ -16,9 +16,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_path
 from gelform.errors import DataError
-from gelform.npz_files import DAMAGED_ARCHIVE
+from gelform.npz_files import DAMAGED_ARCHIVE, present_file
 
 MAX_BYTES, MAX_PICKLE_BYTES = 64 * 2**20, 2**20  # of a file, and of what describes its tensors
 
@@ -67,9 +66,7 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
         No such file, an old torch file that is no zip, one that holds anything but tensors in dicts (a pickled
         module, say: it could run code), a damaged one, or one that declares more than 64 MB.
     """
-    path = check_path(path)
-    if not path.is_file():
-        raise DataError(f"No file {path}: expected weights saved by torch (.pth, .pt).")
+    path = present_file(path, "weights saved by torch (.pth, .pt)")
     try:
         with zipfile.ZipFile(path) as archive:
             return _tensors(archive, path)
