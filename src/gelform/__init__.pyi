@@ -13,7 +13,7 @@ from .background.average import background_from_frames as background_from_frames
 from .background.registration import registration_from_image as registration_from_image
 from .background.change import color_change_from_image as color_change_from_image
 from .markers.finder import markers_from_image as markers_from_image
-from .markers.tracker import MarkerTracker as MarkerTracker
+from .markers.follower import MarkerTracker as MarkerTracker
 from .normals import normals_from_image as normals_from_image
 from .normals import image_from_normals as image_from_normals
 from .normals import normals_from_gradients as normals_from_gradients

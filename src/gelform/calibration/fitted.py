@@ -32,7 +32,7 @@ from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.color_models import COLOR_MODELS, ColorModel, ForwardResponse
 from gelform.color_models.forward_response import RIDGES
 from gelform.confidence import SlopeSigma
-from gelform.confidence.clipped import ends_shown
+from gelform.confidence.causes import ends_shown
 from gelform.errors import GelformError
 from gelform.progress import Progress, no_progress
 

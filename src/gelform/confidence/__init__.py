@@ -1,7 +1,6 @@
 """How far each slope of a frame is to be trusted: its standard deviation, what raises it, and the confidence."""
 
-from gelform.confidence.causes import AllAlike, PreparedCauses
-from gelform.confidence.clipped import ClippedChannels
+from gelform.confidence.causes import AllAlike, ClippedChannels, PreparedCauses
 from gelform.confidence.explanation import Explanation, explanation_of
 from gelform.confidence.frame_sigma import PreparedSigma, UnknownSigma, with_model_sigma
 from gelform.confidence.slope_sigma import SlopeErrors, SlopeSigma, SolvedErrors

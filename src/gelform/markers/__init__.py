@@ -2,7 +2,6 @@
 
 from gelform.markers.finder import MarkerFinder, Markers, markers_from_image
 from gelform.markers.flow import MarkerFlow
-from gelform.markers.follower import MarkerFollower
-from gelform.markers.tracker import MarkerTracker
+from gelform.markers.follower import MarkerFollower, MarkerTracker
 
 __all__ = ["MarkerFinder", "MarkerFlow", "MarkerFollower", "MarkerTracker", "Markers", "markers_from_image"]
