@@ -8,7 +8,8 @@ from gelform import errors
 
 
 def test_one_base():
-    own = [value for value in vars(errors).values() if isinstance(value, type)]
+    types = [value for value in vars(errors).values() if isinstance(value, type)]
+    own = [one for one in types if one.__module__ == errors.__name__]
     assert len(own) >= 5
     assert all(issubclass(one, errors.GelformError) for one in own)
     assert not any(issubclass(one, ValueError | TypeError | OSError) for one in own)
