@@ -42,9 +42,8 @@ START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's,
 STEP_SIGMAS = 1.25  # of the color model's residual on its training slopes: 1.0-1.5 are alike on nine sensors
 LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
 TRANSLATED_SAMPLES = 20_000  # colours that a first unit's model reads
-TRANSLATED_SLOPE = (
-    0.7  # mm/mm, the steepest, where the first unit does not say up to which slope it was measured
-)
+# The steepest slope, mm/mm, where the first unit does not say up to which slope it was measured.
+TRANSLATED_SLOPE = 0.7
 
 
 @dataclass(frozen=True, eq=False)

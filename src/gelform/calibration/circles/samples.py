@@ -19,9 +19,8 @@ from gelform.color_models import ColorModel, Samples
 
 TOTAL_SAMPLES = 40_000  # pixels of all presses: twice as many fit no better
 ZONE = 0.95  # of the contact's radius: what trains
-USUAL_EDGE = (
-    0.85  # of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones
-)
+# Of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 where measured on real ones.
+USUAL_EDGE = 0.85
 REST_WEIGHT = 0.3  # of an untouched pixel, over one in a contact
 REST_DISTANCE = 2.0  # visible radii
 

@@ -20,9 +20,8 @@ from gelform.view import View
 MAX_RESIDUAL_PX = 0.5  # of a grid's points, RMS
 PITCH_SIGMA = 0.002  # of a printed grid
 MOST_POINTS = 1000  # along a side
-CENTER_PRIOR = (
-    0.05  # standard deviation of the optical axis about the frame's middle, as a share of its width
-)
+# Standard deviation of the optical axis about the frame's middle, as a fraction of its width.
+CENTER_PRIOR = 0.05
 DISTORTION_PRIOR = 1.0  # standard deviation of k1 and k2
 MIN_CROP = 0.5  # of the frame that has to be seen
 

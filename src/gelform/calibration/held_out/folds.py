@@ -23,9 +23,8 @@ from gelform.progress import Progress, no_progress
 
 FOLDS = 5  # each trains on four fifths of the presses
 SHORTER_SIDE = 12  # px of the small copies that are compared: noise averages out in them
-MAX_DIFFERENCE = (
-    0.08  # of the smaller change; frames of one press: up to 0.06, two presses of real sets: 0.081 or more
-)
+# Of the smaller change; frames of one press: up to 0.06, two presses of real sets: 0.081 or more.
+MAX_DIFFERENCE = 0.08
 NEAR_PX, NEAR_RADIUS = 2.0, 0.04  # at 240 rows; of the smaller radius: circles of one press saved in two ways
 MOVES = 4  # of a circle to a model that has not seen it: it stays after three
 

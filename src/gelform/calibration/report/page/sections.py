@@ -14,7 +14,7 @@ from gelform.calibration.report.page.presses import jpeg_url
 from gelform.calibration.report.verdict import shown
 
 DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
-BACKGROUND_WIDTH_PX = 320
+BACKGROUND_WIDTH_PX = 320  # of the picture of the untouched gel
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
     ("radius_percent", "The ball's radius", " %", "median error of a sphere fitted to the depth"),
