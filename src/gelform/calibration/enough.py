@@ -34,7 +34,7 @@ NEEDED = {
     "fair": Need(10, "the verdict fair on presses used", "fewer leave whole parts of the gel unseen"),
     "edge": Need(12, "the contact's edge, measured", "fewer do not know the light at every place: 0.85 is taken"),
     "guided well": Need(12, "the live page to say that they are enough (images)", "the contact's edge is measured then"),
-    "advised": Need(20, "no note that more presses are advised", "10 read normals within 2.4 degrees in contacts, 20 within 1.8"),
+    "advised": Need(20, "no note that more presses are advised", "10 read contacts within 2.4 degrees, 20 within 1.8"),
     "good": Need(30, "the verdict good on presses used", "normals hardly improve with more"),
     "settings": Need(30, "a learning curve of the chosen settings alone", "up to there simpler settings may be better"),
 }  # fmt: skip
