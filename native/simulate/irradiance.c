@@ -1,4 +1,4 @@
-// Light of near point lights on a surface; see simulate/light/irradiance.py for the formula.
+// Light of near point lights on a surface; see simulate/light.py for the formula.
 #include "../common.h"
 
 enum { BLOCK = 256, OF_LED = 10 };  // pixels at once; numbers of an LED: place, colour, axis, power of the beam

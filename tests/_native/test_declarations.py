@@ -24,7 +24,6 @@ CTYPES = {
 NOT_KERNELS = {"cpu_level", "sources_digest", "finite_f32"} | {
     "multigrid_plane"
 }  # called by the door itself; by a test
-NOT_KERNELS |= {"jpeg_scan"}  # nobody calls it any more
 
 pytestmark = pytest.mark.skipif(not NATIVE.is_dir(), reason="gelform is installed without its C sources")
 
