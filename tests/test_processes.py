@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -34,6 +35,11 @@ def test_work_is_done_and_its_own_errors_come_through():
         assert list(pool.map(abs, range(-5, 0))) == [5, 4, 3, 2, 1]
         with pytest.raises(ValueError, match="mine"):
             pool.submit(raise_named, "mine").result()
+
+
+def test_a_full_disk_is_no_lost_worker():
+    with pytest.raises(OSError, match="No space left"), worker_processes(2):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
 
 @pytest.mark.slow

@@ -49,13 +49,24 @@ def worker_processes(
     with lost, lose, ProcessPoolExecutor(count, context, _begin, (lost, prepare, args)) as pool:
         try:
             yield pool
-        except BrokenProcessPool as problem:
+        except (BrokenProcessPool, OSError) as problem:
+            if isinstance(problem, OSError) and not _is_broken(pool):
+                raise
             lose.close()  # the pool forgets a process that was starting when it broke, and would wait for it for ever
             said = ("A worker process was killed, perhaps for want of memory.", kept)
             again = "Run the same command again, with fewer --workers."
             raise WorkerLostError(" ".join(one for one in (*said, again) if one)) from problem
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _is_broken(pool: ProcessPoolExecutor) -> bool:
+    """Whether a worker was lost: while a pool finds that out, its `submit` fails with an OSError of a closed pipe."""
+    try:
+        pool.submit(_nothing)
+    except BrokenProcessPool:
+        return True
+    return False
 
 
 @contextmanager
