@@ -5,7 +5,7 @@
 
 enum { CHANNELS = 3, TERMS = 17, COUNT = TERMS * CHANNELS, PLANES = 6 };
 static const float PER_NORMAL = 1 / 0.3f, PER_DEPTH_PX = 0.1f;  // units of the response's variables
-static const float ROUNDING = 1e-6f;  // what float32 leaves of a determinant, over the product of its diagonal
+static const float ROUNDING = 1e-6f;  // of a determinant in float32, over the product of its diagonal
 
 struct settings {
   const float *roots;  // (4, 3, 3): of the inverse covariance, lower triangular, of all channels and without each
@@ -72,14 +72,6 @@ static inline lanes shortening(lanes square, float longest) {
   return longest / length;
 }
 
-// The determinant of the information, above what rounding makes of two slopes that a color cannot tell apart.
-static inline lanes determinant(lanes h11, lanes h12, lanes h22) {
-  const lanes product = h11 * h22, least = ROUNDING * product;
-  lanes found = product - h12 * h12;
-  for (int k = 0; k < LANES; k++) found[k] = larger(found[k], least[k]);
-  return found;
-}
-
 // The root's transpose times the channels: their errors become independent and of variance 1.
 static inline void whiten(lanes v[CHANNELS], const float *root) {
   v[0] = root[0] * v[0] + root[3] * v[1] + root[6] * v[2];
@@ -105,7 +97,7 @@ static struct stepped step_of(const struct pixels *at, struct place place, const
     b1 += per_p[c] * left[c], b2 += per_q[c] * left[c];
   }
   h11 += at->prior, h22 += at->prior;
-  const lanes per = 1 / determinant(h11, h12, h22);
+  const lanes per = 1 / (h11 * h22 * (1 + ROUNDING) - h12 * h12);  // not 0 where a color tells two slopes apart no more
   const lanes whole_u = (h22 * b1 - h12 * b2) * per, whole_v = (h11 * b2 - h12 * b1) * per;
   const lanes part = shortening(whole_u * whole_u + whole_v * whole_v, longest);
   const lanes u = whole_u * part, v = whole_v * part;

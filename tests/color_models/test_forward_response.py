@@ -102,10 +102,16 @@ def scattered_step(forward, change, read, depth):
     prior = 1 / (forward.step_sigma[0] ** 2 + forward.step_sigma[1] ** 2 * np.sum(slopes**2, axis=1))
     weighted = np.einsum("ncm,ck->nmk", jacobian, inverse)
     information = weighted @ jacobian + prior[:, None, None] * np.eye(2)
-    step = np.linalg.solve(information, weighted @ left[..., None])[..., 0]
+    diagonal = (
+        information[:, 0, 0] * information[:, 1, 1]
+    )  # a millionth of it keeps the kernel's determinant from 0
+    covariance = (
+        np.linalg.inv(information) * (1 - 1e-6 * diagonal / np.linalg.det(information))[:, None, None]
+    )
+    step = (covariance @ (weighted @ left[..., None]))[..., 0]
     step *= np.minimum(1, LONGEST_STEP / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
     left = left - np.einsum("ncm,nm->nc", jacobian, step)
-    variance = np.trace(np.linalg.inv(information), axis1=1, axis2=2) / 2
+    variance = np.trace(covariance, axis1=1, axis2=2) / 2
     found = slopes + step, variance, np.einsum("nc,ck,nk->n", left, inverse, left)
     return [part.reshape(height, width, *part.shape[1:]) for part in found]
 

@@ -57,7 +57,7 @@ class FrameDepth(nn.Module):
         return self.rows_full @ (maps @ self.columns_full.T)
 
 
-ROUNDING = 1e-6  # what float32 leaves of a determinant, over the product of its diagonal
+ROUNDING = 1e-6  # of a determinant in float32, over the product of its diagonal
 
 
 class ForwardStep(nn.Module):
@@ -94,8 +94,7 @@ class ForwardStep(nn.Module):
         h12, b1, b2 = (
             (one * other).sum(1) for one, other in ((along_p, along_q), (along_p, left), (along_q, left))
         )
-        product = h11 * h22
-        determinant = torch.maximum(product - h12 * h12, ROUNDING * product)[:, None]
+        determinant = (h11 * h22 * (1 + ROUNDING) - h12 * h12)[:, None]
         step = torch.stack([h22 * b1 - h12 * b2, h11 * b2 - h12 * b1], 1) / determinant
         length = ((step**2).sum(1, keepdim=True) + 1e-18).sqrt()
         return gradients + step * (LONGEST_STEP / length).clamp(max=1)
