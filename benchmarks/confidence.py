@@ -321,16 +321,16 @@ def _cost(calibration: gelform.Calibration, images: list[np.ndarray], count: int
 def _leave_out(stack: ExitStack, reconstruct: gelform.Reconstructor) -> None:
     """Within the stack a frame is not examined, its sigma is that of the law, and no contact is looked for."""
     clean = np.float32(reconstruct.calibration.slope_sigma.clean)
-    nowhere = np.zeros(reconstruct.calibration.image_shape, dtype=bool)
+    nowhere, today = np.zeros(reconstruct.calibration.image_shape, dtype=bool), reconstruct._today
 
     def confidence(
         gradients: Any, sigma: Any, unseen: Any, image: Any, step: Any = None, maps: Any = None
     ) -> Any:
         return np.minimum(np.square(clean / sigma), 1)
 
-    stack.enter_context(patch.object(reconstruct, "_health", FrameFaults))
-    stack.enter_context(patch.object(reconstruct, "_causes", confidence))
-    stack.enter_context(patch.object(reconstruct, "_contact", lambda *_: nowhere))
+    stack.enter_context(patch.object(today, "health", FrameFaults))
+    stack.enter_context(patch.object(today, "causes", confidence))
+    stack.enter_context(patch.object(today, "contact", lambda *_: nowhere))
 
 
 PARTS = {

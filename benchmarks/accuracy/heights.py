@@ -28,7 +28,7 @@ from report import table
 DRAWN = range(411, 415)
 WALLS_DRAWN = (*range(311, 315), *range(421, 425))  # rules of sigma were chosen on 301-308
 GENTLE = 1.0
-ERRORS = ("normal_free_deg", "normal_inner_deg", "radius_percent", "cap_free_um", "off_contact_um")
+ERRORS = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
 
 
 def drawn_sensor(seed: int) -> SimulatedSensor:

@@ -210,7 +210,7 @@ def _held_out(made: SimulatedPresses) -> dict[str, Any]:
         for row, press in zip(report.presses, made.presses)
         if row.accepted
     ]
-    keys = ("normal_free_deg", "normal_inner_deg", "radius_percent", "cap_free_um", "off_contact_um")
+    keys = ("normal_free_deg", "radius_percent", "cap_free_um", "off_contact_um")
     return {
         "used": f"{len(off)} of {len(made.presses)}",
         "centre, px": float(np.median(off)),
