@@ -1,12 +1,18 @@
 """The design study: light quality against analysis, and designs that are plainly worse."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gelform.design import Variation, _summed, compare_designs, design_picture, light_quality
+from gelform.design import VARIATIONS, Variation, _summed, compare_designs, design_picture, light_quality
+from gelform.errors import CalibrationError, SensorError
+from gelform.sensors import read_simulated_sensor
 from gelform.simulate import LAYOUTS, Led, SimulatedSensor, simulate_background
+
+PAGE = Path(__file__).parents[1] / "docs/simulator.md"
 
 FAR = 1e6
 TILT = np.deg2rad(40)
@@ -121,3 +127,25 @@ def test_bad_studies_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             make()
+
+
+@pytest.mark.slow
+def test_the_sensor_of_the_documentation_can_be_studied(tmp_path):
+    (tmp_path / "mine.toml").write_text(re.search(r"```toml\n(.*?)```", PAGE.read_text(), re.DOTALL)[1])
+    results = compare_designs(read_simulated_sensor(tmp_path / "mine.toml"), tests=4)
+    assert [result.name for result in results] == [variation.name for variation in VARIATIONS]
+    assert max(result.depth_rmse_um for result in results) < 400
+
+
+@pytest.mark.parametrize(
+    ("color", "error", "message"),
+    [
+        ((900.0, 20.0, 0.0), SensorError, "'no crosstalk' cannot be made. Expected light in every channel"),
+        ((900.0, 900.0, 900.0), CalibrationError, "got 'no crosstalk', .*three colours from three sides"),
+    ],
+)
+def test_a_design_that_shows_no_slopes_is_refused_by_name(color, error, message):
+    ring = replace(LAYOUTS["ring-120"], shape=(60, 80), mm_per_px=0.25)
+    one_light = replace(ring, leds=(replace(ring.leds[0], color=color),))
+    with pytest.raises(error, match=message):
+        compare_designs(one_light, [Variation("no crosstalk", crosstalk=0)], presses=6, tests=1, halved=False)

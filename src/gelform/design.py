@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.checks import check_positive
+from gelform.errors import CalibrationError, SensorError
 from gelform.metrics import angle_deg
 from gelform.plots.canvas import canvas, draw_map, pixels_of
 from gelform.progress import Progress, no_progress
@@ -143,25 +144,46 @@ def compare_designs(
     ----------
     presses, tests : how many to calibrate on, and others to measure on
     halved : whether at half the resolution, which is four times as fast; noise is per pixel, so depth is a little noisier
+
+    Raises
+    ------
+    SensorError
+        One of the designs cannot be made, such as without light in a channel.
+    CalibrationError
+        Presses do not calibrate one of the designs, such as without light from three sides.
     """
     if presses < 4 or tests < 1 or len(variations) == 0:
         raise ValueError(
             f"Expected presses >= 4, tests >= 1 and a variation, got {presses}, {tests}, {len(variations)}."
         )
     results = []
-    for k, variation in enumerate(variations):
+    given = _halved(sensor) if halved else sensor
+    for k, (variation, design) in enumerate([(one, _design(one, given)) for one in variations]):
         progress(k, len(variations), variation.name)
-        design = variation.of(_halved(sensor) if halved else sensor)
         train_rng, test_rng = np.random.default_rng(seed).spawn(2)
         balls = list(ball_diameters_mm)
         training = simulate_ball_presses(design, ball_diameters_mm=balls, count=presses, rng=train_rng)
         held_out = simulate_ball_presses(design, ball_diameters_mm=balls, count=tests, rng=test_rng)
-        reconstruct = Reconstructor(calibrate(presses_from_simulated(training), color_model=color_model))
+        try:
+            calibration = calibrate(presses_from_simulated(training), color_model=color_model)
+        except CalibrationError as problem:
+            raise CalibrationError(
+                f"Expected designs that {presses} presses can calibrate, got {variation.name!r}, which they cannot: give it "
+                f"light of three colours from three sides, or give more presses= (--presses). {problem}"
+            ) from problem
+        reconstruct = Reconstructor(calibration)
         errors = [_errors(press, reconstruct.from_image(press.image)) for press in held_out.presses]
         condition, sigma = light_quality(design)
         results.append(DesignResult(variation.name, design, condition, sigma, *_summed(errors, design.shape)))
     progress(len(variations), len(variations), "done")
     return tuple(results)
+
+
+def _design(variation: Variation, sensor: SimulatedSensor) -> SimulatedSensor:
+    try:
+        return variation.of(sensor)
+    except ValueError as problem:
+        raise SensorError(f"The design {variation.name!r} cannot be made. {problem}") from problem
 
 
 def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -146,7 +146,8 @@ def exposed(sensor: SimulatedSensor, levels: float | Triple) -> SimulatedSensor:
     light = simulate_background(flat, None, quantise=False)
     if light.mean(axis=(0, 1)).min() <= 0:
         raise ValueError(
-            f"Expected light in every channel, got mean levels {light.mean(axis=(0, 1))} for {sensor.name!r}."
+            f"Expected light in every channel, got mean levels {light.mean(axis=(0, 1))} for {sensor.name!r}. "
+            "Add an LED of the missing colour (red, green, blue)."
         )
     wanted = np.broadcast_to(np.asarray(levels, dtype=np.float64), 3)
     gamma = sensor.optics.response_gamma
