@@ -37,6 +37,22 @@ def test_the_option_is_named(fails, press_folder, tmp_path):
         assert f"'{value}'" in said
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--mm-per-px", "15.8", "up to 1 mm, got 15.8. If these are pixels per mm, give 1/15.8 = 0.06329."),
+        ("--mm-per-px", "1e-6", "at least 0.0001 mm, got 1e-06. Is it in mm?"),
+        ("--ball-diameter-mm", "300", "up to 200 mm, got 300."),
+        ("--ball-diameter-mm", "6,35", "got '6,35'. Write it with a decimal point: 6.35."),
+    ],
+)
+def test_a_number_that_no_sensor_or_ball_has_is_said(fails, press_folder, tmp_path, option, value, message):
+    for command, file in (("calibrate", "-o"), ("evaluate", "-c")):
+        said = fails(command, press_folder, file, tmp_path / "c.npz", option, value, status=2)
+        assert option in said
+        assert message in said
+
+
 def test_the_names_are_those_of_the_tables():
     from gelform.color_models import COLOR_MODELS
     from gelform.importers.calibrations import PACKAGES

@@ -69,13 +69,31 @@ def positive(text: str) -> float:
     except ValueError:
         number = math.nan
     if not (math.isfinite(number) and number > 0):
-        raise BadParameter(f"expected a number > 0, got {text!r}.")
+        pointed = text.replace(",", ".")
+        remedy = f" Write it with a decimal point: {pointed}." if text.count(",") == 1 else ""
+        raise BadParameter(f"expected a number > 0, got {text!r}.{remedy}")
     return number
 
 
-def number(help: str) -> Any:
-    """An option that takes a finite number > 0."""
-    return Option(metavar="F", parser=positive, help=help)
+def pitch(text: str) -> float:
+    """A sensor's pixel pitch, mm, that was given as an option."""
+    from gelform.checks import check_sensor_pitch  # imports numpy, which --help does not wait for
+
+    with usage_errors():
+        return check_sensor_pitch(positive(text))
+
+
+def ball_diameter(text: str) -> float:
+    """A ball's diameter, mm, that was given as an option."""
+    from gelform.calibration.presses.press_set import check_ball_diameter
+
+    with usage_errors():
+        return check_ball_diameter(positive(text))
+
+
+def number(help: str, parser: Callable[[str], float] = positive) -> Any:
+    """An option that takes a finite number > 0, or one that a parser of its own takes."""
+    return Option(metavar="F", parser=parser, help=help)
 
 
 def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
@@ -112,7 +130,7 @@ CalibrationFile = Annotated[
 Sensor = Annotated[
     str | None, Option(metavar="PROFILE", help=f"Sensor profile: {listed(tuple(PROFILES))}; crop and scale.")
 ]
-MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.")]
+MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
     Path | None, Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average.")
 ]
@@ -157,7 +175,8 @@ class PressOptions:
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
     ball_diameter_mm: Annotated[
-        float | None, number("Diameter of the ball, mm, for a video or a folder without presses.csv.")
+        float | None,
+        number("Diameter of the ball, mm, for a video or a folder without presses.csv.", ball_diameter),
     ] = None
     background: Background = None
 

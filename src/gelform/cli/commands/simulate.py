@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, number, usage_errors
+from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, number, pitch, usage_errors
 from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
@@ -37,7 +37,9 @@ class Look:
     background: Annotated[
         Path | None, Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
     ] = None
-    mm_per_px: Annotated[float | None, number("Pixel pitch of that image, mm: the tables hold none.")] = None
+    mm_per_px: Annotated[
+        float | None, number("Pixel pitch of that image, mm: the tables hold none.", pitch)
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import figure, print_json, say
-from gelform.cli.options import MmPerPx, Sensor, Shown, number, usage_errors
+from gelform.cli.options import MmPerPx, Sensor, Shown, ball_diameter, number, usage_errors
 from gelform.errors import DataError
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class PressesTaken:
     presses: Annotated[
         bool, Option("--presses", help="Take a background and presses with the space bar, for calibrate.")
     ] = False
-    ball_diameter_mm: Annotated[float | None, number("Of the ball that presses, mm.")] = None
+    ball_diameter_mm: Annotated[float | None, number("Of the ball that presses, mm.", ball_diameter)] = None
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
 
