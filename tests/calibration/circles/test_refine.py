@@ -81,6 +81,8 @@ def test_a_circle_beyond_the_frame_is_rejected_and_named(prepared, found):
     outside = replace(found[0], x_px=-2 * found[0].radius_px)
     assert why_impossible(prepared[0], outside) == "contact lies outside the frame"
     assert why_impossible(prepared[0], found[0]) is None
+    inches = replace(prepared[0], ball_radius_px=prepared[0].ball_radius_px / 25.4)
+    assert "ball_diameter_mm is in inches" in why_impossible(inches, found[0])
 
 
 class BallElsewhere:

@@ -41,6 +41,7 @@ MAX_RESIDUAL = 0.25  # mm/mm, the median slope error of a press that may still f
 RESIDUAL_OVER_MEDIAN = 3.0  # of the other presses' median slope error
 START_RIDGE = 1e-2  # of the model that another unit's is followed with
 STEEPEST_RING = 0.95  # of the ball's radius: a deep press is steepest further in
+MANY_BALLS = 3.0  # radii of the stated ball: no press makes so wide a contact
 GAIN_RANGE = (0.7, 1.45)  # slopes over those of the stated ball
 JOINT_RIDGE = 1e-5  # of the polynomial, relative to its normal equations' diagonal
 JOINT_MOVE_PX = 3.0  # at 240 rows, in one step: labels are linear in it
@@ -71,6 +72,11 @@ def why_impossible(press: PreparedPress, contact: ContactCircle) -> str | None:
     reason = why_no_contact(contact)
     if reason is None and len(press.pixels(contact, ZONE)[0]) < 30:
         reason = "contact lies outside the frame"
+        if contact.radius_px > MANY_BALLS * press.ball_radius_px:
+            reason = (
+                f"contact radius {contact.radius_px:.1f} px, the ball's {press.ball_radius_px:.1f} px: ball_diameter_mm is "
+                "in inches (25.4 mm each) or mm_per_px is wrong"
+            )
     return reason
 
 
