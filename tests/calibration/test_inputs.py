@@ -38,6 +38,22 @@ def test_good_presses_pass(presses):
     assert not any(is_reversed(press.image, presses.background) for press in presses.presses)
 
 
+@pytest.mark.parametrize(
+    ("diameter", "error", "message"),
+    [
+        (-1, ValueError, "ball_diameter_mm > 0, got -1"),
+        (300, ValueError, "ball_diameter_mm up to 200 mm, got 300"),
+        (float("nan"), ValueError, "ball_diameter_mm > 0, got nan"),
+        ("6", TypeError, "ball_diameter_mm as a number, got '6'"),
+    ],
+)
+def test_a_ball_that_none_is_in_memory(presses, diameter, error, message):
+    wrong = replace(presses.presses[1], ball_diameter_mm=diameter)
+    mixed = replace(presses, presses=(presses.presses[0], wrong, *presses.presses[2:]))
+    with pytest.raises(error, match=rf"Expected {message}.* \({wrong.name}\)"):
+        gelform.calibrate(mixed)
+
+
 def test_all_presses_reversed(presses):
     wrong = reversed_channels(presses, range(len(presses.presses)))
     with pytest.raises(gelform.CalibrationError, match=r"All 14 presses .* red and blue exchanged"):

@@ -27,6 +27,7 @@ from gelform.calibration.presses.press_set import (
     Presses,
     PressSource,
     ReadOptions,
+    check_ball_diameter,
     diameter,
     flat_from_frame,
     height,
@@ -97,8 +98,19 @@ def read_presses(
 
 
 def as_presses(presses: Presses | str | PathLike[str], *, progress: Progress = no_progress) -> Presses:
-    """Presses as they are, or read from a path: what functions that take presses accept; a TypeError for others."""
+    """Presses as they are, or read from a path: what functions that take presses accept.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Neither, or a press of a ball that none is: 0.1 to 200 mm are expected.
+    """
     if isinstance(presses, Presses):
+        for press in presses.presses:
+            try:
+                check_ball_diameter(press.ball_diameter_mm)
+            except (TypeError, ValueError) as problem:
+                raise type(problem)(f"{problem} ({press.name})") from None
         return presses
     if isinstance(presses, (str, PathLike)):
         return read_presses(presses, progress=progress)
