@@ -102,6 +102,10 @@ def test_rows_come_with_their_line(tmp_path):
         ("", "got none"),
         (b"\xff\xfe\x00", "no table"),
         ("image,ball_diameter_mm\na.png,6,35\n", r"2 fields, got 3 .*line 2.* decimal comma.* 6\.35"),
+        (
+            "image,ball_diameter_mm,note,x,y\na.png,6,35\n",
+            r"5 fields, got 3 .*line 2.* decimal comma.* 6\.35",
+        ),
         ("image,ball_diameter_mm\n0.png,6\na.png,6,,,\n", r"2 fields, got 5 .*line 3"),
     ],
 )

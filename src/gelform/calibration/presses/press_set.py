@@ -270,7 +270,7 @@ def flat_from_frame(listed: ListedFlat, frame: NDArray[Any], view: View) -> Flat
 
 
 def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV with where they stand; a DataError where columns are missing, fields too many, or it is no text."""
+    """Rows of a CSV with where they stand; a DataError for columns that lack, too many or few fields, or no text."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
@@ -281,15 +281,16 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
                     f"Expected the columns {', '.join(columns)} in {path}, got {there}: {', '.join(missing)} missing."
                 )
             for row in reader:
-                if None in row:
+                fields = [*(value for value in row.values() if isinstance(value, str)), *row.get(None, ())]
+                if not any(value.strip() for value in fields):
+                    continue
+                where = f"{path}, line {reader.line_num}"
+                if len(fields) != len(reader.fieldnames or []):
                     raise DataError(
-                        f"Expected {len(reader.fieldnames or [])} fields, got "
-                        f"{len(row) - 1 + len(row[None])} ({path}, line {reader.line_num}). Was a decimal comma meant? "
-                        "Write 6.35, or quote texts that have commas."
+                        f"Expected {len(reader.fieldnames or [])} fields, got {len(fields)} ({where}). Was a decimal comma "
+                        "meant? Write 6.35, quote texts that have commas, and keep the commas of empty fields."
                     )
-                if any((value or "").strip() for value in row.values() if isinstance(value, str)):
-                    where = f"{path}, line {reader.line_num}"
-                    yield where, {k: (v or "").strip() for k, v in row.items() if isinstance(k, str)}
+                yield where, {name: value.strip() for name, value in row.items()}
     except UnicodeDecodeError as problem:
         raise DataError(
             f"{path} is no table of text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
