@@ -35,6 +35,18 @@ def test_topics_are_left_out_and_missing_times_are_said(run, images, calibration
         open_source(tmp_path / "b")
 
 
+def test_info_says_what_a_bag_is(run_json, images, calibration_file, tmp_path):
+    bag = tmp_path / "bag"
+    run_json("bag", images, "-c", calibration_file, "-o", bag, "--name", "left", "--topics", "indentation")
+    assert run_json("info", bag) == {
+        "kind": "bag of ROS 2", "file": "bag.mcap", "messages": {"/left/indentation": 3},
+    }  # fmt: skip
+    (bag / "bag.mcap").rename(bag / "bag.db3")
+    said = run_json("info", bag)
+    assert said["kind"] == "bag of ROS 2"
+    assert "is a bag of sqlite3. Convert it" in said["missing"][0]
+
+
 def test_mistakes(run, fails, images, calibration_file, tmp_path):
     given = ("-c", calibration_file, "-o", tmp_path / "bag")
     assert run("bag", images, *given, "--topics", "depth")[0] == 2

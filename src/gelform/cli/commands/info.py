@@ -38,7 +38,7 @@ def info(
     ],
     as_json: Json = False,
 ) -> None:
-    """Say what a calibration, a result, an image, a video, a recording or a folder of presses is, and what is missing.
+    """Say what a calibration, result, image, video, recording, bag of ROS 2 or folder of presses is, and what is missing.
 
     \b
     Examples:
@@ -47,6 +47,7 @@ def info(
       gelform info presses/
       gelform info presses.avi
       gelform info session.mcap
+      gelform info press_bag/
     """
     if not path.exists():
         raise DataError(f"No file or folder {path}. Check the path.")
@@ -172,10 +173,13 @@ def _video(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    """A folder of presses; of a folder that is none yet, what would make it one."""
+    """A bag, a recording or presses; of a folder that is none yet, what would make it a folder of presses."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses
     from gelform.sensors.recordings.image_folder import folder_summary, is_recorded_folder
+    from gelform.sensors.recordings.mcap_reader import is_bag_folder
 
+    if is_bag_folder(path):
+        return _bag(path)
     if is_recorded_folder(path):
         return _recording(folder_summary(path))
     layout = kind_of_presses(path)
@@ -192,6 +196,19 @@ def _folder(path: Path) -> dict[str, Any]:
     if missing:
         return {"kind": layout, "images_here": _images(here), "missing": missing}
     return _presses(path, layout)
+
+
+def _bag(path: Path) -> dict[str, Any]:
+    """Its topics with how many messages each has; what stops a reader is what is missing."""
+    from gelform.sensors.recordings.mcap_reader import Placed, mcap_file_in, mcap_records
+
+    facts: dict[str, Any] = {"kind": "bag of ROS 2"}
+    try:
+        file = mcap_file_in(path)
+        topics = Counter(record.topic for record in mcap_records(file) if isinstance(record, Placed))
+    except GelformError as problem:
+        return {**facts, "missing": [str(problem)]}
+    return {**facts, "file": file.name, "messages": dict(sorted(topics.items()))}
 
 
 def _images(names: set[str]) -> int:
