@@ -3,8 +3,9 @@
 import pickle
 import shutil
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import cv2
 import numpy as np
@@ -312,6 +313,44 @@ def test_a_result_can_be_pickled(calibration, press):
     for row in MAPS.values():
         np.testing.assert_array_equal(getattr(again, row.name), getattr(result, row.name), row.name)
     assert (again.contacts, again.health, again.difference_source) == (result.contacts, result.health, None)
+
+
+def _same_bytes(one, expected):
+    for row in MAPS.values():
+        np.testing.assert_array_equal(getattr(one, row.name), getattr(expected, row.name), row.name)
+    assert (one.health, one.contacts, one.solver) == (expected.health, expected.contacts, expected.solver)
+    assert (one.calibration_digest, one.mm_per_px) == (expected.calibration_digest, expected.mm_per_px)
+    if expected.markers is not None:
+        np.testing.assert_array_equal(one.markers.now_px, expected.markers.now_px)
+
+
+def _prepared(calibration, kind):
+    today = np.clip(calibration.background * np.float32(1.03), 0, 255)
+    if kind == "plain solver":
+        return gelform.Reconstructor(calibration, solver="dct", depth_sigma=False, slope_sigma=False)
+    if kind == "given background":
+        return gelform.Reconstructor(calibration, today, depth_sigma=False)
+    made = gelform.Reconstructor(calibration)
+    if kind == "taken background":
+        return made.with_background(today)
+    return made.with_helper(lambda work: work) if kind == "helped" else made
+
+
+@pytest.mark.parametrize("kind", ["own", "given background", "taken background", "plain solver", "helped"])
+def test_a_reconstructor_can_be_pickled(calibration, press, kind):
+    made = _prepared(calibration, kind)
+    again = pickle.loads(pickle.dumps(made))
+    _same_bytes(again.from_image(press.image), made.from_image(press.image))
+    assert (again.own_background, again.findings) == (made.own_background, made.findings)
+    assert len(pickle.dumps(again)) < 1.1 * len(pickle.dumps(made))
+
+
+def test_a_pool_of_processes_takes_a_reconstructor(calibration, simulated):
+    """Its bytes are those of this process, though each worker starts anew."""
+    made, images = gelform.Reconstructor(calibration), [press.image for press in simulated.presses[:3]]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for image, result in zip(images, pool.map(made, images)):
+            _same_bytes(result, made(image))
 
 
 def test_a_helper_changes_no_byte(calibration, press):

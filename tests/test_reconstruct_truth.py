@@ -1,5 +1,6 @@
 """The steps of a frame, each held to a gel that is known exactly: take one out, and a test here fails."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -130,6 +131,19 @@ def test_markers_that_moved_are_no_contact(marked):
     result = marked(with_dots(background(), right_px=1))
     assert np.abs(result.depth_mm).max() < 0.005
     assert not result.contact.any()
+
+
+def test_marker_dots_stay_where_they_were_found_when_pickled(marked):
+    """Dots are sought from where the first background has them, also after another one was taken."""
+    image = with_dots(image_of(TOUCH), right_px=1)
+    taken = marked.with_background(with_dots(background(), right_px=1).astype(np.float32))
+    for one in (marked, taken):
+        again = pickle.loads(pickle.dumps(one))
+        np.testing.assert_array_equal(again.markers.rest_px, marked.markers.rest_px)
+        result, expected = again.from_image(image), one.from_image(image)
+        np.testing.assert_array_equal(result.markers.now_px, expected.markers.now_px)
+        np.testing.assert_array_equal(result.depth_mm, expected.depth_mm)
+    assert len(marked.markers)
 
 
 def test_depth_does_not_depend_on_how_dark_markers_are(marked):

@@ -145,7 +145,8 @@ class _Today:
 class Reconstructor:
     """Depth in mm from images of the sensor that a calibration belongs to.
 
-    A pure function of the image: the same bytes whatever came before, and safe to share between threads.
+    A pure function of the image: the same bytes whatever came before, and safe to share between threads. It can be
+    pickled, so that pools of processes and loaders of data take it; it is prepared again in each of them.
 
     The slopes' bias, read from the untouched pixels, is removed first. Then depth is the weighted least-squares
     surface: every slope counts by its confidence, and untouched pixels are softly anchored at 0. The order
@@ -223,6 +224,22 @@ class Reconstructor:
         other = copy(self)
         other._start = start
         return other
+
+    def __copy__(self) -> Reconstructor:
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as what it was made of, and prepared again where it is read, which takes as long as making it.
+
+        Not kept are the calibration's report and a helper, neither of which changes a byte of a result.
+        """
+        fixed, calibration = self._calibrated, replace(self.calibration, report=None)
+        depth_sigma, slope_sigma = fixed.depth_sigma is not None, fixed.slope_sigma
+        today = None if self.own_background else self.background
+        state = {"findings": self.findings, "markers": self.markers}
+        return _prepared_again, (type(self), calibration, self.solver, depth_sigma, slope_sigma, today), state
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
         """Reconstruct one frame: the calibration's view of it, then `from_image`.
@@ -343,3 +360,16 @@ class Reconstructor:
         """The albedo, worked out when it is asked for; color models that know none give none."""
         model = self._today.model
         return partial(model.albedo_from_color, change.copy()) if isinstance(model, AlbedoModel) else None
+
+
+def _prepared_again(
+    kind: type[Reconstructor],
+    calibration: Calibration,
+    solver: str,
+    depth_sigma: bool,
+    slope_sigma: bool,
+    background: NDArray[np.float32] | None,
+) -> Reconstructor:
+    """The Reconstructor that was pickled, but for its findings and marker dots, which follow as its state."""
+    made = kind(calibration, solver=solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma)
+    return made if background is None else made.with_background(background)
