@@ -41,3 +41,5 @@ def test_one_noisy_pixel_is_not_the_deepest_point():
     depth[18:23, 8:13] = 1
     depth[3, 30] = 3
     assert deepest_px(depth) == (20, 10)
+    depth[:, 25:] = np.nan
+    assert deepest_px(depth) == (20, 10)

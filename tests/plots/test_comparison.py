@@ -86,3 +86,14 @@ def test_the_picture_shows_both_and_their_units():
     assert not np.array_equal(in_px, comparison_picture(one, one, image))
     assert not np.array_equal(gelform.picture(bare(one)), gelform.picture(one))
     assert (unit_of(bare(one)), unit_of(one)) == ("px", "mm")
+
+
+@pytest.mark.filterwarnings("error")
+def test_where_a_calibration_knows_nothing_it_has_no_depth():
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
+    a, image = result(), np.full((*SHAPE, 3), 90, dtype=np.uint8)
+    unknown = replace(result(), known=np.zeros(SHAPE, dtype=bool))
+    drawn, both = comparison_picture(a, unknown, image), comparison_picture(a, a, image)
+    colorful = [(np.ptp(one.astype(int), axis=-1) > 60).sum() for one in (drawn, both)]
+    assert colorful[0] < 0.7 * colorful[1]
+    assert comparison_picture(unknown, unknown, image).shape == both.shape

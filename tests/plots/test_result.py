@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gelform.markers import MarkerFlow
-from gelform.plots.result import _round_length, picture
+from gelform.plots.result import _headline, _round_length, picture
 from gelform.reconstruction import Reconstruction
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
@@ -97,3 +97,27 @@ def test_markers_are_arrows_on_the_depth():
         left, top, width, height = largest_patch(drawn)
         white.append(np.count_nonzero(near(drawn[top : top + height, left : left + width], (255, 255, 255))))
     assert white[1] > white[0] + 100
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("mm_per_px", [0.05, None])
+def test_of_a_frame_of_which_nothing_is_known_no_depth_is_drawn(mm_per_px):
+    """A flat map of 0.000 mm would look as untouched gel does."""
+    result = result_with_bump(20, 30)
+    nowhere = np.zeros(result.shape, dtype=bool)
+    flat = replace(result, depth=0 * result.depth, contact=nowhere, known=nowhere, mm_per_px=mm_per_px)
+    left, top, width, height = largest_patch(picture(replace(flat, known=~nowhere)))
+    inside = picture(flat)[top + 5 : top + height - 5, left + 5 : left + width - 5].astype(int)
+    assert np.ptp(inside, axis=-1).max() < 60  # grey: no colour of a depth
+    assert _headline(flat, 0, 0).startswith("deepest – ")
+
+
+def test_what_is_not_known_is_hatched():
+    result = result_with_bump(20, 30)
+    known = result.known.copy()
+    known[:, 48:] = False
+    left, top, width, height = largest_patch(picture(result))
+    drawn = picture(replace(result, known=known))[top : top + height, left : left + width]
+    half = drawn[:, round(0.78 * width) :], drawn[:, : round(0.72 * width)]
+    colorful = [(one.max(axis=-1) - one.min(axis=-1) > 60).mean() for one in half]
+    assert colorful[0] < 0.05 < 0.8 < colorful[1]

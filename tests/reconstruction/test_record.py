@@ -86,3 +86,4 @@ def test_a_notebook_shows_a_picture_and_the_figures(result):
     assert picture[90, 220].astype(int).sum() > picture[90, 20].astype(int).sum() + 200
     assert len(shown) < 100_000
     assert "0.750 mm" in repr(replace(result, depth=bump))
+    assert "depth: unknown" in repr(replace(result, known=np.zeros_like(result.known)))

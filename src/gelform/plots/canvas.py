@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_image
 from gelform.errors import DataError, needed
 from gelform.npz_files import written_file
+from gelform.reconstruction import Reconstruction
 
 DPI, WIDTH = 110, 13.0  # pixels per inch, and inches of most pictures
 INK, FAINT, GRID = "#222222", "#8a8a8a", "#e6e6e6"
@@ -60,12 +61,22 @@ def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bo
 
 
 def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:
-    """Show an image or a map under a title, pixel by pixel and without ticks; gives what a colour bar needs."""
+    """Show an image or a map under a title, pixel by pixel and without ticks; gives what a colour bar needs.
+
+    NaN is hatched: unknown.
+    """
     shown = axes.imshow(values, interpolation="nearest", **style)
+    hatch_behind(axes)
     axes.set_title(title, fontsize=10, color=INK)
     axes.set_xticks([])
     axes.set_yticks([])
     return shown
+
+
+def hatch_behind(axes: Any) -> None:
+    """Hatch the axes where nothing is drawn over them: where a map is NaN, unknown."""
+    axes.set_facecolor(GRID)
+    axes.patch.set(hatch="///", edgecolor=FAINT, linewidth=0)
 
 
 def style_profiles(axes: Any, title: str, unit: str) -> None:
@@ -80,8 +91,20 @@ def style_profiles(axes: Any, title: str, unit: str) -> None:
     axes.set_ylabel(f"depth ({unit})")
 
 
+def known_depth(result: Reconstruction, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A depth of the result as it is drawn: NaN where it was filled without information."""
+    return np.where(result.known, depth, np.float32(np.nan))
+
+
+def in_words(depth: float) -> str:
+    """A depth to the micrometre; a dash where it is not known."""
+    return "–" if np.isnan(depth) else f"{depth:.3f}"
+
+
 def deepest_px(depth: NDArray[np.float32]) -> tuple[int, int]:
-    """Row and column of the deepest point, single noisy pixels aside."""
-    smooth = cv2.GaussianBlur(depth, (0, 0), 1)
+    """Row and column of the deepest point, single noisy pixels and NaN (unknown) aside; the first where all is NaN."""
+    unknown = np.isnan(depth)
+    smooth = cv2.GaussianBlur(np.where(unknown, 0, depth), (0, 0), 1)
+    smooth[unknown] = -np.inf
     row, column = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
     return int(row), int(column)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.checks import check_image, check_mm_per_px
 from gelform.errors import DataError
 from gelform.metrics import angle_deg
-from gelform.plots.canvas import BLUE, INK, ORANGE, canvas, deepest_px, draw_map, pixels_of, style_profiles
+from gelform.plots.canvas import (
+    BLUE,
+    INK,
+    ORANGE,
+    canvas,
+    deepest_px,
+    draw_map,
+    in_words,
+    known_depth,
+    pixels_of,
+    style_profiles,
+)
 from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import MAPS
 
@@ -96,35 +107,37 @@ def comparison_picture(
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)
-    first, second = compared.depths
+    limits = {"vmin": np.min(compared.depths), "vmax": np.max(compared.depths)}
+    far = max(float(np.abs(np.subtract(*compared.depths)).max()), 1e-6)
+    first, second = depths = known_depth(a, compared.depths[0]), known_depth(b, compared.depths[1])
+    compared = replace(compared, depths=depths)
     row, column = deepest_px(first)
     tall = 3.0 * a.shape[0] / a.shape[1]
     figure = canvas(14.0, tall + 4.0)
-    figure.suptitle(_headline(compared, names), x=0.012, ha="left", fontsize=11, color=INK)
+    figure.suptitle(_headline(compared), x=0.012, ha="left", fontsize=11, color=INK)
     top, bottom = figure.subfigures(2, 1, height_ratios=[tall + 0.5, 3.0])
     axes = top.subplots(1, 4)
     draw_map(axes[0], shown, "image")
-    limits = {"vmin": min(first.min(), second.min()), "vmax": max(first.max(), second.max())}
-    for panel, depth, title in zip(axes[1:3], compared.depths, (f"A: {names[0]}", f"B: {names[1]}")):
+    for panel, depth, title in zip(axes[1:3], depths, (f"A: {names[0]}", f"B: {names[1]}")):
         map_shown = draw_map(panel, depth, title, cmap=MAPS["depth_mm"].colors, **limits)
         panel.axhline(row, color="white", linewidth=0.8, alpha=0.7)
     top.colorbar(map_shown, ax=list(axes[1:3]), shrink=0.9, pad=0.01, label=f"depth ({compared.unit})")
-    far = max(float(np.abs(second - first).max()), 1e-6)
     difference = draw_map(axes[3], second - first, "B minus A", cmap="RdBu_r", vmin=-far, vmax=far)
     top.colorbar(difference, ax=axes[3], shrink=0.9, pad=0.01, label=f"{compared.unit}")
     _draw_profiles(bottom.subplots(1, 1), compared, a, row, column, names)
     return pixels_of(figure)
 
 
-def _headline(compared: Comparison, names: tuple[str, str]) -> str:
+def _headline(compared: Comparison) -> str:
     unit = compared.unit
+    deepest_a, deepest_b = (in_words(np.fmax.reduce(depth, axis=None)) for depth in compared.depths)
     angle = (
         "no contact"
         if compared.angle_deg is None
         else f"normals {compared.angle_deg:.1f} deg apart in contact"
     )
     return (
-        f"deepest {compared.peak_a:.3f} and {compared.peak_b:.3f} {unit}   |   difference "
+        f"deepest {deepest_a} and {deepest_b} {unit}   |   difference "
         f"{compared.difference_rms:.3f} {unit} RMS   |   {angle}   |   curl {compared.curl_rms_a:.3f} and "
         f"{compared.curl_rms_b:.3f}"
     )

@@ -16,6 +16,9 @@ from gelform.plots.canvas import (
     canvas,
     deepest_px,
     draw_map,
+    hatch_behind,
+    in_words,
+    known_depth,
     pixels_of,
     style_profiles,
 )
@@ -28,6 +31,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> NDArray[n
 
     Image (where given), normals, both slopes, depth with a scale bar and the contact's outline, and the
     profiles along x and y through the deepest point, in mm; in widths of a pixel where the scale is unknown.
+    What is not known is hatched.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ def _headline(result: Reconstruction, row: int, column: int) -> str:
     pitch_x, pitch_y = _pitch(result)
     area, unit = np.count_nonzero(result.contact) * pitch_x * pitch_y, _unit(result)
     facts = [
-        f"deepest {_depth(result)[row, column]:.3f} {unit}",
+        f"deepest {in_words(_depth(result)[row, column])} {unit}",
         f"contact {area:.1f} {unit}²",
         f"{pitch_x:.4g} mm/px" if result.mm_per_px is not None else "scale unknown",
         f"zero: {result.zero}",
@@ -83,7 +87,7 @@ def _pitch(result: Reconstruction) -> tuple[float, float]:
 
 
 def _depth(result: Reconstruction) -> NDArray[np.float32]:
-    return result.depth_mm if result.mm_per_px is not None else result.depth_px
+    return known_depth(result, result.depth_mm if result.mm_per_px is not None else result.depth_px)
 
 
 def _unit(result: Reconstruction) -> str:
@@ -93,9 +97,11 @@ def _unit(result: Reconstruction) -> str:
 def _draw_maps(figure: Any, result: Reconstruction, image: NDArray[np.uint8] | None) -> None:
     slopes = result.gradients
     limit = max(0.1, float(np.quantile(np.abs(slopes), 0.998)))
+    normals = np.dstack([(result.normals + 1) / 2, result.known])  # unknown ones are transparent
+    slopes = np.where(result.known[..., None], slopes, np.nan)
     style = {"cmap": MAPS["gradients"].colors, "vmin": -limit, "vmax": limit}
     panels: list[tuple[str, NDArray[Any], dict[str, Any]]] = [
-        ("normals (x right, y down, z to the camera)", (result.normals + 1) / 2, {}),
+        ("normals (x right, y down, z to the camera)", normals, {}),
         ("slope dz/dx", slopes[..., 0], style),
         ("slope dz/dy", slopes[..., 1], style),
     ]
@@ -115,12 +121,14 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
     shown = axes.imshow(
         depth, cmap=MAPS["depth_mm"].colors, extent=(left, right, low, high), interpolation="nearest"
     )
+    hatch_behind(axes)
     figure.colorbar(shown, ax=axes, shrink=0.92, pad=0.015, label=f"depth ({unit}, 0 at rest)")
     if result.contact.any() and not result.contact.all():
         x, y = np.arange(width) * pitch_x, np.arange(height) * pitch_y
         axes.contour(x, y, result.contact, levels=[0.5], colors="white", linewidths=0.8, alpha=0.8)
-    axes.axhline(row * pitch_y, color=ORANGE, linewidth=1, alpha=0.9)
-    axes.axvline(column * pitch_x, color=BLUE, linewidth=1, alpha=0.9)
+    if result.known.any():
+        axes.axhline(row * pitch_y, color=ORANGE, linewidth=1, alpha=0.9)
+        axes.axvline(column * pitch_x, color=BLUE, linewidth=1, alpha=0.9)
     _draw_markers(axes, result)
     _draw_scale_bar(axes, left, right, low, high, unit)
     arrows = "" if result.markers is None else "; arrows: markers moved"
@@ -171,5 +179,5 @@ def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> 
     deepest = float(depth[row, column])
     axes.plot(0, deepest, "o", color=INK, markersize=4)
     place = {"xytext": (6, 4), "textcoords": "offset points"}
-    axes.annotate(f"{deepest:.3f} {unit}", (0, deepest), **place, fontsize=9, color=INK)
+    axes.annotate(f"{in_words(deepest)} {unit}", (0, deepest), **place, fontsize=9, color=INK)
     axes.legend(frameon=False, fontsize=9, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=2)

@@ -199,10 +199,11 @@ class Reconstruction:
     def _figures(self) -> dict[str, str]:
         markers = {} if self.markers is None else {"markers": self.markers.in_words()}
         height, width = self.shape
+        known = bool(self.known.any())
         if self.mm_per_px is None:
             return {
                 "height x width": f"{height}x{width} px, scale unknown",
-                "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px",
+                "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px" if known else "unknown",
                 "contacts": _counted(int(np.count_nonzero(self.contact)), "px", len(self.contacts)),
                 **markers,
                 "zero": self.zero,
@@ -212,7 +213,7 @@ class Reconstruction:
         area = np.count_nonzero(self.contact) * float(pitch[0] * pitch[1])
         return {
             "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
-            "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm",
+            "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm" if known else "unknown",
             "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)),
             **markers,
             "zero": self.zero,
