@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelform.findings import Finding
 from gelform.live.shown import CONTACT, KNOWN, PLANES, Shown, measures_of, outlines_of
 
 
@@ -69,3 +70,18 @@ def test_without_a_result_there_is_the_image_and_the_reason(shown):
     assert [plane.facts["name"] for plane in bare.planes(PLANES, "raw")] == ["image"]
     assert bare.header()["problem"] == "Expected another size."
     assert "peak" not in bare.header()
+
+
+def test_where_nothing_is_known_there_is_no_map_and_no_figure_but_the_findings(shown, result):
+    """A flat surface of 0.000 mm would look as untouched gel does."""
+    words = Finding("not_this_gel", "This is another gel.", 1.0)
+    unknown = replace(result, known=np.zeros_like(result.known), health=(words,))
+    assert measures_of(unknown) is None
+    found = Shown(1, shown.frame, shown.image, unknown, unknown)
+    assert [plane.facts["name"] for plane in found.planes(PLANES, "raw")] == ["image"]
+    header = found.header()
+    assert (header["problem"], "peak" in header, "outlines" in header) == (words.message, False, False)
+    assert header["health"] == [["not_this_gel", "This is another gel.", 1.0]]
+    compared = Shown(1, shown.frame, shown.image, result, unknown, shown.measures)
+    assert "other" not in [plane.facts["name"] for plane in compared.planes(PLANES, "raw")]
+    assert compared.header()["other"] == {}

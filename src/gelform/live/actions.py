@@ -61,7 +61,7 @@ def set_zero(hub: Hub, station: int) -> None:
         chosen.setup = replace(chosen.setup, zero_mm=None)
         hub.notice("Zero is the untouched gel again.")
         return
-    results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result is not None]
+    results = [shown.result for shown in _frames(chosen, ZERO_FRAMES) if shown.result and shown.measures]
     if not results:
         raise GelformError("There is no depth to set as zero: the frames could not be reconstructed.")
     mean = np.mean([result.depth for result in results], axis=0).astype(np.float32)

@@ -52,8 +52,10 @@ class Measures:
         return {"peak": self.peak, "area": self.area, "volume": self.volume}
 
 
-def measures_of(result: Reconstruction) -> Measures:
-    """The numbers of a result; in pixels where it has no scale."""
+def measures_of(result: Reconstruction) -> Measures | None:
+    """The numbers of a result; in pixels where it has no scale. None where nothing of its depth is known."""
+    if not result.known.any():
+        return None
     row, column = np.unravel_index(int(result.depth.argmax()), result.depth.shape)
     pitch_x, pitch_y = (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
     pixel = pitch_x * pitch_y
@@ -85,7 +87,7 @@ class Shown:
     image : (H, W, 3) uint8, after the view
     result : Reconstruction or None: no calibration, or this frame could not be reconstructed
     other : the same frame by the calibration that it is compared with, or None
-    measures : numbers of the result, or None
+    measures : numbers of the result; None where there is none, or one that knows nothing: no map of it is shown then
     explain : gives the explanation of the image when it is asked for: it takes longer than a frame
     background : (H, W, 3) that was taken live, or None: the calibration's own
     problem : why there is no result, in words; "" where there is one
@@ -128,8 +130,10 @@ class Shown:
         if name == "image":
             return image_plane(self.image, encoding)
         if name == "other":
-            return None if self.other is None else depth_plane(self.other.depth, encoding, "other")
-        if result is None:
+            if self.other is None or not self.other.known.any():
+                return None
+            return depth_plane(self.other.depth, encoding, "other")
+        if result is None or self.measures is None:
             return None
         if name == "depth":
             return depth_plane(result.depth, encoding)
@@ -155,8 +159,11 @@ class Shown:
         }
         if isinstance(self.frame, ReplayedFrame):
             facts["replay"] = [self.frame.number, self.frame.recorded_s]
-        if self.result is None or self.measures is None:
+        if self.result is None:
             return facts
+        findings = [[f.name, f.message, float(f.figure)] for f in self.result.health]
+        if self.measures is None:
+            return facts | {"health": findings, "problem": " ".join(f.message for f in self.result.health)}
         if self.other is not None:
             facts["other"] = _other_facts(self.result, self.other)
         pitch = self.result.mm_per_px
@@ -172,7 +179,7 @@ class Shown:
             "cause_colors": [cause.color for cause in CAUSES.values()],
             "solver": self.result.solver,
             "curl_rms": self.result.curl_rms,
-            "health": [[f.name, f.message, float(f.figure)] for f in self.result.health],
+            "health": findings,
         }
 
 
@@ -186,7 +193,10 @@ def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:
 
 def _other_facts(result: Reconstruction, other: Reconstruction) -> dict[str, float]:
     """Numbers of the other calibration's result, and how far the two are apart (root mean square)."""
-    facts = measures_of(other).numbers
+    measures = measures_of(other)
+    if measures is None:
+        return {}
+    facts = measures.numbers
     if other.depth.shape == result.depth.shape:
         facts["apart"] = float(np.sqrt(np.mean((result.depth - other.depth) ** 2)))
     return facts

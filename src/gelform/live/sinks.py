@@ -82,7 +82,7 @@ class Feeder:
 
 
 class RerunSink:
-    """Entities `sensor_N/image`, `sensor_N/depth` (mm) and the numbers `sensor_N/peak`, `area`, `volume`.
+    """Entities `sensor_N/image`, `sensor_N/depth` (mm, NaN where unknown) and the numbers `sensor_N/peak`, `area`, `volume`.
 
     Parameters
     ----------
@@ -118,7 +118,8 @@ class RerunSink:
         self._recording.set_time("taken", timestamp=shown.frame.wall_time_ns / 1e9)
         log(f"{name}/image", rerun.Image(shown.image))
         if shown.result is not None:
-            log(f"{name}/depth", rerun.DepthImage(shown.result.depth_mm, meter=PER_METRE))
+            depth_mm = np.where(shown.result.known, shown.result.depth_mm, np.float32(np.nan))
+            log(f"{name}/depth", rerun.DepthImage(depth_mm, meter=PER_METRE))
         if shown.measures is not None:
             for what, number in shown.measures.numbers.items():
                 log(f"{name}/{what}", rerun.Scalars(number))

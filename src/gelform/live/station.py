@@ -276,7 +276,8 @@ class Station:
             return Shown(self._serial, frame, image)
         result = setup.against_zero(found)
         measures = measures_of(result)
-        self._numbers.append((self._serial, frame.time_s, *measures.numbers.values()))
+        if measures is not None:
+            self._numbers.append((self._serial, frame.time_s, *measures.numbers.values()))
         return Shown(
             self._serial,
             frame,

@@ -33,6 +33,7 @@ class SentStats:
     frames, duration_s : how many, and s from the first to the last
     drops : frames of the source that never became a result
     stamped : whether frames said when they were taken; else stamps begin when the first one was sent
+    problem : what the last frame's findings say, where depth was known in no pixel of any frame; else ""
     """
 
     sensor: str
@@ -40,6 +41,7 @@ class SentStats:
     duration_s: float
     drops: int
     stamped: bool
+    problem: str = ""
 
 
 class StampedResults:
@@ -55,7 +57,8 @@ class StampedResults:
     def __init__(self, running: Stream, source: object, seconds: float | None) -> None:
         self._running, self._source, self._seconds = running, source, seconds
         self._stamps = _Stamps()
-        self._count, self._last_s = 0, 0.0
+        self._count, self._last_s, self._problem = 0, 0.0, ""
+        self._known = False
 
     def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
         """Each result with its frame, and its stamp, ns.
@@ -71,6 +74,8 @@ class StampedResults:
                 if self._seconds is not None and one.time_s - self._stamps.first_s >= self._seconds:
                     break
                 self._count, self._last_s = self._count + 1, one.time_s
+                self._known = self._known or bool(one.result.known.any())
+                self._problem = " ".join(finding.message for finding in one.result.health)
                 yield one, stamp_ns
         except (ValueError, TypeError) as problem:
             if self._count:
@@ -93,7 +98,8 @@ class StampedResults:
     def stats(self, sensor: str) -> SentStats:
         """What the loop gave."""
         duration_s = self._last_s - self._stamps.first_s if self._count else 0.0
-        return SentStats(sensor, self._count, duration_s, self._running.stats.drops, self._stamps.known)
+        drops, problem = self._running.stats.drops, "" if self._known else self._problem
+        return SentStats(sensor, self._count, duration_s, drops, self._stamps.known, problem)
 
 
 class _Stamps:

@@ -1,5 +1,7 @@
 """gelform bag and gelform ros: what they write and say; mistakes in one line."""
 
+import cv2
+import numpy as np
 import pytest
 
 from gelform.sensors.source import open_source
@@ -22,6 +24,7 @@ def images(press_folder, tmp_path):
 def test_a_folder_becomes_a_bag_that_is_a_source(run_json, images, calibration_file, tmp_path):
     said = run_json("bag", images, "-c", calibration_file, "-o", tmp_path / "bag", "--name", "left", "-q")
     assert (said["frames"], said["sensor"], said["drops"]) == (3, "left", 0)
+    assert said["problem"] == ""
     assert said["topics"] == ["/left/image_raw", "/left/indentation", "/left/points", "/diagnostics"]
     assert len(list(open_source(tmp_path / "bag"))) == 3
 
@@ -45,6 +48,18 @@ def test_info_says_what_a_bag_is(run_json, images, calibration_file, tmp_path):
     said = run_json("info", bag)
     assert said["kind"] == "bag of ROS 2"
     assert "is a bag of sqlite3. Convert it" in said["missing"][0]
+
+
+def test_a_bag_without_a_usable_frame_says_so(run, run_json, images, calibration_file, tmp_path):
+    """Depth is NaN in all of them: the calibration may be of another gel."""
+    for path in images.iterdir():
+        cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path))[::-1, ::-1, [1, 2, 0]]))
+    said = run_json("bag", images, "-c", calibration_file, "-o", tmp_path / "a", "-q")
+    assert "The background is not of this image" in said["problem"]
+    code, _, err = run("bag", images, "-c", calibration_file, "-o", tmp_path / "b")
+    assert code == 0
+    assert "warning: no frame was usable" in err
+    assert "The background is not of this image" in " ".join(err.split())
 
 
 def test_mistakes(run, fails, images, calibration_file, tmp_path):

@@ -1,6 +1,7 @@
 """The page in a real browser: pixels, numbers, buttons, lost connections, accessibility."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -146,3 +147,17 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
             if one["impact"] in ("serious", "critical")
         ]
         assert serious == []
+
+
+def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, calibration):
+    """Neither the last surface that was known nor a flat one of 0.000 mm: a dash, and why."""
+    other = replace(
+        calibration, background=np.ascontiguousarray(calibration.background[::-1, ::-1, [2, 0, 1]])
+    )
+    station = hub.stations[0]
+    station.setup = station.setup.with_calibration(other, "mine")
+    until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"), 30)
+    until(lambda: page.inner_text("#number-peak .value") == "–")
+    until(lambda: page.inner_text("#profile-at") == "–")
+    assert "The background is not of this image" in page.inner_text(".empty")
+    assert not page.evaluate("gelform.frame.has('depth')")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from gelform.cli.console import say
 from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, number, usage_errors
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in
@@ -15,6 +16,7 @@ from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name,
 
 if TYPE_CHECKING:
     from gelform.calibration_file import Calibration
+    from gelform.robots.send import SentStats
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def bag(
     with shown.progress() as progress:
         stats = save_bag(source, loaded, output, **sent.settings(loaded), progress=progress)
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
+    _warn_of(stats)
     if not stats.stamped:
         shown.say("The frames do not say when they were taken: their stamps begin now.")
     shown.json({"bag": output, **vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
@@ -112,4 +115,10 @@ def ros(
         settings = {**sent.settings(loaded), "router": router, "domain": domain}
         stats = publish(source, loaded, **settings, progress=progress)
     shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
+    _warn_of(stats)
     shown.json({**vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
+
+
+def _warn_of(stats: SentStats) -> None:
+    if stats.problem:
+        say(f"warning: no frame was usable, so there is no depth in any of them. {stats.problem}")

@@ -125,7 +125,10 @@ export function profilesThrough(frame, [column, row]) {
 }
 
 export function drawProfile(canvas, label, frame, point) {
-  if (!point) return;
+  if (!point) {
+    setText(label, "–");
+    return void prepared(canvas);
+  }
   const { x, alongX, y, alongY, depth } = profilesThrough(frame, point);
   setText(label, `at (${point[0]}, ${point[1]}) px: ${depth.toFixed(3)} ${frame.unit}`);
   drawChart(canvas, [{ x, y: alongX, color: "series-a", name: "along x" }, { x: y, y: alongY, color: "series-b", name: "along y" }],

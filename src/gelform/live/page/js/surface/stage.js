@@ -16,7 +16,7 @@ class Relief {
 
   draw(frame, look) {
     const map = frame.map("depth");
-    if (!map) return;
+    if (!map) return this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     const { width, height, values, zero, step } = map, [x, y] = frame.pitch(map), colors = packedRamp(look.colors);
     this.small.width = width;
     this.small.height = height;

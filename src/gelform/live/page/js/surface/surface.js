@@ -106,18 +106,22 @@ export class Surface {
   /** Draw a frame. `look`: {range, lift, colors, drape: null or a canvas, ink: [r, g, b, a]}; lift exaggerates the height. */
   draw(frame, look) {
     if (this.lost) return;
-    const map = frame.map("depth");
-    if (!map) return;
-    const { gl } = this, pitch = frame.pitch(map);
+    const { gl } = this, map = frame.map("depth");
+    if (!map) return this.clear(); // what was known of another frame says nothing of this one
+    const pitch = frame.pitch(map);
     const spans = [map.width * pitch[0], map.height * pitch[1]], unit = 2 / Math.max(...spans);
     if (!fit(this.canvas, this.software ? SCALE_IN_SOFTWARE : Math.min(2, devicePixelRatio || 1))) return;
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     this.upload(map, look);
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    this.clear();
     const camera = this.orbit.matrix(this.canvas.width / this.canvas.height), extent = spans.map((span) => span * unit);
     this.drawSurface(map, camera, extent, unit * look.lift, look);
     this.drawFrame(camera, extent, look.ink);
+  }
+
+  clear() {
+    this.gl.clearColor(0, 0, 0, 0);
+    this.gl.clear(this.gl.COLOR_BUFFER_BIT | this.gl.DEPTH_BUFFER_BIT);
   }
 
   drawSurface(map, camera, extent, lift, look) {
