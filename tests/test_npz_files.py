@@ -2,6 +2,8 @@
 
 import io
 import json
+import os
+import time
 import zipfile
 
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from gelform import __version__
 from gelform.errors import CalibrationError, DataError
-from gelform.npz_files import kind_of_npz, npz_bytes, read_npz, write_npz, written_file
+from gelform.npz_files import kind_of_npz, locked_folder, npz_bytes, read_npz, sweep, write_npz, written_file
 
 KIND = "gelform test file"
 ARRAYS = {"depth_mm": np.arange(12, dtype=np.float32).reshape(3, 4), "known": np.eye(3, dtype=bool)}
@@ -235,3 +237,47 @@ def test_bytes_are_those_of_a_file_but_for_the_digest(tmp_path):
         read_npz(path, kind="k", newest_version=3)
     with pytest.raises(ValueError, match="reserved"):
         npz_bytes(arrays, {"format": "other"}, kind="k", version=1)
+
+
+def aged(path):
+    """A path as it was left an hour ago."""
+    os.utime(path, (time.time() - 3600,) * 2)
+    return path
+
+
+def test_what_killed_runs_left_is_swept_and_nothing_else(tmp_path):
+    pytest.importorskip("fcntl")
+    names = (
+        ".gelform-0123456789ab.tmp",
+        ".gelform-mine.tmp",
+        "gelform-0123456789ab.tmp",
+        ".gelform-0123456789ac.tmp",
+    )
+    left, first, second, young = (tmp_path / name for name in names)
+    for path in (left, first, second):
+        path.write_text("x")
+        aged(path)
+    young.write_text("x")
+    aged_folder = tmp_path / ".out.partial-abcd_012"
+    folders = [
+        aged_folder,
+        tmp_path / ".out.partial-77",
+        tmp_path / ".other.partial-abcd_012",
+        tmp_path / ".out.partial-mine",
+    ]
+    for folder in folders:
+        (folder / "images").mkdir(parents=True)
+        aged(folder)
+    with written_file(tmp_path / "new.npz") as handle:
+        (held,) = set(tmp_path.glob(".gelform-*.tmp")) - {left, first, young}
+        handle.flush()
+        aged(held)
+        sweep(tmp_path)
+        assert held.exists()
+    assert not left.exists()
+    assert all(path.exists() for path in (first, second, young, *folders))
+    with locked_folder(folders[1]):
+        sweep(tmp_path, "out")
+        assert [folder.exists() for folder in folders] == [False, True, True, True]
+    sweep(tmp_path, "out")
+    assert [folder.exists() for folder in folders] == [False, False, True, True]

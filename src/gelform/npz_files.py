@@ -9,11 +9,14 @@ import hashlib
 import io
 import json
 import os
+import re
+import shutil
+import time
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,6 +26,13 @@ from numpy.typing import NDArray
 from gelform.checks import check_path
 from gelform.errors import DataError, GelformError
 
+try:
+    import fcntl
+except ImportError:  # Windows: what killed runs left stays
+    fcntl = None  # type: ignore[assignment]
+
+LEFT_FILE = re.compile(r"\.gelform-[0-9a-f]{12}\.tmp")
+LEFT_AFTER_S = 60.0  # a younger one may not be locked yet
 MAX_BYTES, MAX_META_BYTES = 2**30, 2**26  # of all members of an archive, and of its settings
 MAX_ARRAY_BYTES = 2**28  # of another program's file
 _RESERVED = ("format", "format_version", "gelform_version", "digest")
@@ -63,10 +73,13 @@ def written_file(
     temporary = path.parent / f".gelform-{os.urandom(6).hex()}.tmp"
     try:
         with open(temporary, "x+b") as handle:
+            locked(handle.fileno())
             yield handle
             handle.flush()
             if flushed:
                 os.fsync(handle.fileno())
+            with suppress(OSError):  # a file system without times
+                os.utime(temporary)  # it has no lock from here on: `sweep` leaves it alone for a minute
         if not overwrite:  # another process may have been quicker
             check_free(path, overwrite=False, error=error)
         os.replace(temporary, path)
@@ -76,6 +89,61 @@ def written_file(
             raise
         why = f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
         raise error(why) from problem
+
+
+def locked(descriptor: int) -> bool:
+    """Lock an open file or folder until it is closed, also by the end of its process; False where that cannot be."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock a partial folder while it is filled, where the system can: `sweep` leaves it alone."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        locked(descriptor)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def sweep(folder: Path, target: str = "") -> None:
+    """Delete the partial files that killed processes left in a folder, or the partial folders of a target's name.
+
+    Those that a living process has locked stay, and those that were changed within the last minute.
+    """
+    names = re.compile(re.escape(f".{target}.partial-") + "([a-z0-9_]{8}|[0-9]+)") if target else LEFT_FILE
+    try:
+        found = [path for path in folder.iterdir() if names.fullmatch(path.name) and not path.is_symlink()]
+    except OSError:  # a folder to write to, not to list
+        return
+    for left in found:
+        if not (left.is_dir() if target else left.is_file()):
+            continue
+        try:
+            descriptor = os.open(left, os.O_RDONLY)
+        except OSError:  # another one has just taken it away, or it is another user's
+            continue
+        try:
+            # old before, or the lock would be in its owner's way; old after, or its owner is about to give it its name
+            if _is_old(descriptor) and locked(descriptor) and _is_old(descriptor):
+                if target:
+                    shutil.rmtree(left, ignore_errors=True)
+                else:
+                    left.unlink(missing_ok=True)
+        finally:
+            os.close(descriptor)
+
+
+def _is_old(descriptor: int) -> bool:
+    return time.time() - os.fstat(descriptor).st_mtime > LEFT_AFTER_S
 
 
 def check_free(

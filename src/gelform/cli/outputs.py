@@ -49,11 +49,15 @@ def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -
 def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protected: Sequence[Path]) -> None:
     """Refuse results that are there already (unless `overwrite`), and any that would replace an input.
 
+    What killed runs left beside them is deleted.
+
     Raises
     ------
     DataError
         The message names the first one and how many there are.
     """
+    from gelform.npz_files import sweep
+
     inputs = {os.path.realpath(path) for path in protected}
     results = [path for one in paths for path in one.values()]
     clashing = [path for path in results if os.path.realpath(path) in inputs]
@@ -63,6 +67,8 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise DataError(f"{there[0]} is already there{more}. Choose another folder, or allow --overwrite.")
+    for folder in {path.parent for path in results if path.parent.is_dir()}:
+        sweep(folder)
 
 
 def picture_paths(
@@ -88,16 +94,21 @@ def picture_paths(
 def check_output(path: Path, *, overwrite: bool) -> None:
     """Refuse a file name that cannot be written to, before the work: its folder is made where it is missing.
 
+    What killed runs left in that folder is deleted.
+
     Raises
     ------
     DataError
         The name is a folder's, a file has it already (unless `overwrite`), or nothing can be written there.
     """
+    from gelform.npz_files import sweep
+
     if path.is_dir():
         raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
     if os.path.lexists(path) and not overwrite:
         raise DataError(f"{path} is already there. Choose another name, or allow --overwrite.")
     _check_room(make_folder(path.parent))
+    sweep(path.parent)
 
 
 def make_folder(folder: Path) -> Path:

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from gelform.checks import check_image
 from gelform.errors import DataError
+from gelform.npz_files import locked_folder, sweep
 
 PROBE_BYTES = 16_384  # several blocks of any file system
 
@@ -30,12 +31,16 @@ def written_whole(target: Path) -> Iterator[Path]:
                 f"Expected a new or empty folder, got {target}, which holds something. Choose another name."
             )
         target.parent.mkdir(parents=True, exist_ok=True)
+        sweep(target.parent, target.name)
         partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
     except OSError as error:
         raise DataError(f"Cannot write into {target.parent}: {error.strerror or error}.") from error
     try:
-        check_room(partial)
-        yield partial
+        with locked_folder(partial):
+            check_room(partial)
+            yield partial
+            with suppress(OSError):  # a file system without times
+                os.utime(partial)  # it has no lock from here on: `sweep` leaves it alone for a minute
         partial.chmod(0o777 & ~_umask())
         if target.exists():
             target.rmdir()
