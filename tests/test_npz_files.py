@@ -152,6 +152,16 @@ def test_pickles_are_never_read(tmp_path):
         read(path)
 
 
+@pytest.mark.parametrize("number", ["1e400", "-1e400", "NaN"])
+def test_settings_that_are_not_finite_are_refused(tmp_path, number):
+    path = tmp_path / "x.npz"
+    write(path)
+    said = json.dumps({"format": KIND, "format_version": 1, "digest": ""})
+    rewrite(path, {"meta.npy": npy(np.array(said[:-1] + f', "size": {number}}}'))})
+    with pytest.raises(DataError, match="finite numbers in the settings"):
+        read(path)
+
+
 def test_other_files_are_refused_with_what_they_are(tmp_path):
     write(tmp_path / "x.npz")
     with pytest.raises(CalibrationError, match="Expected a gelform calibration, got a gelform test file"):

@@ -42,9 +42,11 @@ DAMAGED_ARCHIVE = (
     zlib.error,
     EOFError,
     NotImplementedError,
+    MemoryError,  # of an array that declares more than any machine has
     RuntimeError,
     SyntaxError,
     tokenize.TokenError,
+    UnicodeDecodeError,
 )
 _UNREADABLE = (*DAMAGED_ARCHIVE, ValueError, KeyError)
 
@@ -252,11 +254,12 @@ def read_npz(
         with zipfile.ZipFile(path) as archive:
             arrays = _members(archive, path, kind, max_bytes, error)
         meta = json.loads(str(arrays.pop("meta")[()]))
+        _json(meta)
     except OSError as problem:
         raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     except _UNREADABLE as problem:
         raise error(
-            f"{path} is truncated or damaged, or no {kind} at all ({_said(problem)}). "
+            f"{path} is truncated or damaged, or no {kind} at all ({said(problem)}). "
             "Copy it again from where it was made, or make it anew."
         ) from problem
     _check_meta(meta, path, kind, newest_version, error)
@@ -356,7 +359,7 @@ def _array(content: bytes) -> NDArray[Any]:
         version = np.lib.format.read_magic(stream)
         shape, fortran_order, dtype = _READ_HEADER[version](stream)
     except Exception as problem:  # a damaged header fails in numpy's tokenizer in a dozen ways
-        raise ValueError(f"an unreadable array header: {_said(problem)}") from problem
+        raise ValueError(f"an unreadable array header: {said(problem)}") from problem
     body = content[stream.tell() :]
     if dtype.hasobject:
         raise ValueError("an array of pickled objects")
@@ -389,8 +392,16 @@ def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _json(meta: Mapping[str, Any]) -> str:
-    return json.dumps(meta, sort_keys=True, allow_nan=False)
+    try:
+        return json.dumps(meta, sort_keys=True, allow_nan=False)
+    except ValueError as problem:
+        raise ValueError(
+            "expected finite numbers in the settings, as JSON has them, got NaN or infinity"
+        ) from problem
 
 
-def _said(problem: BaseException) -> str:
+def said(problem: BaseException) -> str:
+    """What an error of another library says of a file, in a line."""
+    if isinstance(problem, UnicodeDecodeError):
+        return f"byte {problem.start} of a text is no character"
     return str(problem).splitlines()[0] if str(problem) else type(problem).__name__

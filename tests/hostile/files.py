@@ -56,6 +56,7 @@ def real_files(folder: Path) -> dict[str, RealFile]:
         **_images(folder),
         **_press_folder(folder / "presses"),
         **_gs_sdk_folder(folder / "gs_sdk"),
+        **_py3dcal_folder(folder / "py3dcal"),
         **_of_other_packages(folder),
     }
 
@@ -141,6 +142,18 @@ def _gs_sdk_folder(folder: Path) -> dict[str, RealFile]:
     }
 
 
+def _py3dcal_folder(folder: Path) -> dict[str, RealFile]:
+    save(folder / "blank_images" / "blank.png", image_of(None))
+    save(folder / "probe_images" / "0.png", image_of(Touch()))
+    facts = folder / "annotations" / "metadata.json"
+    facts.parent.mkdir()
+    (facts.parent / "annotations.csv").write_text("img_name,x_px,y_px\n0.png,40,30\n")
+    facts.write_text('{"px_per_mm": 10, "probe_radius_mm": 4}')
+    read = lambda: gelform.read_presses(folder)  # noqa: E731
+    # Text has no checksum: another number is another sensor.
+    return {"metadata.json": _real(facts, read, lambda got: len(got.presses) == 1)}
+
+
 def _of_other_packages(folder: Path) -> dict[str, RealFile]:
     weights = torch_file(folder / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
     table, pack = folder / "polycalib.npz", folder / "pack" / "dataPack.npz"
@@ -172,6 +185,20 @@ def _of_other_packages(folder: Path) -> dict[str, RealFile]:
 def _all_finite(calibration: Any) -> bool:
     arrays, _ = calibration.color_model.to_arrays()
     return all(np.isfinite(array).all() for array in arrays.values())
+
+
+def odd_archives(content: bytes) -> list[bytes]:
+    """An archive whose arrays declare 8 TB, and one with a name that is no text; none of a file of another kind."""
+    if not content.startswith(b"PK"):
+        return []
+    header, declared = io.BytesIO(), io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(io.BytesIO(content)) as archive, zipfile.ZipFile(declared, "w") as other:
+        for name in archive.namelist():
+            other.writestr(name, header.getvalue())
+        other.writestr("é", b"")
+    whole = declared.getvalue()
+    return [whole, whole.replace("é".encode(), b"\xff\xfe")]
 
 
 def unsealed(content: bytes) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

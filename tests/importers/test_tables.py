@@ -1,5 +1,6 @@
 """Taxim's tables and look-up tables: what they say, and what is refused."""
 
+import io
 import re
 
 import cv2
@@ -19,6 +20,7 @@ from gelform.importers.tables import (
 )
 from gelform.simulate import Ball, Pose
 from gelform.simulate.twin import Twin
+from hostile.files import odd_archives
 from made.color_samples import SHAPE
 from made.taxim_tables import taxim_arrays
 
@@ -186,6 +188,14 @@ def test_bad_tables_are_refused(tmp_path):
     ):
         with pytest.raises(DataError, match=message):
             read_taxim_forward(save(tmp_path / "bad.npz", **changes))
+
+
+def test_tables_that_declare_more_than_any_memory_are_refused(tmp_path):
+    path, whole = tmp_path / "bad.npz", io.BytesIO()
+    np.savez(whole, **taxim_arrays(8))
+    path.write_bytes(odd_archives(whole.getvalue())[0])
+    with pytest.raises(DataError, match="damaged"):
+        read_taxim_forward(path)
 
 
 def test_what_is_no_table_is_said(tmp_path):

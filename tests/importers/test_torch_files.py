@@ -116,6 +116,15 @@ def test_truncated_files_are_refused(tmp_path):
             read_tensors(path)
 
 
+def test_a_name_that_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "net.pth"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("é/data.pkl", b"")
+    path.write_bytes(path.read_bytes().replace("é".encode(), b"\xff\xfe"))
+    with pytest.raises(gelform.DataError, match="damaged"):
+        read_tensors(path)
+
+
 def test_other_files(tmp_path):
     with pytest.raises(gelform.DataError, match="No file"):
         read_tensors(tmp_path / "none.pth")

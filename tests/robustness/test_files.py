@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 import gelform
 from hostile.budget import SLOW_IF_ALL, cases
 from hostile.damage import ODD_VALUES, byte_damages, damaged, odd_arrays
-from hostile.files import real_files, sealed, unsealed
+from hostile.files import odd_archives, real_files, sealed, unsealed
 from hostile.outcome import judge
 from made.small_gel import Touch, image_of
 
 pytestmark = SLOW_IF_ALL
 
 KINDS = (
+    "metadata.json",
     "calibration", "calibration of version 1", "result", "sensor.toml", "png", "jpg", "bmp", "tif", "ppm", "presses.csv",
     "image of a press", "sensor.toml of presses", "catalog.csv", "label.npz", "torch weights", "Taxim table", "Taxim pack",
 )  # fmt: skip
@@ -63,7 +64,9 @@ def test_a_file_of_another_kind(files, kind):
     file = files[kind]
     alike = next((group for group in ALIKE if kind in group), {kind})
     others = [other.content for name, other in files.items() if name not in alike]
-    for number, content in enumerate([*others, b"", b"\x00" * 100, b"\xff\xfe" * 50, b"[" * 20_000]):
+    for number, content in enumerate(
+        [*others, *odd_archives(file.content), b"", b"\x00" * 100, b"\xff\xfe" * 50, b"[" * 20_000]
+    ):
         judge(
             f"{kind} replaced by {number}",
             lambda content=content: read_with(file, content),

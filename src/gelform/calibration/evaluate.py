@@ -103,7 +103,8 @@ def evaluate(
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
     if not errors:
-        raise DataError(f"No press of {presses.folder} could be evaluated; the first: {rows[0]['reason']}.")
+        reason = rows[0]["reason"] if rows else "there is none"
+        raise DataError(f"No press of {presses.folder} could be evaluated; the first: {reason}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
     findings = tuple(finding.message for finding in reconstruct.findings)
     where = errors_where(samples, calibration.image_shape, ratio)

@@ -19,7 +19,7 @@ from gelform.checks import check_positive
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError
-from gelform.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
+from gelform.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy, said
 
 MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000  # along each axis: theirs have 90 and 125
 RANGE_LEVELS = 180.0  # a look-up table spans -90 to 90 grey levels of difference in each channel
@@ -204,7 +204,7 @@ def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
                 raise DataError(f"{path} lacks {', '.join(missing)}: expected Taxim's {', '.join(MEMBERS)}.")
             bins, *channels = (np.asarray(file[name], dtype=np.float64) for name in MEMBERS)
     except _DAMAGED as problem:
-        raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {problem}.") from problem
+        raise DataError(f"{path} is damaged, or no archive (.npz) of numbers: {said(problem)}.") from problem
     count = int(bins) if bins.ndim == 0 and np.isfinite(bins) else 0
     if not 2 <= count <= MAX_TAXIM_BINS or any(one.shape != (count, count, 6) for one in channels):
         shapes = ", ".join(str(one.shape) for one in channels)

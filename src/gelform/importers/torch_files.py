@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError
-from gelform.npz_files import DAMAGED_ARCHIVE, present_file
+from gelform.npz_files import DAMAGED_ARCHIVE, present_file, said
 
 MAX_BYTES, MAX_PICKLE_BYTES = 64 * 2**20, 2**20  # of a file, and of what describes its tensors
 
@@ -73,7 +73,7 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     except zipfile.BadZipFile as problem:
         raise DataError(_not_a_zip(path)) from problem
     except (OSError, *DAMAGED_ARCHIVE) as problem:
-        raise DataError(f"{path} is truncated or damaged: {problem}. Copy it again.") from problem
+        raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
 
 
 def _not_a_zip(path: Path) -> str:
@@ -113,7 +113,7 @@ def _tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, NDArray[Any]]:
         raise DataError(f"{path}: {problem}") from None
     except (ValueError, IndexError, KeyError, TypeError, AttributeError, RecursionError) as problem:
         raise DataError(
-            f"{path} is damaged: its description of tensors makes no sense ({problem})."
+            f"{path} is damaged: its description of tensors makes no sense ({said(problem)})."
         ) from problem
 
 

@@ -70,9 +70,10 @@ def test_spoilt_py3dcal(py3dcal):
     facts.write_text('{"px_per_mm": 0, "probe_radius_mm": 2}')
     with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
         gelform.read_presses(py3dcal)
-    facts.write_text("{not json")
-    with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
-        gelform.read_presses(py3dcal)
+    for text in ("{not json", "[" * 100_000, '{"px_per_mm": 1' + "0" * 400 + ', "probe_radius_mm": 2}'):
+        facts.write_text(text)
+        with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
+            gelform.read_presses(py3dcal)
     facts.unlink()
     with pytest.raises(gelform.DataError, match=r"Cannot read .*metadata\.json"):
         gelform.read_presses(py3dcal)

@@ -1,5 +1,7 @@
 """A set of presses: which scale and view it gets from what was asked, beside the data and known by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,15 @@ def table(tmp_path, text):
     path = tmp_path / "presses.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+def test_a_pitch_and_balls_that_nothing_has_are_refused(presses):
+    for pitch in (0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="mm_per_px > 0"):
+            replace(presses, mm_per_px=pitch)
+    for diameter_mm in (0, float("nan")):
+        with pytest.raises(ValueError, match="ball_diameter_mm > 0"):
+            replace(presses.presses[0], ball_diameter_mm=diameter_mm)
 
 
 def test_rows_come_with_their_line(tmp_path):

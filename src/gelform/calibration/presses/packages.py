@@ -22,7 +22,7 @@ from gelform.calibration.presses.press_set import (
 )
 from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
-from gelform.npz_files import DAMAGED_ARCHIVE
+from gelform.npz_files import DAMAGED_ARCHIVE, said
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
 MAX_PACK_BYTES = 4 << 30  # of a dataPack, unpacked
@@ -52,13 +52,13 @@ def _gs_sdk_label(path: Path) -> tuple[float, float, float]:
             if not np.isfinite(circle).all():
                 raise ValueError(circle)
             return circle
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DataError(
-            f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
-        ) from problem
     except _DAMAGED as problem:
         raise DataError(
             f"{path} is truncated or damaged. Copy it again, or label the press again."
+        ) from problem
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DataError(
+            f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
         ) from problem
 
 
@@ -101,8 +101,10 @@ def _py3dcal_facts(folder: Path) -> dict[str, float]:
         return {name: check_positive(float(facts[name]), name) for name in ("px_per_mm", "probe_radius_mm")}
     except OSError as problem:
         raise DataError(f"Cannot read {path}: {problem.strerror or problem}.") from problem
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DataError(f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {problem}.") from problem
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as problem:
+        raise DataError(
+            f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {said(problem)}."
+        ) from problem
 
 
 def taxim_pack_in(path: Path) -> Path | None:
@@ -162,13 +164,13 @@ def _plain_arrays(pack: Path) -> dict[str, NDArray[Any]]:
                     f"Expected the arrays {', '.join(TAXIM_ARRAYS)} in {pack}, {', '.join(missing)} missing."
                 )
             return {name: data[name] for name in (*TAXIM_ARRAYS, "names") if name in data.files}
+    except _DAMAGED as problem:
+        raise DataError(f"{pack} is truncated or damaged: {said(problem)}.") from problem
     except ValueError as problem:
         raise DataError(
             f"{pack} holds Python objects, which could run code when read: refused. Save it again with plain "
             f"arrays (numpy.asarray(imgs, dtype=numpy.uint8) ...). ({problem})"
         ) from problem
-    except _DAMAGED as problem:
-        raise DataError(f"{pack} is truncated or damaged: {problem}.") from problem
 
 
 def _rgb(bgr: NDArray[Any]) -> NDArray[np.uint8]:

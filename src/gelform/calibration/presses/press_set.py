@@ -47,6 +47,9 @@ class Press:
     digest: str
     center_px: tuple[float, float] | None = None
 
+    def __post_init__(self) -> None:
+        check_ball_diameter(self.ball_diameter_mm)
+
 
 @dataclass(frozen=True)
 class FlatPress:
@@ -102,6 +105,9 @@ class Presses:
     camera: Mapping[str, float | str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     flats: tuple[FlatPress, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_sensor_pitch(self.mm_per_px)
 
     @property
     def image_shape(self) -> tuple[int, int]:
