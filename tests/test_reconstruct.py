@@ -16,6 +16,7 @@ from gelform.frames import Frame
 from gelform.reconstruction.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
 from gelform.view import View
+from made.dots import grid, image_of_dots
 
 FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'
 
@@ -61,6 +62,32 @@ def test_pure_function_of_the_image(calibration, press, simulated):
     again = reconstruct(press.image)
     np.testing.assert_array_equal(first.depth_mm, again.depth_mm)
     np.testing.assert_array_equal(first.gradients, again.gradients)
+
+
+@pytest.mark.parametrize("spoilt", [None, "clipped", "torn", "dotted"])
+def test_floats_of_whole_levels_are_those_levels(calibration, press, spoilt):
+    image = press.image.copy()
+    if spoilt == "torn":
+        image[200:] = 255
+    elif spoilt == "clipped":
+        image[60:80, 60:80] = 255
+    elif spoilt == "dotted":
+        shape = image.shape[:2]
+        dots = image_of_dots(grid(24.0, shape), shape=shape) / image_of_dots([], shape=shape)
+        image = (image * dots).astype(np.uint8)
+        calibration = replace(calibration, background=(calibration.background * dots).astype(np.float32))
+    reconstruct = gelform.Reconstructor(calibration)
+    assert bool(len(reconstruct.markers)) == (spoilt == "dotted")
+    whole = reconstruct.from_image(image)
+    for dtype in (np.float32, np.float64):
+        result = reconstruct.from_image(image.astype(dtype))
+        np.testing.assert_array_equal(result.depth_mm, whole.depth_mm)
+        np.testing.assert_array_equal(result.depth_sigma_mm, whole.depth_sigma_mm)
+        assert result.health == whole.health
+    resized = replace(calibration, view=View(frame_shape=(300, 400), image_shape=image.shape[:2]))
+    frame = cv2.resize(image, (400, 300))
+    whole, result = (gelform.Reconstructor(resized)(one) for one in (frame, frame.astype(np.float32)))
+    np.testing.assert_array_equal(result.depth_mm, whole.depth_mm)
 
 
 def test_threads_share_one_reconstructor(calibration, simulated):

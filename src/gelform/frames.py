@@ -59,3 +59,9 @@ def check_viewed_image(
 def as_levels(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Whole grey levels of an image (H, W, 3), uint8 or float 0-255, in C order: as a camera would have given it."""
     return np.ascontiguousarray(image if image.dtype == np.uint8 else np.rint(image).astype(np.uint8))
+
+
+def whole_levels(image: NDArray[Any]) -> NDArray[Any]:
+    """The image (H, W, 3), as uint8 where its floats 0-255 are all whole: the same picture gives the same bytes."""
+    levels = as_levels(image)
+    return levels if levels is image or np.array_equal(levels, image) else image

@@ -17,6 +17,7 @@ from gelform.background.change import PreparedBackground
 from gelform.background.check import background_digest, check_own_background
 from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
+from gelform.checks import check_image
 from gelform.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.color_models.stepped import SteppedSlopes
 from gelform.confidence import (
@@ -36,7 +37,7 @@ from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
 from gelform.findings import Finding
-from gelform.frames import Frame, as_levels, check_viewed_image
+from gelform.frames import Frame, as_levels, check_viewed_image, whole_levels
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFlow, MarkerFollower
@@ -258,7 +259,8 @@ class Reconstructor:
         if isinstance(frame, Frame):
             result = self(frame.image)
             return replace(result, index=frame.index, time_s=frame.time_s, wall_time_ns=frame.wall_time_ns)
-        return self.from_image(image_from_frame(frame, self.calibration.view))
+        pixels = whole_levels(check_image(frame, name="frame"))
+        return self.from_image(image_from_frame(pixels, self.calibration.view))
 
     def from_image(self, image: ArrayLike, *, markers: MarkerFlow | None = None) -> Reconstruction:
         """Reconstruct one image: what the calibration's view gives of a frame, such as a press that was read.
@@ -326,6 +328,7 @@ class Reconstructor:
     ) -> _Read:
         """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
         fixed, today = self._calibrated, self._today
+        image = whole_levels(image)
         raw_image, faults = image, today.health(image)
         image = faults.image  # what says nothing shows the untouched gel, and has no weight
         exposure, drifted = today.untouched_image.compare(image)
