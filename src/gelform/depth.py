@@ -19,7 +19,7 @@ from gelform.solvers import SOLVERS, Solution, Solver, Weights
 from gelform.solvers.inputs import check_anchor, check_slopes, check_weights, checked_solver
 from gelform.solvers.seam import Pair
 from gelform.solvers.system import differences, edges_from_gradients, residual_rms
-from gelform.zero import Level, Zero, fitted_surface, median_over, zero_depth, zero_region
+from gelform.zero import Level, Zero, checked_level, fitted_surface, median_over, zero_depth, zero_region
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,7 @@ def integrate(
     g = check_gradients(gradients)
     check_slopes(g)
     shape = (g.shape[-3], g.shape[-2])
-    if level not in (None, "slope", "plane", "quadratic"):
-        raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r}.")
+    level = checked_level(level)
     region = zero_region(zero, shape)
     if level == "slope":
         g = g - np.stack([median_over(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]

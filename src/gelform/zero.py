@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,13 @@ def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArr
             region[1:-1, 1:-1] = False
         return region
     return check_mask(zero, shape=shape, name="zero")
+
+
+def checked_level(level: Any) -> Level | None:
+    """Return what is levelled off."""
+    if level is not None and not (isinstance(level, str) and level in get_args(Level)):
+        raise ValueError(f"Expected level as None, 'slope', 'plane' or 'quadratic', got {level!r:.60}.")
+    return level  # type: ignore[return-value]
 
 
 def zero_depth(

@@ -200,6 +200,10 @@ def test_prepared_settings_and_arguments_are_checked():
         DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones((4, 5)))
     with pytest.raises(ValueError, match=r"weights of shape \(72, 96\), got \(2, 72, 96\)"):
         DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), weights=np.ones((2, *SHAPE)))
+    with pytest.raises(ValueError, match="Expected level as None"):
+        DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), level="foo")
+    with pytest.raises(TypeError, match="Expected rng as Generator, got int"):
+        DepthSigma(SHAPE, mm_per_px=PITCH, rng=0)
     with pytest.raises(ValueError, match="Expected weights with at least one value > 0"):
         DepthSigma(SHAPE, mm_per_px=PITCH)(np.ones(SHAPE), weights=np.zeros(SHAPE))
 
@@ -213,11 +217,17 @@ def test_prepared_settings_and_arguments_are_checked():
         ({"gradients_sigma": np.ones((0, 5, 2))}, "Expected gradients_sigma of some pixels"),
         ({"correlation_px": -1.0}, "Expected correlation_px between 0 and"),
         ({"correlation_px": 3.0, "correlated_share": 1.5}, "Expected correlated_share between 0 and 1"),
+        ({"correlated_share": 1.5}, "Expected correlated_share between 0 and 1"),
+        ({"probes": "a"}, "Expected probes as a number"),
+        ({"rng": 3}, "Expected rng as Generator, got int"),
+        ({"level": "foo"}, "Expected level as None, 'slope', 'plane' or 'quadratic', got 'foo'"),
     ],
 )
-def test_bad_input_is_refused(change, text):
-    arguments = {"gradients_sigma": np.ones((4, 5, 2)), "mm_per_px": 0.1, "zero": "border"} | change
-    with pytest.raises(ValueError, match=text):
+@pytest.mark.parametrize("zero", ["border", "mean"])
+def test_bad_input_is_refused(change, text, zero):
+    """Whether the answer has a closed form, which needs no probes, or not."""
+    arguments = {"gradients_sigma": np.ones((4, 5, 2)), "mm_per_px": 0.1, "zero": zero} | change
+    with pytest.raises((ValueError, TypeError), match=text):
         depth_sigma_from_gradients_sigma(arguments.pop("gradients_sigma"), **arguments)
 
 

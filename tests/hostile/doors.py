@@ -187,6 +187,15 @@ SETTINGS = {
         lambda **s: gelform.contact_from_depth(DEPTH, mm_per_px=MM_PER_PX, **s),
         ("depth_sigma_mm", "relaxation_mm", "noise_factor", "min_area_mm2"),
     ),
+    "depth_sigma_from_gradients_sigma": (
+        lambda **s: gelform.depth_sigma_from_gradients_sigma(SIGMA, mm_per_px=MM_PER_PX, **s),
+        ("zero", "level", "probes", "rng", "correlation_px", "correlated_share"),
+    ),
+    "MarkerFollower": (lambda **s: MarkerFollower(REST, **s), ("mm_per_px",)),
+    "read_presses": (
+        lambda **s: gelform.read_presses(FOLDER / "presses", **s), ("mm_per_px", "ball_diameter_mm")
+    ),
+    "color_change_from_image": (lambda **s: gelform.color_change_from_image(IMAGE, REST, **s), ("settings",)),
     "ChangeSettings": (
         lambda **s: gelform.color_change_from_image(IMAGE, REST, ChangeSettings(**s)),
         ("method", "offset", "blur_px", "crosstalk", "response"),

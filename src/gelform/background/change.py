@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.background.check import compared
 from gelform.background.exposure import Exposure, block_means
-from gelform.checks import check_image, check_values, check_within
+from gelform.checks import check_image, check_is, check_values, check_within
 from gelform.filters import LANES, blur_taps
 from gelform.findings import Finding
 
@@ -55,6 +55,10 @@ class ChangeSettings:
         check_within(self.response, "response", *POSSIBLE_RESPONSES)
         if self.crosstalk is not None:
             object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
+
+
+def _checked_settings(settings: ChangeSettings | None) -> ChangeSettings:
+    return ChangeSettings() if settings is None else check_is(settings, ChangeSettings, "settings")
 
 
 def _checked_crosstalk(crosstalk: Any) -> Matrix:
@@ -121,7 +125,7 @@ def color_change_from_image(
     """
     reference = check_image(background, name="background")
     pressed = check_image(image, shape=reference.shape[:2])
-    return PreparedBackground(reference, settings or ChangeSettings()).change(pressed)
+    return PreparedBackground(reference, _checked_settings(settings)).change(pressed)
 
 
 class PreparedBackground:
@@ -218,7 +222,7 @@ def image_from_color_change(
     ValueError, TypeError
         A change or background of another shape, or not finite.
     """
-    settings = settings or ChangeSettings()
+    settings = _checked_settings(settings)
     untouched = check_image(background, name="background").astype(np.float32)
     change = check_values(color_change, "color_change", (3,))
     if change.shape != untouched.shape:

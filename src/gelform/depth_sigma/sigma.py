@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.checks import (
     as_array,
+    check_is,
     check_map,
     check_mask,
     check_mm_per_px,
@@ -41,7 +42,7 @@ from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draw
 from gelform.errors import ConvergenceError
 from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR, constant_map
-from gelform.zero import Level, Zero, fitted_surface, zero_region
+from gelform.zero import Level, Zero, checked_level, fitted_surface, zero_region
 
 MOST_PX, MOST_PROBES = 20_000, 10_000  # beyond any camera and any memory: a typing error
 
@@ -151,7 +152,7 @@ class DepthSigma:
         probes = checked_probes(probes)
         block = self.block = int(np.clip(round((shape[0] * shape[1] / BLOCKS) ** 0.5), *BLOCK_PX))
         blocks = block_rows_and_columns(self.shape, block)
-        rng = rng or np.random.default_rng(0)
+        rng = np.random.default_rng(0) if rng is None else check_is(rng, np.random.Generator, "rng")
         white = white_draws(probes, blocks, rng)
         common = np.zeros_like(white)
         if max(fraction, rest_fraction) > 0:
@@ -193,7 +194,7 @@ class DepthSigma:
         weight = constant_map(shape, 1.0) if weights is None else checked_weights(weights, shape)
         inside = None if mask is None else check_mask(mask, shape=shape)
         hold = None if anchor is None else check_anchor(anchor, shape)
-        region = zero_region(zero, shape)
+        region, level = zero_region(zero, shape), checked_level(level)
         untouched = checked_rest(rest, shape)
         if inside is not None:
             weight = weight * inside
@@ -283,17 +284,20 @@ def depth_sigma_from_gradients_sigma(
     pitch = check_mm_per_px(mm_per_px)
     sigma = checked_sigma(gradients_sigma)
     shape = sigma.shape[0], sigma.shape[1]
-    uniform = weights is None and mask is None and anchor is None and level is None
-    constant = bool(np.all(sigma == sigma[0, 0]))
-    if uniform and constant and correlation_px == 0 and isinstance(zero, str) and zero == "mean":
-        per_x, per_y = variance_of_white(shape, pitch)
-        return np.sqrt(sigma[0, 0, 0] ** 2 * per_x + sigma[0, 0, -1] ** 2 * per_y).astype(np.float32)
+    checked_share(correlation_px, correlated_share)
+    if rng is not None:
+        check_is(rng, np.random.Generator, "rng")
     settings: dict[str, Any] = {
         "mm_per_px": pitch,
         "correlation_px": float(correlation_px),
         "correlated_share": float(correlated_share),
         "probes": checked_probes(probes),
     }
+    uniform = weights is None and mask is None and anchor is None and checked_level(level) is None
+    constant = bool(np.all(sigma == sigma[0, 0]))
+    if uniform and constant and correlation_px == 0 and isinstance(zero, str) and zero == "mean":
+        per_x, per_y = variance_of_white(shape, pitch)
+        return np.sqrt(sigma[0, 0, 0] ** 2 * per_x + sigma[0, 0, -1] ** 2 * per_y).astype(np.float32)
     prepared = _prepared(shape, **settings) if rng is None else DepthSigma(shape, **settings, rng=rng)
     return prepared(sigma, weights=weights, mask=mask, anchor=anchor, zero=zero, level=level)
 

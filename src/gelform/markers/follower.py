@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
+from gelform.checks import check_image, check_mm_per_px
 from gelform.markers.finder import CandidateFinder, MarkerFinder
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.patches import Patches, StretchedPatches, logs_from_image
@@ -94,6 +94,8 @@ class MarkerFollower:
 
     def __init__(self, background: ArrayLike, mm_per_px: float | tuple[float, float] | None = None) -> None:
         image = check_image(background, name="background")
+        if mm_per_px is not None:
+            check_mm_per_px(mm_per_px)
         self.mm_per_px = mm_per_px
         self._finder = MarkerFinder(image)
         found, radius = self._finder.untouched.centers_px, self._finder.untouched.radius_px

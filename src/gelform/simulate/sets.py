@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.checks import check_is
 from gelform.progress import Progress, no_progress
 from gelform.simulate.gel.ball_press import depth_of_ball
 from gelform.simulate.gel.gel import Drag
@@ -44,7 +45,7 @@ def simulate_ball_presses(
     """
     if count < 1 or len(ball_diameters_mm) == 0:
         raise ValueError(f"Expected count >= 1 and a ball, got {count} and {list(ball_diameters_mm)}.")
-    background_rng, place_rng, *press_rngs = rng.spawn(count + 2)
+    background_rng, place_rng, *press_rngs = check_is(rng, np.random.Generator, "rng").spawn(count + 2)
     shift = place_rng.random(2)
     presses = []
     for k, press_rng in enumerate(press_rngs):

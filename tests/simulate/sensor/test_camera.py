@@ -89,6 +89,12 @@ def test_noise_is_as_asked_and_quantisation_rounds():
     np.testing.assert_array_equal(rounded, np.rint(clean))
 
 
+def test_a_seed_is_no_generator_with_noise_and_without():
+    for sensor in (SMALL, replace(SMALL, noise_sd=0.0, noise_gain=0.0)):
+        with pytest.raises(TypeError, match="Expected rng as Generator, got int"):
+            simulate_background(sensor, 3)
+
+
 def test_noise_is_normal():
     drawn = normal_table()[draws(np.random.default_rng(5), 400_001)].astype(np.float64)
     assert drawn.shape == (400_001,)

@@ -149,6 +149,12 @@ class ReadOptions:
     background: Path | None = None
     crop: tuple[float, float, float, float] | None = None
 
+    def __post_init__(self) -> None:
+        if self.mm_per_px is not None:
+            check_sensor_pitch(self.mm_per_px)
+        if self.ball_diameter_mm is not None:
+            check_ball_diameter(self.ball_diameter_mm)
+
     def settings(self, place: Path, known: SensorSettings | None = None) -> SensorSettings:
         """sensor.toml beside the data, else what the data know, else the profile; a given scale goes first."""
         settings = known

@@ -11,6 +11,7 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.checks import check_is
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -130,6 +131,8 @@ def image_from_levels(
     Without `rng` there is no noise; without `quantise` levels are neither rounded, cut nor compressed. Noise is
     normal in 65536 steps, so that none is beyond 4.3 standard deviations.
     """
+    if rng is not None:
+        check_is(rng, np.random.Generator, "rng")
     noisy = rng is not None and (sensor.noise_sd > 0 or sensor.noise_gain > 0)
     drawn = draws(rng, levels.size).reshape(levels.shape) if rng is not None and noisy else None
     variance, gain, gamma = sensor.noise_sd**2, sensor.noise_gain, sensor.optics.response_gamma
