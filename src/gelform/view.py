@@ -33,7 +33,7 @@ class View:
     frame_shape : (H, W) of the camera's frames, or None for frames of any size
         Needed where frames are cropped, resized or seen through a lens.
     crop : (left, top, width, height) in frame pixels, or None for the whole frame
-        Fractions of a pixel are allowed. Counted in the frame as the camera gives it, before the flip.
+        Fractions of a pixel are allowed, in a size of 1 or more. Counted in the frame as the camera gives it, before flips.
     flip : "none", "x" (left and right change places), "y" (top and bottom), or "xy" (turned by 180 degrees)
     image_shape : (H, W) of the image, or None for the size of the crop, rounded
     lens : Lens or None
@@ -265,9 +265,9 @@ def _crop_of(value: Any, frame_shape: tuple[int, int] | None) -> tuple[float, fl
     if value is None:
         return None
     left, top, width, height = _numbers(value, 4, "crop as (left, top, width, height)")
-    if left < 0 or top < 0 or width <= 0 or height <= 0:
+    if left < 0 or top < 0 or width < 1 or height < 1:
         raise ValueError(
-            f"Expected crop (left, top, width, height), left, top >= 0, a size > 0, got {value}."
+            f"Expected crop (left, top, width, height), left, top >= 0, a size >= 1 px, got {value}."
         )
     height_available, width_available = (np.inf, np.inf) if frame_shape is None else frame_shape
     if left + width > width_available + 1e-6 or top + height > height_available + 1e-6:
