@@ -29,8 +29,8 @@ def test_videos_and_recordings_are_sequences_of_their_own(tree, film):
 def test_a_pattern(tree):
     listing = listing_of(str(tree / "day*" / "frame1*.png"))
     assert [(one.name, one.images) for one in listing.sequences] == [
-        ("", ("frame1.png", "frame10.png", "frame11.png"))
-    ]
+        ("day2", ("frame1.png", "frame10.png", "frame11.png"))
+    ], "named as beside other days"
     assert [one.name for one in listing_of(str(tree / "**" / "*.png")).sequences] == ["", "day2"]
 
 

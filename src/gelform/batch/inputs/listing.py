@@ -7,6 +7,7 @@ import hashlib
 import os
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 
 from gelform.batch.inputs.containers import (
@@ -87,10 +88,10 @@ def listing_of(
         listing = Listing(path, tuple(tree), searched=True)
         what = f"the folder {path}"
     elif path.exists():
-        listing, what = _of_files([path], hidden), f"the file {path}"
+        listing, what = _of_files([path], hidden, _absolute(path).parent), f"the file {path}"
     elif glob.has_magic(str(path)):
         found = [Path(one) for one in glob.glob(str(path), recursive=True)]
-        listing, what = _of_found(found, hidden, dataset), f"the pattern {path}"
+        listing, what = _of_found(found, hidden, dataset, _begin(path)), f"the pattern {path}"
         listing = replace(listing, searched="**" in path.parts)
     else:
         raise DataError(f"No file or folder {path}. Check the path; put a pattern in quotes.")
@@ -136,16 +137,18 @@ def _containers_in_tree(root: Path, dataset: str) -> Iterator[Sequence]:
         folders += [one for one in below if one not in here]
 
 
-def _of_found(found: list[Path], hidden: set[str], dataset: str) -> Listing:
+def _begin(pattern: Path) -> Path:
+    """The folder below which a pattern searches: names do not depend on how much there matches."""
+    return Path(*takewhile(lambda one: not glob.has_magic(one), _absolute(pattern).parent.parts))
+
+
+def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> Listing:
     """What a pattern matched."""
     if not dataset:
-        return _of_files(found, hidden)
+        return _of_files(found, hidden, root)
     paths = sorted(
         (path for path in map(_absolute, found) if is_container(path)), key=lambda p: natural(str(p))
     )
-    if not paths:
-        return Listing(Path(), ())
-    root = Path(os.path.commonpath([path.parent for path in paths]))
     named = [(path, path.relative_to(root).as_posix()) for path in paths]
     return Listing(root, tuple(one for path, name in named for one in _among_others(path, name, dataset)))
 
@@ -192,13 +195,10 @@ def _of_folder(name: str, folder: Path, files: Iterable[str]) -> Iterator[Sequen
             yield Sequence(f"{name}/{one}" if name else one, folder / one)
 
 
-def _of_files(paths: Iterable[Path], hidden: set[str]) -> Listing:
+def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
     """Files and folders of recordings, grouped by the folder that they are in."""
     wanted = [path for path in map(_absolute, paths) if os.path.realpath(path) not in hidden]
     wanted = [path for path in wanted if _is_frames(path)]
-    if not wanted:
-        return Listing(Path(), ())
-    root = Path(os.path.commonpath([path.parent for path in wanted]))
     inside: dict[Path, list[str]] = {}
     for path in wanted:
         inside.setdefault(path.parent, []).append(path.name)
