@@ -47,9 +47,6 @@ class Press:
     digest: str
     center_px: tuple[float, float] | None = None
 
-    def __post_init__(self) -> None:
-        check_ball_diameter(self.ball_diameter_mm)
-
 
 @dataclass(frozen=True)
 class FlatPress:
