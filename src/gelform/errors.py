@@ -44,3 +44,10 @@ def needed(module: str, extra: str, what: str) -> Any:
         return import_module(module)
     except ImportError as missing:
         raise DataError(f'{what} needs the extra {extra}: pip install "gelform[{extra}]".') from missing
+
+
+def said(problem: BaseException) -> str:
+    """What an error of another library says of a file, in a line."""
+    if isinstance(problem, UnicodeDecodeError):
+        return f"byte {problem.start} of a text is no character"
+    return str(problem).splitlines()[0] if str(problem) else type(problem).__name__

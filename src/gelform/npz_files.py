@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.checks import check_path
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, GelformError, said
 
 try:
     import fcntl
@@ -398,10 +398,3 @@ def _json(meta: Mapping[str, Any]) -> str:
         raise ValueError(
             "expected finite numbers in the settings, as JSON has them, got NaN or infinity"
         ) from problem
-
-
-def said(problem: BaseException) -> str:
-    """What an error of another library says of a file, in a line."""
-    if isinstance(problem, UnicodeDecodeError):
-        return f"byte {problem.start} of a text is no character"
-    return str(problem).splitlines()[0] if str(problem) else type(problem).__name__

@@ -21,8 +21,8 @@ from gelform.calibration.presses.press_set import (
     table_rows,
 )
 from gelform.checks import check_positive, check_sensor_pitch
-from gelform.errors import DataError
-from gelform.npz_files import DAMAGED_ARCHIVE, said
+from gelform.errors import DataError, said
+from gelform.npz_files import DAMAGED_ARCHIVE
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
 MAX_PACK_BYTES = 4 << 30  # of a dataPack, unpacked
