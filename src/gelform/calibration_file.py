@@ -170,7 +170,7 @@ class Calibration:
         return background_digest(self.background)
 
     def color_from_gradients(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
-        """Forward response: expected color change (H, W, 3) of gradients (H, W, 2).
+        """Forward response: expected color change (H, W, 3) of gradients (H, W, 2), of gel that lies at depth 0.
 
         Raises
         ------

@@ -39,9 +39,8 @@ class FrameDepth:
     ) -> NDArray[np.float32]:
         """Depth (rows, columns) on the coarser grid, px: 0 in the median of the untouched samples, and nowhere less.
 
-        Of a color change (H, W, 3) and the gradients (H, W, 2) that a color model reads; across hidden pixels (H, W) the
-        slopes
-        around are carried on.
+        Of a color change (H, W, 3) and the gradients (H, W, 2) that a color model reads. The slopes around hidden pixels
+        (H, W) are carried on across them.
         """
         change, slopes = self._made_coarse(color_change), self._made_coarse(gradients)
         if hidden is not None and hidden.any():
