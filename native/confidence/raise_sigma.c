@@ -75,7 +75,7 @@ static inline void finish(const struct causes *c, const struct lines *restrict l
                           float *restrict sigma, float *restrict confidence, int n) {
   const float clean = c->clean * c->clean, most_of_wall = clean / c->least;
   for (int k = 0; k < n; k++) {
-    const float noise = c->added * gain[k], others = sigma[k] * sigma[k] + l->variance[k] + noise * noise;
+    const float noise = c->added * gain[k], others = sigma[k] * sigma[k] + l->outlier[k] + noise * noise;
     sigma[k] = sqrtf(others + l->wall[k]);
     confidence[k] = smaller(clean / (others + smaller(l->wall[k], most_of_wall)), 1);
   }
@@ -106,9 +106,8 @@ EXPORT int raise_sigma(const float *gradients, const float *residual, const floa
                            unseen_at == NULL ? NULL : unseen_at + at, n);
       write_roots(walls == NULL ? NULL : walls + at, l.wall, n);
       write_roots(outliers == NULL ? NULL : outliers + at, l.outlier, n);
-      for (int k = 0; k < n; k++) l.variance[k] = l.outlier[k];
-      if (unseen_at != NULL)
-        for (int k = 0; k < n; k++) l.variance[k] += unseen_at[at + k] ? square : 0;
+      if (unseen_at != NULL)  // where no outlier is
+        for (int k = 0; k < n; k++) l.outlier[k] += unseen_at[at + k] ? square : 0;
       finish(&c, &l, gain + at, sigma + at, confidence + at, n);
     }
   return OK;

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -126,7 +128,7 @@ def output_file(output: Path, path: Path) -> OutputFile:
     return OutputFile(path.relative_to(output).as_posix(), size, sha.hexdigest())
 
 
-class PartWriter:
+class PartWriter(AbstractContextManager["PartWriter"]):
     """Writes the results of a part, frame by frame; a context manager.
 
     Attributes
@@ -143,16 +145,14 @@ class PartWriter:
         """What `add` takes; raises what the result itself forbids, such as depth beyond 16 bits (DataError)."""
         return maps_of(result, self._target.settings)
 
+    @abstractmethod
     def add(self, name: str, index: int, prepared: Any | None) -> dict[str, Any]:
         """Write the next frame, None where it has an error; raises DataError where it cannot be written.
 
         Gives what the row says: output, and bytes and sha256 where that is a file of its own.
         """
-        raise NotImplementedError
 
-    def __enter__(self) -> PartWriter:
-        return self
-
+    @abstractmethod
     def __exit__(self, *error: Any) -> None:
         """Leave whole files, or none."""
 
