@@ -27,7 +27,7 @@ LEVELS = [
         "reconstruction",
     },
     {"reconstruct", "simulate"},
-    {"sensors", "plots", "importers", "exporters", "torch"},
+    {"sensors", "plots", "importers", "exporters", "torch", "starters"},
     {"calibration", "design", "streams"},
     {"batch", "live", "robots"},
     {"cli"},
@@ -46,6 +46,7 @@ NEIGHBOURS = {
     ("calibration_file", "confidence"),
     ("reconstruction", "contact"),
     ("reconstruction", "normals"),
+    ("starters", "sensors"),  # the table of makes
     ("design", "calibration"),
     ("batch", "robots"),  # LeRobot's levels
 }

@@ -121,7 +121,7 @@ def test_forward_responses_of_every_format_say_the_same_colours():
 
 def older(calibration, knows_depth, **more):
     """Arrays and settings as format 2 had them: of the forward response, of the gamut, of two rules of the slope sigma."""
-    arrays, meta = calibration._contents()
+    arrays, meta = calibration.contents()
     arrays = {name: array for name, array in arrays.items() if not name.startswith("forward")}
     rng = np.random.default_rng(0)
     coefficients = rng.normal(0, 0.05, (110 if knows_depth else 50, 3))
@@ -189,7 +189,7 @@ def test_color_models_that_are_no_more_name_the_release_that_reads_them(calibrat
 
 
 def test_a_response_that_does_not_fit_together_is_damage(calibration, tmp_path):
-    arrays, meta = calibration._contents()
+    arrays, meta = calibration.contents()
     for name, damaged in (
         ("forward_nodes", arrays["forward_nodes"][:, :, :16]),
         ("forward_covariance", -arrays["forward_covariance"]),

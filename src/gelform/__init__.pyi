@@ -43,6 +43,7 @@ from .calibration.geometry.lens import view_from_grid as view_from_grid
 from .calibration.presses.folder import with_scale as with_scale
 from .calibration.fit import calibrate as calibrate
 from .calibration.evaluate import evaluate as evaluate
+from .starters.starter import calibration_from_background as calibration_from_background
 from .importers.calibrations import import_calibration as import_calibration
 from .calibration_file import Calibration as Calibration
 from .calibration_file import load_calibration as load_calibration

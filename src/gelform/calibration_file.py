@@ -26,6 +26,7 @@ from gelform.color_models.forward_response import older_response
 from gelform.color_models.seam import RenderingModel
 from gelform.confidence import SlopeSigma
 from gelform.errors import CalibrationError
+from gelform.findings import Finding
 from gelform.npz_files import digest_of, read_npz, write_npz
 from gelform.view import View
 
@@ -52,6 +53,8 @@ class CalibrationSettings(Mapping[str, Any]):
     crosstalk : what is undone before the color model, in words
     relaxation_mm : length over which the gel falls off around a contact
     image_noise : (3,) standard deviation of an image's pixel, grey levels
+    starter : where other units of the make were calibrated and this one was not: the make (`sensor`), the relative standard
+        deviation of slopes between units (`spread`), the `units`, and the `findings` about this unit's background
     others : the color model's own settings, options of an importer, what other releases wrote
     """
 
@@ -67,6 +70,7 @@ class CalibrationSettings(Mapping[str, Any]):
     crosstalk: str | None = None
     relaxation_mm: float | None = None
     image_noise: Sequence[float] | None = None
+    starter: Mapping[str, Any] | None = None
     others: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -145,8 +149,26 @@ class Calibration:
     @cached_property
     def digest(self) -> str:
         """Identity of this calibration: a digest of its arrays and settings."""
-        arrays, meta = self._contents()
+        arrays, meta = self.contents()
         return digest_of(arrays, meta)
+
+    @property
+    def unit_spread(self) -> float:
+        """Relative standard deviation of slopes between units, of a starter; 0 of a calibration of this very unit."""
+        return 0.0 if self.settings.starter is None else float(self.settings.starter["spread"])
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What should be known of every result: that the calibration is a starter's, and of what its background looks."""
+        starter = self.settings.starter
+        if starter is None:
+            return ()
+        message = (
+            f"This is a starter, made on other units of a {self.sensor_name}: slopes, and depth with them, may be off by "
+            f"{100 * self.unit_spread:.0f} % (one standard deviation). Calibrate with five presses of a ball or more."
+        )
+        found = [Finding(str(name), str(said), float(figure)) for name, said, figure in starter["findings"]]
+        return (Finding("starter", message, self.unit_spread), *found)
 
     @property
     def known_mm_per_px(self) -> float:
@@ -200,16 +222,17 @@ class Calibration:
         CalibrationError
             The file is there already and `overwrite` is False, or it cannot be written.
         """
-        arrays, meta = self._contents()
+        arrays, meta = self.contents()
         write_npz(
             path, arrays, meta, kind=KIND, version=FORMAT_VERSION, error=CalibrationError, overwrite=overwrite
         )
 
     def describe(self) -> dict[str, Any]:
         """Its settings and figures, without its arrays, as JSON can hold them."""
-        return {**self._contents()[1], "digest": self.digest}
+        return {**self.contents()[1], "digest": self.digest}
 
-    def _contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Its arrays and settings, as files hold them."""
         model_arrays, model_settings = self.color_model.to_arrays()
         forward_arrays, forward_settings = ({}, None) if self.forward is None else self.forward.to_arrays()
         arrays: dict[str, NDArray[Any]] = {
@@ -246,8 +269,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
     )
     try:
-        _check_contents(arrays, meta)
-        return _from_contents(arrays, meta)
+        return calibration_from_contents(arrays, meta)
     except KeyError as problem:
         raise CalibrationError(f"{path} is damaged: {problem} is missing. {_REMEDY}") from problem
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as problem:
@@ -271,6 +293,8 @@ def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> No
     if meta["mm_per_px_sigma"] is not None:
         check_within(meta["mm_per_px_sigma"], "mm_per_px_sigma", 0, 1e3)
     check_within(meta["untouched_change"], "untouched_change", 0, 1e3)
+    if "starter" in meta["settings"]:
+        check_within(meta["settings"]["starter"]["spread"], "spread", 0, 1)
     if "gel_thickness_mm" in meta["settings"]:
         check_gel_thickness(meta["settings"]["gel_thickness_mm"])
     shape = tuple(meta["image_shape"])
@@ -304,7 +328,9 @@ def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibratio
     return calibration
 
 
-def _from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
+def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
+    """The calibration of `Calibration.contents`; a KeyError, TypeError or ValueError where something does not fit."""
+    _check_contents(arrays, meta)
     shape: tuple[int, int] = (int(meta["image_shape"][0]), int(meta["image_shape"][1]))
     models = {**COLOR_MODELS, **IMPORTED_MODELS}
     if meta["color_model"] in DISCONTINUED:

@@ -93,7 +93,8 @@ class _Calibrated:
             self.depth_sigma = DepthSigma(shape, mm_per_px=self.pitch, **known.correlation)
         self.gain_sigma = known.gain_sigma if known else 0.0
         self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
-        self.solved_sigma = SolvedSigma(known, shape, calibration.change.blur_px if known else None)
+        blur_px = calibration.change.blur_px if known else None
+        self.solved_sigma = SolvedSigma(known, shape, blur_px, calibration.unit_spread)
 
     def integrate(
         self, read: _Read, start: Callable[[Work], Work]
@@ -168,7 +169,7 @@ class Reconstructor:
     Attributes
     ----------
     own_background : whether the background in use is the calibration's own, pixel for pixel
-    findings : what should be known of a background that is not
+    findings : what should be known of the calibration, where it is a starter, and of a background that is not its own
     solved_sigma : standard deviation of the solved depth's slopes, from that of the slopes that were read
     markers : follows the gel's marker dots; of length 0 where it has none. A `MarkerTracker` of it has memory
 
@@ -192,13 +193,13 @@ class Reconstructor:
         self.calibration = calibration = as_calibration(calibration)
         self._calibrated = _Calibrated(calibration, solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma)
         self.solver = self._calibrated.solver
-        self.findings: tuple[Finding, ...] = ()
+        self.findings: tuple[Finding, ...] = calibration.findings
         self.background = calibration.background
         self._checked = partial(check_viewed_image, calibration.image_shape, calibration.view.frame_shape)
         if background is not None:
             today = self._checked(background, "background")
             check_untouched_image(today, calibration.background)
-            self.findings = check_own_background(today, calibration.background)
+            self.findings += check_own_background(today, calibration.background)
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
         self._today = _Today(self._calibrated, self.background)

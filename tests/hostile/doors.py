@@ -22,6 +22,7 @@ from gelform.markers.follower import MarkerFollower
 from gelform.metrics import press_errors
 from gelform.plots.canvas import save_picture
 from gelform.sensors.files import read_background
+from gelform.starters import load_starter
 from gelform.view import frame_from_image
 from made.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
 
@@ -38,6 +39,7 @@ SIGMA = np.full((*SHAPE, 2), 0.05, np.float32)
 PITCH = {"mm_per_px": MM_PER_PX}
 RESULT = gelform.Reconstructor(calibration())(IMAGE)
 FRAME = gelform.Frame(IMAGE, 0.0, 0, 0)
+LIGHT = load_starter("gelsight-mini").calibration.background
 SCALE = gelform.Scale(0.1, 0.001, "two marks")
 FOLDER_OF_PRESSES = {
     "background": UNTOUCHED, "images": [IMAGE, IMAGE], "ball_diameters_mm": [8.0, 8.0], "name": "known gel",
@@ -141,6 +143,10 @@ DOORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "view_from_grid": (
         gelform.view_from_grid,
         {"images": [IMAGE], "pattern": (5, 4), "pitch_mm": 1.0, "kind": "dots", "pitch_sigma_mm": 0.01},
+    ),
+    "calibration_from_background": (
+        gelform.calibration_from_background,
+        {"background": LIGHT, "sensor": "gelsight-mini", "mm_per_px": 0.0634, "serial": "A", "gel_id": "g"},
     ),
     "import_calibration": (
         gelform.import_calibration,

@@ -12,7 +12,7 @@ Learning, 2006, section 4.4, Laplace's approximation; Huber weights as in P. J. 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -154,6 +154,12 @@ class ForwardResponse:
         coefficients = at_pixels(self.nodes, *interpolation(x_px, y_px, self.shape))
         products = np.stack([*monomial_products(v.T, _POWERS), z, z * v[:, 0], z * v[:, 1]])
         return np.asarray(np.einsum("tn,ntc->nc", products, coefficients))
+
+    def of_smaller_changes(self, gain: NDArray[np.float64]) -> ForwardResponse:
+        """The response of color changes that are smaller by a gain (rows, columns, 3) at the nodes, and their noise."""
+        usual = np.exp(np.log(gain).mean(axis=(0, 1)))
+        covariance = self.covariance / np.outer(usual, usual)
+        return replace(self, nodes=self.nodes / gain[:, :, None], covariance=covariance)
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and settings that `from_arrays` makes it of."""

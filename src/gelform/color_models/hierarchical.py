@@ -96,6 +96,13 @@ class HierarchicalModel:
         """One for each ridge, the stiffest first."""
         return [{"ridge": ridge} for ridge in RIDGES]
 
+    def of_smaller_changes(self, gain: NDArray[np.float64]) -> HierarchicalModel:
+        """The model that reads color changes which are smaller by a gain (rows, columns, 3) at the nodes."""
+        factors = np.stack(
+            [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)], axis=-1
+        )
+        return HierarchicalModel(self.nodes * factors[..., None], self.degree, self.shape)
+
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
         if (self.degree, tuple(self.shape)) != (degree, tuple(shape)):

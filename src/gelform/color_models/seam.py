@@ -158,6 +158,10 @@ class StartableModel(ColorModel, Protocol):
         """Of the polynomial in colour."""
         ...
 
+    def of_smaller_changes(self, gain: NDArray[np.float64]) -> StartableModel:
+        """The model that reads color changes which are smaller by a gain (rows, columns, 3) at its nodes."""
+        ...
+
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError where a model of a degree and an image shape could not start from this one."""
         ...

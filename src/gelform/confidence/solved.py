@@ -49,9 +49,13 @@ class SolvedSigma:
     sigma : of the calibration; None where it knows none: what a color model states itself holds for solved slopes too
     shape : (H, W) of the images
     blur_px : of the color change; None of imported calibrations, whose blur is unknown: no slope is a wall's
+    spread : relative standard deviation of slopes between units, of a starter
     """
 
-    def __init__(self, sigma: SlopeSigma | None, shape: tuple[int, int], blur_px: float | None) -> None:
+    def __init__(
+        self, sigma: SlopeSigma | None, shape: tuple[int, int], blur_px: float | None, spread: float = 0.0
+    ) -> None:
+        self._spread = np.float32(spread / np.sqrt(2))  # of one component of a slope
         y, x = ((np.arange(n) + 0.5) / n for n in shape)
         slopes: tuple[float, float] = (0.0, 1.0)
         grids: tuple[Any, ...] = (((1.0,),),) * 2
@@ -90,6 +94,8 @@ class SolvedSigma:
     def _map(self, sigma: NDArray[np.float32], gradients: NDArray[np.float32]) -> NDArray[np.float32]:
         solved, work = np.empty_like(sigma), np.empty(3 * sigma.shape[1] + 2, dtype=np.float32)
         _solved_sigma(sigma, gradients, *self._factors, work, solved, *self._numbers)
+        if self._spread:
+            solved = np.hypot(solved, self._spread * np.hypot(gradients[..., 0], gradients[..., 1]))
         return solved
 
 

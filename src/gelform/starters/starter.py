@@ -1,0 +1,264 @@
+"""A starter: a calibration of other units of a make, which today's background turns into one of this unit.
+
+What units share is how their lamps lie around the gel, and so how colour follows from slope, to some per cent. What they
+do not share is the untouched image, which takes a second to photograph. So a starter holds the models of colour, the smooth
+light of the make and the spread between units; with a unit's background it becomes a calibration that says what it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gelform.background.average import noise_from_image
+from gelform.calibration_file import Calibration, calibration_from_contents
+from gelform.checks import check_image, check_mm_per_px, check_positive
+from gelform.color_models import StartableModel
+from gelform.errors import CalibrationError, SensorError
+from gelform.npz_files import read_npz, write_npz
+from gelform.sensors.profiles import SENSORS
+from gelform.starters.light import (
+    check_light,
+    gain_between,
+    levels_from_light,
+    light_from_background,
+    pixel_places,
+)
+from gelform.view import View, image_from_frame
+
+KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
+FOLDER = files("gelform") / "starters"
+
+
+@dataclass(frozen=True, eq=False)
+class Starter:
+    """What units of one make of sensor have in common.
+
+    Attributes
+    ----------
+    sensor : its name, as `starter_names` lists it
+    calibration : of the units that it was made from; its background is rendered from `light`, no image
+    light : (10, 3), of the untouched gel, as `light_from_background` gives it
+    spread : relative standard deviation of the slopes of one unit about those of the make
+    units : what it was made from, in words
+    """
+
+    sensor: str
+    calibration: Calibration
+    light: NDArray[np.float64]
+    spread: float
+    units: tuple[str, ...]
+
+    @property
+    def make(self) -> str:
+        """The sensor's name, as people write it."""
+        profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
+        return self.sensor if profile is None else profile.name
+
+    def for_unit(
+        self,
+        background: NDArray[Any],
+        *,
+        view: View | None = None,
+        mm_per_px: float | None = None,
+        serial: str | None = None,
+        gel_id: str | None = None,
+    ) -> Calibration:
+        """The calibration of a unit of this make, of which the untouched image is known and nothing else.
+
+        Its slopes are known within `spread` besides their noise, which results state in their deviations.
+
+        Parameters
+        ----------
+        background : (H, W, 3), 0-255, the untouched image, of the starter's size
+        view : how frames become images; identity by default
+        mm_per_px : by default the make's
+        serial, gel_id : which unit, which gel
+
+        Raises
+        ------
+        CalibrationError
+            The image is of another make, dark or saturated in parts; see `check_light`.
+        ValueError, TypeError
+            No RGB image, or of another size.
+        """
+        made = self.calibration
+        image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
+        findings = check_light(image, self.light, self.make)
+        model, forward = self.models_for(light_from_background(image)[0])
+        sigma = made.slope_sigma
+        assert sigma is not None
+        record = {
+            "sensor": self.sensor,
+            "spread": self.spread,
+            "units": list(self.units),
+            "findings": [[one.name, one.message, one.figure] for one in findings],
+        }
+        return replace(
+            made,
+            sensor_name=self.make,
+            serial=serial,
+            gel_id=gel_id,
+            view=View() if view is None else view,
+            mm_per_px=made.mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0]),
+            mm_per_px_sigma=made.mm_per_px_sigma if mm_per_px is None else None,
+            background=image,
+            background_noise=noise_from_image(image),
+            color_model=model,
+            forward=forward,
+            slope_sigma=replace(sigma, gain_sigma=float(np.hypot(sigma.gain_sigma, self.spread))),
+            held_out={},
+            settings=replace(made.settings, starter=record),
+        )
+
+    def models_for(self, light: NDArray[np.float64]) -> tuple[Any, Any]:
+        """Color model and forward response of a unit with another light (10, 3): they read its own color changes."""
+        made = self.calibration
+        gain = gain_between(light, self.light, made.change.offset, made.image_shape)
+        assert isinstance(made.color_model, StartableModel)
+        assert made.forward is not None
+        return made.color_model.of_smaller_changes(gain), made.forward.of_smaller_changes(gain)
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write one .npz without the background; its numbers are of single precision.
+
+        Raises
+        ------
+        CalibrationError
+            The file is there already and `overwrite` is False, or it cannot be written.
+        """
+        arrays, meta = self.calibration.contents()
+        kept = {
+            name: v.astype(np.float32) if name.endswith("nodes") else v
+            for name, v in arrays.items()
+            if name != "background"
+        }
+        meta = {"calibration": meta, "sensor": self.sensor, "spread": self.spread, "units": list(self.units)}
+        everything = {**kept, "light": self.light}
+        write_npz(
+            path,
+            everything,
+            meta,
+            kind=KIND,
+            version=FORMAT_VERSION,
+            error=CalibrationError,
+            overwrite=overwrite,
+        )
+
+
+def starter_from_calibration(
+    calibration: Calibration, sensor: str, *, spread: float, units: tuple[str, ...]
+) -> Starter:
+    """What one unit's calibration gives to the others of its make; its background becomes thirty numbers."""
+    light, _ = light_from_background(calibration.background)
+    smooth = levels_from_light(light, *_all_places(calibration.image_shape))
+    plain = replace(calibration, background=smooth, view=View(), serial=None, gel_id=None, report=None)
+    return Starter(sensor, plain, light, check_positive(spread, "spread"), units)
+
+
+def read_starter(path: str | PathLike[str]) -> Starter:
+    """Read a starter's file.
+
+    Raises
+    ------
+    CalibrationError
+        The file is missing, damaged, of another kind, or of a newer format.
+    """
+    arrays, meta = read_npz(
+        path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=MAX_BYTES, error=CalibrationError
+    )
+    try:
+        light = np.asarray(arrays.pop("light"), dtype=np.float64)
+        shape = tuple(meta["calibration"]["image_shape"])
+        arrays = {name: v.astype(np.float64) if name.endswith("nodes") else v for name, v in arrays.items()}
+        arrays["background"] = levels_from_light(light, *_all_places(shape))
+        calibration = calibration_from_contents(arrays, meta["calibration"])
+        return Starter(meta["sensor"], calibration, light, float(meta["spread"]), tuple(meta["units"]))
+    except (KeyError, ValueError, TypeError, AttributeError) as problem:
+        raise CalibrationError(f"{path} is damaged: what it holds does not make a starter.") from problem
+
+
+def starter_names() -> list[str]:
+    """The sensors that have a starter."""
+    return sorted(one.name.removesuffix(".npz") for one in FOLDER.iterdir() if one.name.endswith(".npz"))
+
+
+def load_starter(sensor: str) -> Starter:
+    """The starter of a sensor by its name.
+
+    Raises
+    ------
+    SensorError
+        There is none; those that have one are listed.
+    """
+    if sensor not in starter_names():
+        raise SensorError(
+            f"Expected a sensor with a starter, {', '.join(starter_names())}, got {sensor!r}. "
+            "Another one is calibrated with presses of a ball: gelform calibrate."
+        )
+    return read_starter(str(FOLDER / f"{sensor}.npz"))
+
+
+def starter_for(sensor_name: str, image_shape: tuple[int, int]) -> Starter | None:
+    """The starter of the real make that a sensor's name begins with, for images (H, W); None where there is none."""
+    for name in starter_names():
+        profile = SENSORS[name].profile if name in SENSORS else None
+        if profile is not None and sensor_name.startswith(profile.name):
+            starter = load_starter(name)
+            return starter if starter.calibration.image_shape == tuple(image_shape) else None
+    return None
+
+
+def calibration_from_background(
+    background: ArrayLike,
+    sensor: str,
+    *,
+    mm_per_px: float | None = None,
+    serial: str | None = None,
+    gel_id: str | None = None,
+) -> Calibration:
+    """A calibration of a known sensor from its untouched image alone, by what other units of its make have shown.
+
+    Every result of it says that it is a starter, and states wider deviations. Presses of a ball make it better:
+    `calibrate(presses, start=...)` begins where it ends.
+
+    Parameters
+    ----------
+    background : (H, W, 3), 0-255, RGB
+        A frame of the untouched gel, or an average of several, as the camera gives it; or an image that already has the
+        size of the make's images.
+    sensor : a name in `starter_names()`, such as "gelsight-mini"
+    mm_per_px : by default the make's
+    serial, gel_id : which unit, which gel
+
+    Returns
+    -------
+    Calibration
+        With `settings.starter`: the make, its spread between units and what it was made from.
+
+    Raises
+    ------
+    SensorError
+        The sensor has no starter, or the frames have another aspect than the make's.
+    CalibrationError
+        The image is of another make, or dark or saturated in parts.
+    ValueError, TypeError
+        No RGB image, or of a size that the make does not have.
+    """
+    starter = load_starter(sensor)
+    frame = check_image(background, name="background")
+    shape = (int(frame.shape[0]), int(frame.shape[1]))
+    profile = SENSORS[sensor].profile if sensor in SENSORS else None
+    view = View() if profile is None else profile.view(shape)
+    image = frame if view.is_identity else image_from_frame(frame, view)
+    return starter.for_unit(image, view=view, mm_per_px=mm_per_px, serial=serial, gel_id=gel_id)
+
+
+def _all_places(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    height, width = shape
+    return pixel_places(np.arange(width), np.arange(height), (height, width))
