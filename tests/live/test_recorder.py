@@ -9,7 +9,7 @@ import gelform
 from gelform.errors import DataError
 from gelform.live import actions
 from gelform.live.indexed import indexed
-from gelform.live.recorder import share
+from gelform.live.recorder import Recorder, share
 from gelform.sensors.recordings import attached_background, attached_calibration
 from live_waiting import until
 
@@ -74,3 +74,31 @@ def test_progress_is_told_and_nothing_is_left_of_a_share_that_failed(forms, tmp_
         share(recording, tmp_path / "b.mcap", calibration=None, progress=stop)
     assert [path.name for path in tmp_path.glob("*.mcap*")] == ["a.mcap"]
     assert not list(tmp_path.glob(".*"))
+
+
+def test_it_ends_with_the_page_that_began_it(hub, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.live.web.pages.GRACE_S", 0.05)
+    hub.folder = tmp_path
+    hub.pages.came("page-one")
+    actions.record(hub, 0, True, "page-one")
+    recorder = hub.recorders[0]
+    until(lambda: recorder.stats.frames >= 3)
+    hub.pages.left("page-one")
+    until(lambda: not hub.recorders)
+    until(lambda: hub.notices)
+    assert "the page that began it was closed" in hub.notices[-1][2]
+    assert hub.notices[-1][1] == "warning"
+    assert [one["name"] for one in hub.recordings.facts()] == [recorder.path.name]
+    with gelform.open_source(recorder.path) as source:
+        assert len(list(source)) == recorder.stats.frames
+
+
+def test_it_ends_when_it_is_large_enough(hub, tmp_path):
+    station, ended = hub.stations[0], []
+    limit = 100_000
+    recorder = Recorder(station.grabber, tmp_path, station.setup, on_ended=ended.append, max_bytes=limit)
+    recorder.start()
+    until(lambda: ended)
+    assert "the most for one" in recorder.problem
+    frame_bytes = recorder.stats.written_bytes / recorder.stats.frames
+    assert limit <= recorder.stats.written_bytes < limit + 2 * frame_bytes

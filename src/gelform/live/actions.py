@@ -140,19 +140,23 @@ def press(hub: Hub, station: int, x_px: float, y_px: float) -> None:
     source.press_at(x_px, y_px)
 
 
-def record(hub: Hub, station: int, on: bool) -> None:
-    """Begin to record the frames as the camera gives them, or finish."""
-    chosen, running = hub.station(station), hub.recorders.get(station)
+def record(hub: Hub, station: int, on: bool, page: str = "") -> None:
+    """Begin to record the frames as the camera gives them, or finish; it ends with the page that began it, where one did."""
+    chosen = hub.station(station)
     if on and chosen.player is not None:
         raise GelformError("This is a recording already. Share makes one file of it, with the calibration.")
-    if on and running is None:
-        hub.recorders[station] = Recorder(chosen.grabber, hub.folder, chosen.setup)
-    elif not on and running is not None:
-        del hub.recorders[station]
+    if on and station not in hub.recorders:
+        begun = hub.recorders[station] = Recorder(
+            chosen.grabber,
+            hub.folder,
+            chosen.setup,
+            wanted=lambda: not page or hub.pages.is_open(page),
+            on_ended=lambda ended: hub.recorded(station, ended),
+        )
+        begun.start()
+    elif not on and (running := hub.recorders.get(station)) is not None:
         running.close()
-        if running.stats.frames:
-            hub.recordings.add(running.path)
-        hub.notice(running.problem or f"Recorded {running.stats.frames} frames: {running.path.name}")
+        hub.recorded(station, running)
     hub.changed()
 
 

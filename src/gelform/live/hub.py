@@ -19,6 +19,7 @@ from gelform.live.recorder import Recorder
 from gelform.live.shown import Shown
 from gelform.live.snapshots import Snapshots
 from gelform.live.station import Station
+from gelform.live.web.pages import Pages
 from gelform.progress import Progress
 from gelform.sensors.profiles import PROFILES
 from gelform.solvers import SOLVERS
@@ -41,6 +42,7 @@ class Hub:
     snapshots : frames that somebody wanted to keep
     guides : guided calibrations by the station's number
     recorders : recordings under way, by the station's number
+    pages : those that are open
     folder : where both are written
     work : (what, done, total) of long work by the station's number; shown as progress
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
@@ -53,6 +55,7 @@ class Hub:
     snapshots: Snapshots = field(default_factory=Snapshots)
     guides: dict[int, GuideSession] = field(default_factory=dict)
     recorders: dict[int, Recorder] = field(default_factory=dict)
+    pages: Pages = field(default_factory=Pages)
     folder: Path = Path(".")
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
@@ -111,6 +114,17 @@ class Hub:
             session.close()
         self.changed()
 
+    def recorded(self, station: int, ended: Recorder) -> None:
+        """List a recording that has ended, once, whoever hears of it first, and say so."""
+        with self._lock:
+            if self.recorders.get(station) is not ended:
+                return
+            del self.recorders[station]
+        if ended.stats.frames:
+            self.recordings.add(ended.path)
+        said = f"Recorded {ended.stats.frames} frames: {ended.path.name}"
+        self.notice(f"{ended.problem} {said}".strip(), "warning" if ended.problem else "info")
+
     def check_idle(self, station: int) -> None:
         """Raise GelformError while long work of a station is under way."""
         if station in self.work:
@@ -128,7 +142,11 @@ class Hub:
             "files": self.recordings.facts(),
             "devices": self.devices.facts(),
             "recordings": {
-                number: {"frames": one.stats.frames, "seconds": one.stats.duration_s, "problem": one.problem}
+                number: {
+                    "frames": one.stats.frames,
+                    "seconds": one.stats.duration_s,
+                    "bytes": one.stats.written_bytes,
+                }
                 for number, one in tuple(self.recorders.items())
             },
             "profiles": [[name, profile.name, profile.mm_per_px] for name, profile in PROFILES.items()],

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import threading
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,10 @@ from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import RecordStats, attachments_of, new_recording, record_frames
 
+MAX_BYTES = (
+    2 * 10**9
+)  # of the pictures of one recording: six minutes of 60 frames a second, 320x240 px, as PNG
+
 
 def named_by_time(kind: str) -> str:
     """The name of what the page makes: its kind and the time in UTC, to the second."""
@@ -34,30 +39,48 @@ def named_by_time(kind: str) -> str:
 class Recorder:
     """One recording, in a thread of its own; a file where the extra `mcap` is installed, else a folder of images.
 
+    It begins with `start`.
+
     Parameters
     ----------
     grabber : running; it goes on for its other consumers
     folder : where the recording is made, under a name of its own
     setup : whose calibration and background the recording carries
+    wanted : asked at each frame, and four times a second; where it says False the recording ends
+    on_ended : called in the recording's thread when it has ended, for whatever reason, and is finished
+    max_bytes : of pictures, after which it ends
 
     Attributes
     ----------
     path : of the recording
     stats : RecordStats so far
-    problem : why it ended early; "" where it did not
+    problem : why it ended by itself; "" where it did not
     """
 
-    def __init__(self, grabber: Grabber, folder: Path, setup: Setup) -> None:
+    def __init__(
+        self,
+        grabber: Grabber,
+        folder: Path,
+        setup: Setup,
+        *,
+        wanted: Callable[[], bool] = lambda: True,
+        on_ended: Callable[[Recorder], None] = lambda _: None,
+        max_bytes: int = MAX_BYTES,
+    ) -> None:
         suffix = ".mcap" if importlib.util.find_spec("mcap") else ""
         self.path = folder / f"{named_by_time('recording')}{suffix}"
         self.stats = RecordStats(0, 0, 0, 0.0)
         self.problem = ""
         self._grabber = grabber
+        self._wanted, self._on_ended, self._max_bytes = wanted, on_ended, max_bytes
         self._stop = threading.Event()
         calibration, digest = setup.calibration, _digest_of(setup.calibration)
         attached = attachments_of(calibration, setup.background)
         self._recording = new_recording(self.path, grabber, calibration_digest=digest, attached=attached)
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
         self._thread.start()
 
     def close(self) -> None:
@@ -72,10 +95,19 @@ class Recorder:
             self.problem = str(problem)
         finally:
             self._recording.close()
+            self._on_ended(self)
 
     def _going_on(self, stats: RecordStats) -> bool:
         self.stats = stats
-        return not self._stop.is_set()
+        if self._stop.is_set():
+            return False
+        if stats.written_bytes >= self._max_bytes:
+            self.problem = (
+                f"The recording has ended: it holds {self._max_bytes / 1e9:g} GB, the most for one."
+            )
+        elif not self._wanted():
+            self.problem = "The recording has ended: the page that began it was closed."
+        return not self.problem
 
 
 def share(

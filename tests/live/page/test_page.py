@@ -102,6 +102,23 @@ def test_every_view_can_be_chosen_and_says_its_code(page):
         page.keyboard.press("Escape")
 
 
+def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.live.web.pages.GRACE_S", 3.0)
+    hub.folder = tmp_path
+    recording, other = visit(), visit()
+    recording.click("#record")
+    until(lambda: hub.recorders)
+    recording.reload()
+    until(lambda: recording.evaluate("Boolean(window.gelform?.facts)"), 30)
+    until(lambda: recording.inner_text("#record").startswith("Stop, "))
+    assert hub.recorders
+    other.click("#pause")  # another page is in use meanwhile
+    recording.close()
+    until(lambda: not hub.recorders, 20)
+    until(lambda: "was closed" in other.inner_text("#toasts"))
+    assert len(list(tmp_path.glob("recording-*"))) == 1
+
+
 def test_on_a_phone_nothing_is_wider_than_the_screen(page):
     page.set_viewport_size({"width": 390, "height": 844})
     until(lambda: page.evaluate("gelform.panes[0].shown.width < 390"))

@@ -18,6 +18,7 @@ from gelform.errors import GelformError
 from gelform.live.hub import Hub
 from gelform.live.web.client import TOO_MANY, Client
 from gelform.live.web.guard import OPEN_PATHS, Access, Guard
+from gelform.live.web.pages import page_named
 
 MAX_CLIENTS = 16  # pages that are open at once
 MAX_BODY = 1024  # bytes of a request: a token has 43
@@ -91,12 +92,14 @@ def make_app(hub: Hub, access: Access) -> Any:
         if len(clients) >= MAX_CLIENTS:
             await websocket.close(TOO_MANY, "too many pages are open")
             return
-        client = Client(websocket, hub)
+        client, name = Client(websocket, hub), page_named(websocket.query_params.get("page", ""))
         clients.add(client)
+        hub.pages.came(name)
         try:
             await client.run()
         finally:
             clients.discard(client)
+            hub.pages.left(name)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:

@@ -72,7 +72,7 @@ COMMANDS = {
     "guide_fit": Command(actions.guide_fit, {"station": station}),
     "guide_use": Command(actions.guide_use, {"station": station}),
     "guide_stop": Command(Hub.end_guide, {"station": station}),
-    "record": Command(actions.record, {"station": station, "on": yes_no}),
+    "record": Command(actions.record, {"station": station, "on": yes_no, "page": text}),
     "snapshot": Command(actions.snapshot, {"station": station}),
     "code": Command(actions.code, {"station": station, "view": text, "x_px": number, "y_px": number}),
     "pause": Command(actions.pause, {"station": station, "paused": yes_no}),

@@ -254,7 +254,7 @@ function startPage() {
   byId("guide-pane").append(guidePane.node);
   choosePage = startTabs((name) => { page = name; redraw(); });
   byId("panes").append(...panes.map((pane) => pane.node));
-  startControls({ send, chosen: station, recording: () => facts?.recordings[number], settings, redraw, compared });
+  startControls({ send, chosen: station, recording: () => facts?.recordings[number], page: connection.page, settings, redraw, compared });
   startReplay({ send, chosen: station });
   for (const id of ["files-back", "devices-back"]) byId(id).addEventListener("click", () => send("open", { name: "" }));
   byId("identify").addEventListener("click", () => connection.send({ do: "identify", on: !facts.devices.asking }));

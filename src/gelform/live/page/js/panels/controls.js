@@ -3,7 +3,7 @@
 import { MAP_NAMES } from "../maps/views.js";
 import { byId, element, setOptions } from "../page/dom.js";
 
-/** `does`: {send(do, fields), chosen() -> station, recording() -> facts or undefined, settings, redraw()}. */
+/** `does`: {send(do, fields), chosen() -> station, recording() -> facts or undefined, page: its name, settings, redraw()}. */
 export function startControls(does) {
   const box = byId("actions"), button = (id, text, title, act, main) => element("button", { id, text, title, class: main ? "main" : "", onclick: act });
   const send = (what, fields = {}) => does.send(what, fields);
@@ -13,7 +13,7 @@ export function startControls(does) {
       button("background", "Take background", "The untouched gel of today: touch nothing (B)", () => send("background"), true),
       button("zero", "Set zero", "Show depth against what is there now (Z)", () => send("zero")),
       button("snapshot", "Snapshot", "npz, png and ply of this frame (S)", () => send("snapshot")),
-      button("record", "Record", "Frames as the camera gives them, into the folder of gelform live (R)", () => send("record", { on: !does.recording() })),
+      button("record", "Record", "Frames as the camera gives them, into the folder of gelform live, while this page is open (R)", () => send("record", { on: !does.recording(), page: does.page })),
       button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !holds(does.chosen()) }))),
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
     choice("compare", "Compare with", (name) => { send("compare", { name }); if (name) does.compared(); }),
@@ -35,7 +35,7 @@ export function drawControls(station, facts) {
   byId("pause").textContent = holds(station) ? "Go on" : "Pause";
   byId("pause").setAttribute("aria-pressed", String(holds(station)));
   const recording = facts.recordings[station.number];
-  byId("record").textContent = recording ? `Stop, ${recording.frames} frames` : "Record";
+  byId("record").textContent = recording ? `Stop, ${recording.frames} frames, ${Math.round(recording.bytes / 1e6)} MB` : "Record";
   byId("record").setAttribute("aria-pressed", String(Boolean(recording)));
   byId("zero").textContent = station.zero ? "Zero: undo" : "Set zero";
   byId("zero").setAttribute("aria-pressed", String(station.zero));

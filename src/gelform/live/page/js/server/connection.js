@@ -2,11 +2,21 @@
 
 import { readMessage } from "./frame.js";
 
+const PAGE_KEY = "gelform-page";
+
+/** How this tab names itself to the server, which knows it again after it was loaded anew. */
+function pageName() {
+  const kept = sessionStorage.getItem(PAGE_KEY), made = kept ?? Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+  sessionStorage.setItem(PAGE_KEY, made);
+  return made;
+}
+
 const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 4000, PING_EVERY_MS = 2000, SILENT_MS = 5000, AHEAD = 2;
 
 export class Connection extends EventTarget {
   constructor() {
     super();
+    this.page = pageName();
     this.open = false;
     this.clockOffset = 0; // server's clock minus ours, s
     this.bytes = 0;
@@ -22,7 +32,7 @@ export class Connection extends EventTarget {
   connect() {
     clearTimeout(this.timer);
     if (this.socket && this.socket.readyState <= 1) return;
-    const socket = new WebSocket(`ws://${location.host}/ws`);
+    const socket = new WebSocket(`ws://${location.host}/ws?page=${this.page}`);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     socket.onopen = () => this.opened();
