@@ -7,18 +7,12 @@ from gelform.cli import options
 from gelform.cli.options import numbers, one_of, positive
 
 
-def test_a_number_has_to_be_positive():
+def test_numbers_are_read_and_others_refused():
+    assert positive("1e-2") == 0.01
+    assert numbers("1,2.5,-3", "A,B,C", "--x") == (1, 2.5, -3)
     for text in ("0", "-1", "nan", "inf", "six", "", "1,2"):
         with pytest.raises(typer.BadParameter, match=r"expected a number > 0, got"):
             positive(text)
-
-
-def test_numbers_are_read():
-    assert positive("1e-2") == 0.01
-    assert numbers("1,2.5,-3", "A,B,C", "--x") == (1, 2.5, -3)
-
-
-def test_as_many_numbers_as_the_form_has():
     for text in ("1,2", "1,2,3,4", "1,b,3", "", "1,nan,3"):
         with pytest.raises(typer.BadParameter, match="expected A,B,C, got"):
             numbers(text, "A,B,C", "--x")
@@ -30,17 +24,11 @@ def test_a_name_has_to_be_known():
         one_of("c", ("a", "b"), "--x")
 
 
-def test_the_option_is_named(fails, press_folder, tmp_path):
-    for value in ("0", "nan", "px"):
-        said = fails("calibrate", press_folder, "-o", tmp_path / "c.npz", "--mm-per-px", value, status=2)
-        assert "--mm-per-px" in said
-        assert f"'{value}'" in said
-
-
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
         ("--mm-per-px", "15.8", "up to 1 mm, got 15.8. If these are pixels per mm, give 1/15.8 = 0.06329."),
+        ("--mm-per-px", "px", "expected a number > 0, got 'px'"),
         ("--mm-per-px", "1e-6", "at least 0.0001 mm, got 1e-06. Is it in mm?"),
         ("--ball-diameter-mm", "300", "up to 200 mm, got 300."),
         ("--ball-diameter-mm", "6,35", "got '6,35'. Write it with a decimal point: 6.35."),
@@ -66,7 +54,8 @@ def test_the_names_are_those_of_the_tables():
     assert [sensor.name for sensor in LAYOUTS.values()] == list(LAYOUTS)
 
 
-def test_the_help_names_them_all(run):
+def test_the_help_names_them_all_as_a_sentence(run):
+    assert [options.listed(tuple(names)) for names in ("a", "ab", "abc")] == ["a", "a or b", "a, b or c"]
     for command, names in (("calibrate", options.COLOR_MODELS), ("import", options.PACKAGES)):
         said = " ".join(run(command, "--help")[1].split())
         assert options.listed(names) in said.replace("auto, ", "")
@@ -77,11 +66,3 @@ def test_a_table_that_is_none_is_said():
         options.names_in("color_models/__init__.py", "THEM")
     with pytest.raises(LookupError, match="keys written out"):
         options.names_in("color_models/__init__.py", "__all__")
-
-
-def test_names_as_a_sentence_has_them():
-    assert [options.listed(names) for names in (("a",), ("a", "b"), ("a", "b", "c"))] == [
-        "a",
-        "a or b",
-        "a, b or c",
-    ]

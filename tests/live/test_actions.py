@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from gelform.live import actions
 from gelform.live.indexed import indexed
 from gelform.live.setup import Setup
 from gelform.live.start import Options, start
+from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
 from gelform.simulate import Ball, simulate_background, simulate_press
@@ -59,7 +62,7 @@ def test_solver_calibration_and_comparison(hub, calibration):
     assert hub.stations[0].setup.other is None
 
 
-def test_names_that_are_not_in_the_lists_are_refused(hub):
+def test_what_is_not_listed_or_known_is_refused(hub):
     before = hub.stations[0].setup
     for act, *arguments in (
         (actions.use_solver, "nonsense"),
@@ -71,9 +74,6 @@ def test_names_that_are_not_in_the_lists_are_refused(hub):
             act(hub, 0, *arguments)
     assert hub.stations[0].setup is before
     assert hub.stations[0].facts()["simulated"]
-
-
-def test_without_a_calibration_buttons_say_what_to_do(hub):
     hub.stations[0].setup = Setup()
     for act in (actions.take_background, actions.set_zero):
         with pytest.raises(GelformError, match="no calibration yet"):
@@ -147,15 +147,12 @@ def test_play_speed_loop_and_back_to_the_sensor(replayed):
     assert (facts["speed"], facts["loop"], facts["count"]) == (4, True, 7)
     actions.pause(replayed, 0, True)
     assert not station.facts()["replay"]["playing"]
+    with pytest.raises(GelformError, match="recording already"):
+        actions.record(replayed, 0, True)
     actions.open_recording(replayed, 0, "")
     until(lambda: station.facts()["simulated"])
     with pytest.raises(GelformError, match="Open a recording first"):
         actions.step(replayed, 0, 1)
-
-
-def test_a_recording_is_not_recorded_again(replayed):
-    with pytest.raises(GelformError, match="recording already"):
-        actions.record(replayed, 0, True)
 
 
 def test_what_is_shared_plays_elsewhere_with_its_calibration(replayed, calibration):
@@ -165,14 +162,11 @@ def test_what_is_shared_plays_elsewhere_with_its_calibration(replayed, calibrati
     name = until(
         lambda: next((f["name"] for f in replayed.recordings.facts() if "shared" in f["name"]), None)
     )
-    elsewhere = start(Options([str(replayed.recordings.path(name))]))
-    try:
+    with closing(start(Options([str(replayed.recordings.path(name))]))) as elsewhere:
         station = elsewhere.stations[0]
         until(lambda: station.newest and station.newest.result)
         assert station.setup.calibration.digest == calibration.digest
         np.testing.assert_array_equal(station.setup.background, background)
-    finally:
-        elsewhere.close()
 
 
 def test_what_the_page_recorded_is_on_the_list_and_carries_the_calibration(hub, tmp_path, calibration):
@@ -181,10 +175,7 @@ def test_what_the_page_recorded_is_on_the_list_and_carries_the_calibration(hub, 
     until(lambda: hub.recorders[0].stats.frames > 3)
     actions.record(hub, 0, False)
     name = hub.recordings.facts()[0]["name"]
-    assert (
-        gelform.sensors.recordings.attached_calibration(hub.recordings.path(name)).digest
-        == calibration.digest
-    )
+    assert attached_calibration(hub.recordings.path(name)).digest == calibration.digest
     actions.open_recording(hub, 0, name)
     until(lambda: hub.stations[0].facts()["replay"])
     assert hub.stations[0].setup.name == f"{name}: calibration"

@@ -1,6 +1,7 @@
 """What reproduces a view: the Python runs and gives the numbers on the page, so do the command lines."""
 
 import shlex
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from gelform.live.code import TITLES, Situation, code_of
 from gelform.live.lists import Origin
 from gelform.live.player import ReplayedFrame
 from gelform.live.setup import Setup
-from gelform.live.shown import Shown
+from gelform.live.shown import Shown, measures_of
 from gelform.live.snapshots import FILES
+from gelform.live.start import Options, start
 from gelform.plots.canvas import save_picture
+from live_waiting import until
 
 MINE = Origin("gelform.load_calibration('mine.npz')", (), Path("mine.npz"))
 OTHER = Origin("gelform.load_calibration('other.npz')", (), Path("other.npz"))
@@ -46,15 +49,8 @@ def page(situation, calibration, polynomial_calibration, press, simulated):
     first = setup.result_of(frame, press.image, alone=True)
     setup = replace(setup, zero_mm=(0.25 * first.depth_mm).astype(np.float32))
     result = setup.against_zero(first)
-    shown = Shown(
-        1,
-        frame,
-        press.image,
-        result,
-        setup.other_of(frame),
-        background=setup.background,
-        zero_mm=setup.zero_mm,
-    )
+    set_here = {"background": setup.background, "zero_mm": setup.zero_mm}
+    shown = Shown(1, frame, press.image, result, setup.other_of(frame), **set_here)
     for name in ("frame.png", "background.png", "zero.npy"):
         Path(name).write_bytes(FILES[name](shown))
     return shown
@@ -83,15 +79,9 @@ def test_the_python_of_every_view_gives_what_the_page_shows(page, situation):
 
 
 def test_numbers_normals_and_causes_too(page, situation):
-    from gelform.live.shown import measures_of
-
     names, measures = run("time", situation), measures_of(page.result)
-    for name, wanted in (
-        ("deepest_mm", measures.peak),
-        ("area_mm2", measures.area),
-        ("volume_mm3", measures.volume),
-    ):
-        assert names[name] == pytest.approx(wanted, rel=1e-5)
+    found = [names[name] for name in ("deepest_mm", "area_mm2", "volume_mm3")]
+    assert found == pytest.approx([measures.peak, measures.area, measures.volume], rel=1e-5)
     slopes = gelform.gradients_from_depth(page.result.depth, mm_per_px=page.result.mm_per_px)
     np.testing.assert_array_equal(
         run("normals", situation)["normals"], gelform.normals_from_gradients(slopes)
@@ -142,29 +132,16 @@ def test_command_lines_name_real_commands_and_quote(view):
 
 @pytest.mark.slow
 def test_the_calibration_of_a_simulated_sensor_is_named_by_its_sensor():
-    from gelform.live.start import Options, start
-    from live_waiting import until
-
-    hub = start(Options(rate_hz=20))
-    try:
+    with closing(start(Options(rate_hz=20))) as hub:
         name = until(lambda: hub.stations[0].setup.name, 20)
         text = code_of("depth", Situation("simulated", hub.calibrations.origin_of(name)))[1]
-    finally:
-        hub.close()
     assert "simulated_sensor_named('three-edges')" in text[0]["text"]
     assert text[1]["text"] == "gelform live simulated"
     exec(text[0]["text"], names := {})
     assert names["depth_mm"].shape == (240, 320)
 
 
-@pytest.mark.parametrize(
-    ("view", "now"),
-    [
-        ("nonsense", Situation("s", MINE)),
-        ("depth", Situation("s", None)),
-        ("difference", Situation("s", MINE)),
-    ],
-)
-def test_what_there_is_no_code_of_is_said(view, now):
-    with pytest.raises(GelformError):
-        code_of(view, now)
+def test_what_there_is_no_code_of_is_said():
+    for view, calibration in (("nonsense", MINE), ("depth", None), ("difference", MINE)):
+        with pytest.raises(GelformError):
+            code_of(view, Situation("s", calibration))

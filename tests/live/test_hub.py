@@ -1,5 +1,6 @@
 """The hub: facts for the page, notices, long work and its end, frames on request."""
 
+import json
 import threading
 
 import pytest
@@ -10,15 +11,10 @@ from live_waiting import until
 
 
 def test_facts_can_be_sent_as_json(hub):
-    import json
-
     facts = json.loads(json.dumps(hub.facts(), allow_nan=False))
     assert facts["stations"][0]["state"] == "running"
     assert facts["calibrations"] == ["mine"]
     assert "auto" in facts["solvers"]
-
-
-def test_a_notice_is_told_once_to_each(hub):
     hub.notice("first\nline")
     facts = hub.facts()
     assert facts["notices"] == [[1, "info", "first line"]]

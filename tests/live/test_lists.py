@@ -42,32 +42,23 @@ def test_what_was_made_here_gets_a_free_name(calibration):
     assert len(known.names) == 2
 
 
-@pytest.mark.parametrize("name", ["", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"])
-def test_a_path_is_no_name(calibrations_folder, name):
-    with pytest.raises(GelformError, match="Choose one of the list"):
-        Calibrations(folder=calibrations_folder)[name]
-
-
-def test_a_file_that_cannot_be_read_is_said(calibrations_folder):
-    known = Calibrations([calibrations_folder / "other.npz"])
+def test_paths_and_files_that_cannot_be_read_are_refused(calibrations_folder):
+    for name in ("", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"):
+        with pytest.raises(GelformError, match="Choose one of the list"):
+            Calibrations(folder=calibrations_folder)[name]
     with pytest.raises(CalibrationError):
-        known["other.npz"]
+        Calibrations([calibrations_folder / "other.npz"])["other.npz"]
 
 
-def test_given_and_found_ones_are_listed_once(forms):
+def test_given_and_found_ones_are_listed_once(forms, tmp_path):
     listed = Recordings([forms["mcap"], forms["images"]], forms["mcap"].parent)
     names = [one["name"] for one in listed.facts()]
     assert names == ["a.mcap", "d", "b", "c.avi"]
     assert listed.path("a.mcap") == forms["mcap"]
-    assert listed.facts()[0]["bytes"] == forms["mcap"].stat().st_size
-    assert listed.facts()[1]["bytes"] is None
-
-
-def test_two_of_one_name_are_told_apart(forms, tmp_path):
+    assert [one["bytes"] for one in listed.facts()[:2]] == [forms["mcap"].stat().st_size, None]
     copy = tmp_path / "a.mcap"
     copy.write_bytes(b"")
-    listed = Recordings([forms["mcap"], copy])
-    assert listed.path("a.mcap (2)") == copy
+    assert Recordings([forms["mcap"], copy]).path("a.mcap (2)") == copy
 
 
 def test_folders_are_not_fetched_and_what_is_gone_is_said(forms, tmp_path):

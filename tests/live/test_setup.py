@@ -39,15 +39,11 @@ def test_a_zero_that_is_set_is_taken_off(frame, calibration, result):
     assert found.zero == "set"
 
 
-def test_a_background_of_another_sensor_is_refused(calibration):
-    setup = Setup().with_calibration(calibration, "mine")
-    with pytest.raises(CalibrationError):
-        setup.with_background(calibration.background[..., ::-1].copy())
-
-
-def test_todays_background_is_used_and_given_back(calibration, sensor, frame):
+def test_todays_background_is_used_and_given_back_another_sensors_refused(calibration, sensor):
     today = simulate_background(sensor, np.random.default_rng(8)).astype(np.float32)
     setup = Setup().with_calibration(calibration, "mine").with_background(today)
+    with pytest.raises(CalibrationError):
+        setup.with_background(calibration.background[..., ::-1].copy())
     assert not setup.reconstruct.own_background
     assert setup.with_solver("dct").background is today
     assert setup.with_background(None).reconstruct.own_background

@@ -18,14 +18,9 @@ def test_numbers_are_those_of_the_depth(result, press):
     assert result.depth_mm[found.y_px, found.x_px] == found.peak
     np.testing.assert_allclose((found.x_px, found.y_px), press.center_px, atol=4)
     assert found.area == pytest.approx(result.contact.sum() * result.mm_per_px**2)
-    assert found.volume == pytest.approx(
-        result.depth_mm[result.contact].sum() * result.mm_per_px**2, rel=1e-5
-    )
-
-
-def test_without_a_scale_they_are_in_pixels(result):
-    bare = replace(result, mm_per_px=None)
-    assert measures_of(bare).area == result.contact.sum()
+    volume = result.depth_mm[result.contact].sum() * result.mm_per_px**2
+    assert found.volume == pytest.approx(volume, rel=1e-5)
+    assert measures_of(replace(result, mm_per_px=None)).area == result.contact.sum(), "in pixels"
 
 
 def test_an_outline_goes_round_the_contact(result):
@@ -34,9 +29,6 @@ def test_an_outline_goes_round_the_contact(result):
     cv2.fillPoly(filled, outlines, 1)
     wrong = filled.astype(bool) != result.contact
     assert wrong.sum() < 0.06 * result.contact.sum()
-
-
-def test_nothing_touched_has_no_outline(result):
     assert outlines_of(replace(result, contact=np.zeros_like(result.contact))) == []
 
 
@@ -49,9 +41,6 @@ def test_it_has_the_planes_of_its_result(shown, result):
     np.testing.assert_array_equal(flags & KNOWN != 0, result.known)
     confidence = np.frombuffer(planes["confidence"].data, np.uint8).reshape(result.shape) / 255
     np.testing.assert_allclose(confidence, result.confidence, atol=0.5 / 255 + 1e-6)
-
-
-def test_a_plane_is_encoded_once(shown):
     first, second = (shown.planes(["depth"], "small")[0] for _ in range(2))
     assert first is second
 

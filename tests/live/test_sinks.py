@@ -86,11 +86,8 @@ def test_it_closes_whether_or_not_frames_come(hub, paused):
     assert sink.closed
 
 
-def test_none_is_fine(hub):
+def test_none_is_fine_and_an_unknown_one_is_named(hub):
     assert feed(hub, []) == ([], [])
-
-
-def test_an_unknown_one_is_named(hub):
     with pytest.raises(ValueError, match="sinks among rerun, foxglove, got rviz"):
         feed(hub, ["rerun", "rviz"])
 

@@ -24,11 +24,8 @@ def saved(shown, tmp_path):
     return save
 
 
-def test_the_result_loads(saved, result):
+def test_the_result_loads_and_the_frame_is_the_cameras_in_rgb(saved, result, press):
     np.testing.assert_array_equal(gelform.load_result(saved("result.npz")).depth_mm, result.depth_mm)
-
-
-def test_the_frame_is_the_cameras_in_rgb(saved, press):
     np.testing.assert_array_equal(gelform.read_image(saved("frame.png")), press.image)
 
 

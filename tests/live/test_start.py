@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -14,13 +16,10 @@ from live_waiting import until
 
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
-    hub = start(Options(rate_hz=30))
-    try:
+    with closing(start(Options(rate_hz=30))) as hub:
         shown = until(lambda: hub.stations[0].newest, 20)
         assert shown.image.shape == (240, 320, 3)
         until(lambda: hub.stations[0].newest.result is not None, 20)
-    finally:
-        hub.close()
 
 
 @pytest.mark.parametrize(
@@ -38,13 +37,10 @@ def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said)
 
 
 def test_a_camera_that_is_not_there_is_said_and_waited_for():
-    hub = start(Options(["NO-SUCH-SERIAL-7"]))
-    try:
+    with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
         assert "tried again" in hub.notices[0][2]
         until(lambda: hub.stations[0].facts()["reason"])
         assert hub.stations[0].facts()["state"] == "missing"
-    finally:
-        hub.close()
 
 
 @pytest.mark.parametrize(
@@ -66,34 +62,26 @@ def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibrati
     for k, press in enumerate(simulated.presses[:4]):
         save_picture(tmp_path / f"{k}.png", press.image)
     calibration.save(tmp_path / "mine.npz")
-    hub = start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))
-    try:
+    with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
         station = hub.stations[0]
         until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3, 20)
         until(lambda: station.newest.frame.number == 3)
         assert station.newest.result is not None
         assert station.facts()["state"] == "running"  # held, not lost
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
-    finally:
-        hub.close()
 
 
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
-    hub = start(Options(["simulated", "simulated"], rate_hz=20))
-    try:
+    with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:
         until(lambda: all(station.newest and station.newest.result for station in hub.stations), 20)
         first, second = (station.source for station in hub.stations)
         assert (first.image_at(7) != second.image_at(7)).mean() > 0.2
         assert hub.calibrations.names == ["simulated sensor three-edges"]
-    finally:
-        hub.close()
 
 
 def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monkeypatch):
     """A file below /dev that another process holds stands for the camera: OpenCV gets no picture from it either."""
-    from pathlib import Path
-
     shared = Path("/dev/shm")
     if not sys.platform.startswith("linux") or not shared.is_dir():
         pytest.skip("needs Linux with /dev/shm")

@@ -1,5 +1,6 @@
 """A station on a source that fails, comes late, is lost and comes back: it goes on, and says how things are."""
 
+import contextlib
 import threading
 import time
 
@@ -38,34 +39,30 @@ class Scripted:
         self.close()
 
 
+@contextlib.contextmanager
 def started(opener):
     station = Station(0, "scripted", opener, lambda: None)
     station.start()
-    return station
+    with contextlib.closing(station):
+        yield station
 
 
 def test_it_shows_the_image_without_a_calibration():
-    station = started(lambda: Scripted(lambda index: None))
-    try:
+    with started(lambda: Scripted(lambda index: None)) as station:
         shown = until(lambda: station.newest)
         assert shown.result is None
         assert shown.image.shape == (132, 176, 3)
         assert station.facts()["state"] == "running"
         until(lambda: station.rate_hz > 0)
-    finally:
-        station.close()
 
 
 def test_a_frame_of_another_size_shows_with_the_reason(calibration):
-    station = started(lambda: Scripted(lambda index: None, (100, 100)))
-    try:
+    with started(lambda: Scripted(lambda index: None, (100, 100))) as station:
         station.setup = Setup().with_calibration(calibration, "mine")
         shown = until(lambda: station.newest if station.newest and station.newest.problem else None)
         assert shown.result is None
         assert "100" in shown.problem
         assert "132" in shown.problem
-    finally:
-        station.close()
 
 
 def test_a_camera_that_is_not_there_is_waited_for(monkeypatch):
@@ -78,15 +75,12 @@ def test_a_camera_that_is_not_there_is_waited_for(monkeypatch):
             raise SensorError("Expected a camera, found none. Plug it in.")
         return Scripted(lambda index: None)
 
-    station = started(opener)
-    try:
+    with started(opener) as station:
         until(lambda: station.facts()["reason"])
         assert station.facts()["state"] == "missing"
         assert "Plug it in" in station.facts()["reason"]
         until(lambda: station.newest)
         assert station.facts()["state"] == "running"
-    finally:
-        station.close()
 
 
 def test_a_camera_that_goes_away_comes_back():
@@ -96,8 +90,7 @@ def test_a_camera_that_goes_away_comes_back():
         if lost.is_set():
             raise SourceLostError("The camera was unplugged.")
 
-    station = started(lambda: Scripted(script))
-    try:
+    with started(lambda: Scripted(script)) as station:
         until(lambda: station.newest)
         lost.set()
         until(lambda: station.facts()["state"] == "reconnecting")
@@ -105,8 +98,6 @@ def test_a_camera_that_goes_away_comes_back():
         lost.clear()
         until(lambda: station.newest.serial > before and station.facts()["state"] == "running")
         assert station.facts()["reopened"] >= 1
-    finally:
-        station.close()
 
 
 def test_numbers_are_those_of_every_result(hub):

@@ -58,21 +58,15 @@ def test_wrong_usage(fails, work, images, tmp_path):
         assert said in " ".join(line.replace("│", " ").split())
 
 
-def test_another_setting_is_refused_in_one_line(run, fails, work, images, tmp_path):
+def test_what_does_not_fit_is_refused_in_one_line(run, fails, work, imported, images, tmp_path):
     command = ("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out")
+    two = ("--background", work / "rest.png", "--background-frames", "2")
+    assert "got both" in fails(*command, *two)
+    assert "has no scale" in fails("batch", images, "-c", imported, "-o", tmp_path / "out")
     assert run(*command)[0] == 0
     assert "the setting form (npz then, png now)" in fails(*command, "--format", "png")
     assert run(*command, "--format", "png", "--overwrite")[0] == 0
     assert len(list((tmp_path / "out" / "frames").glob("*.png"))) == 3
-
-
-def test_two_backgrounds_are_refused(fails, work, images, tmp_path):
-    two = ("--background", work / "rest.png", "--background-frames", "2")
-    assert "got both" in fails("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", *two)
-
-
-def test_a_calibration_without_a_scale_is_refused(fails, imported, images, tmp_path):
-    assert "has no scale" in fails("batch", images, "-c", imported, "-o", tmp_path / "out")
 
 
 def test_progress_says_rate_and_time_left():
@@ -90,11 +84,12 @@ def output(run, tmp_path):
     return tmp_path / "out"
 
 
-def test_whole(run, run_json, output):
+def test_a_whole_output_has_no_problem(run, run_json, fails, output, tmp_path):
     code, _, err = run("verify", output)
     assert code == 0
     assert "3 frames are whole, 0 have an error, 0 problems." in err
     assert run_json("verify", output) == {"frames": 3, "errors": 0, "problems": []}
+    assert "Expected the output folder of gelform batch" in fails("verify", tmp_path / "absent")
 
 
 def test_what_is_wrong_is_listed_and_the_status_is_1(run, output):
@@ -105,7 +100,3 @@ def test_what_is_wrong_is_listed_and_the_status_is_1(run, output):
     code, out, _ = run("verify", output, "--json")
     assert code == 1
     assert json.loads(out)["frames"] == 2
-
-
-def test_no_output_of_a_batch(fails, tmp_path):
-    assert "Expected the output folder of gelform batch" in fails("verify", tmp_path / "absent")

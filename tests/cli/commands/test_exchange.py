@@ -16,11 +16,10 @@ def images_of(press_folder):
 
 def test_what_was_imported_reconstructs_in_pixels(run, run_json, imported, press_folder, tmp_path):
     image = images_of(press_folder)[0]
-    rows = run_json("reconstruct", image, "-c", imported, "-o", tmp_path / "out", "--format", "npz,png")[
-        "results"
-    ]
-    assert rows[0]["peak_px"] > 0
-    assert "peak_mm" not in rows[0]
+    how = ("-c", imported, "-o", tmp_path / "out", "--format", "npz,png")
+    (row,) = run_json("reconstruct", image, *how)["results"]
+    assert row["peak_px"] > 0
+    assert "peak_mm" not in row
     with np.load(tmp_path / "out" / f"{image.stem}.npz") as file:
         assert "depth_px" in file.files
         assert "depth_mm" not in file.files
@@ -29,7 +28,7 @@ def test_what_was_imported_reconstructs_in_pixels(run, run_json, imported, press
     code, out, err = run("reconstruct", image, "-c", imported, "-o", tmp_path / "again")
     assert code == 0
     assert "peak (px)" in out
-    assert str(rows[0]["contact_px"]) in out.split()
+    assert str(row["contact_px"]) in out.split()
     assert "depth_px, not depth_mm" in err
 
 
@@ -43,18 +42,16 @@ def test_with_a_scale_in_mm(run_json, network, press_folder, tmp_path):
 
 
 def test_nothing_is_guessed(fails, network, press_folder, tmp_path):
-    rest, out = press_folder / "background.png", tmp_path / "cal.npz"
-    assert "--background" in fails("import", network, "--from", "gs_sdk", "-o", out, status=2)
-    assert "gs_sdk, gsrobotics" in fails(
-        "import", network, "--from", "x", "--background", rest, "-o", out, status=2
-    )
-    assert "zeros" in fails("import", network, "--from", "gsrobotics", "--background", rest, "-o", out)
+    rest, out = ("--background", press_folder / "background.png"), ("-o", tmp_path / "cal.npz")
+    assert "--background" in fails("import", network, "--from", "gs_sdk", *out, status=2)
+    assert "gs_sdk, gsrobotics" in fails("import", network, "--from", "x", *rest, *out, status=2)
+    assert "zeros" in fails("import", network, "--from", "gsrobotics", *rest, *out)
     bad = tmp_path / "model.ckpt"
     bad.write_bytes(b"\x80\x02cdigit_depth\nMLP\n.")
-    assert "could run code" in fails("import", bad, "--from", "gs_sdk", "--background", rest, "-o", out)
-    assert not out.exists()
-    out.write_bytes(b"")
-    assert "already there" in fails("import", network, "--from", "gs_sdk", "--background", rest, "-o", out)
+    assert "could run code" in fails("import", bad, "--from", "gs_sdk", *rest, *out)
+    assert not out[1].exists()
+    out[1].write_bytes(b"")
+    assert "already there" in fails("import", network, "--from", "gs_sdk", *rest, *out)
 
 
 @pytest.fixture
@@ -73,22 +70,15 @@ def test_what_is_offered_is_what_there_is():
 @pytest.mark.slow
 def test_a_calibration_for_a_renderer(run, calibration_file, tmp_path):
     assert run("export", calibration_file, "--to", "isaaclab", "-o", tmp_path / "mine")[0] == 0
-    assert {path.name for path in (tmp_path / "mine").iterdir()} == {
-        "polycalib.npz",
-        "bg.jpg",
-        "real_bg.npy",
-        "settings.txt",
-    }
+    written = {path.name for path in (tmp_path / "mine").iterdir()}
+    assert written == {"polycalib.npz", "bg.jpg", "real_bg.npy", "settings.txt"}
 
 
-def test_a_result_as_a_surface(run, fails, result_file):
+def test_a_result_as_a_surface(run, fails, calibration_file, result_file):
     assert run("export", result_file, "--to", "tiff")[0] == 0
     assert result_file.with_suffix(".tiff").is_file()
     assert load_result(result_file).mm_per_px
     assert "is there already" in fails("export", result_file, "--to", "tiff")
     assert run("export", result_file, "--to", "tiff", "--overwrite")[0] == 0
-
-
-def test_what_does_not_go_together_is_said(fails, calibration_file, result_file, tmp_path):
     assert "Expected a result to write for ply" in fails("export", calibration_file, "--to", "ply")
     assert "Expected a calibration to write for taxim" in fails("export", result_file, "--to", "taxim")

@@ -24,17 +24,6 @@ def images(small, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def folder(press_folder, tmp_path):
-    """The press folder with a scale that is wrong by half."""
-    copy = tmp_path / "presses"
-    shutil.copytree(press_folder, copy, ignore=shutil.ignore_patterns("truth"))
-    text = (copy / "sensor.toml").read_text().replace("mm_per_px = 0.1268", "mm_per_px = 0.19  # a guess")
-    assert "a guess" in text
-    (copy / "sensor.toml").write_text(text)
-    return copy
-
-
 @pytest.mark.slow
 def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
     given = ("--punch", f"{images / 'punch.png'},7", "--thread", f"{images / 'thread.png'},1.25")
@@ -59,8 +48,9 @@ def test_marked_points(run, folder):
     assert "0.12 +- " in err
 
 
-def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images):
-    before = (folder / "sensor.toml").read_bytes()
+def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images, calibration_file):
+    before = [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)]
+    assert "sensor.toml" in fails("scale", calibration_file, "--points", "20,10,100,70,12")
     for arguments, text, status in (
         ((), "--points, --punch, --thread, --stage", 2),
         (("--points", "1,2,3"), "X1,Y1,X2,Y2,MM", 2),
@@ -72,21 +62,23 @@ def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images):
         (("--points", "20,10,100,70,12", "--punch", f"{images / 'punch.png'},14"), "agree", 1),
     ):
         assert text in fails("scale", folder, *arguments, status=status)
-    assert (folder / "sensor.toml").read_bytes() == before
-
-
-def test_a_calibration_of_presses_keeps_its_scale(fails, calibration_file):
-    before = calibration_file.read_bytes()
-    said = fails("scale", calibration_file, "--points", "20,10,100,70,12")
-    assert "sensor.toml" in said
-    assert calibration_file.read_bytes() == before
+    assert [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)] == before
 
 
 @pytest.fixture
 def presses(press_folder, tmp_path):
-    copy = tmp_path / "presses"
-    shutil.copytree(press_folder, copy, ignore=shutil.ignore_patterns("truth"))
-    return copy
+    """A copy of the press folder, to be changed."""
+    ignored = shutil.ignore_patterns("truth")
+    return shutil.copytree(press_folder, tmp_path / "presses", ignore=ignored)
+
+
+@pytest.fixture
+def folder(presses):
+    """The press folder with a scale that is wrong by half."""
+    text = (presses / "sensor.toml").read_text().replace("mm_per_px = 0.1268", "mm_per_px = 0.19  # a guess")
+    assert "a guess" in text
+    (presses / "sensor.toml").write_text(text)
+    return presses
 
 
 @pytest.fixture
@@ -131,23 +123,18 @@ def test_crosstalk_reaches_the_calibration(run, run_json, presses, leds, tmp_pat
     assert any("Crosstalk is undone" in note for note in made["notes"])
 
 
-def test_wrong_options_are_usage(fails, presses, leds):
-    for arguments, text in (
-        ((), "--image or --led-frames"),
-        (("--image", leds[0]), "all three or none"),
-        (("--grid", "9x6"), "all three or none"),
-        (("--image", leds[0], "--grid", "nine", "--pitch-mm", "1"), "COLUMNSxROWS"),
-        (("--image", leds[0], "--grid", "9x6", "--pitch-mm", "0"), "expected a number > 0"),
-    ):
-        assert text in fails("lens", presses, *arguments, status=2)
-
-
-def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, presses, leds, calibration_file):
+def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, presses, leds):
     before = (presses / "sensor.toml").read_bytes()
-    grid = ("--grid", "9x6", "--pitch-mm", "1")
-    assert "found none" in fails("lens", presses, "--image", leds[0], *grid)
-    assert "--grid: Expected kind" in fails(
-        "lens", presses, "--image", leds[0], "--grid", "1x6", "--pitch-mm", "1"
-    )
-    assert "brightest in red" in fails("lens", presses, "--led-frames", leds[1], leds[0], leds[2])
+    image = ("--image", leds[0])
+    for arguments, text, status in (
+        ((), "--image or --led-frames", 2),
+        (image, "all three or none", 2),
+        (("--grid", "9x6"), "all three or none", 2),
+        ((*image, "--grid", "nine", "--pitch-mm", "1"), "COLUMNSxROWS", 2),
+        ((*image, "--grid", "9x6", "--pitch-mm", "0"), "expected a number > 0", 2),
+        ((*image, "--grid", "9x6", "--pitch-mm", "1"), "found none", 1),
+        ((*image, "--grid", "1x6", "--pitch-mm", "1"), "--grid: Expected kind", 1),
+        (("--led-frames", leds[1], leds[0], leds[2]), "brightest in red", 1),
+    ):
+        assert text in fails("lens", presses, *arguments, status=status)
     assert (presses / "sensor.toml").read_bytes() == before

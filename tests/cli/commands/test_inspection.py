@@ -1,15 +1,16 @@
 """gelform evaluate, compare and explain."""
 
-import json
 import shutil
 
 import cv2
+import numpy as np
 import pytest
 
 import gelform
 from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
+from gelform.plots.canvas import save_picture
 
 
 def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file):
@@ -33,30 +34,19 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
 
 
-def test_presses_of_another_size(fails, press_folder, calibration_file, tmp_path):
-    import numpy as np
-
-    from gelform.plots.canvas import save_picture
-
+def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
+    """Presses of another size, an image of another sensor, no calibration, one in place of two."""
     grey = np.full((60, 80, 3), 90, dtype=np.uint8)
-    save_picture(tmp_path / "background.png", grey)
-    save_picture(tmp_path / "a.png", grey)
-    arguments = (
-        "evaluate",
-        tmp_path,
-        "-c",
-        calibration_file,
-        "--ball-diameter-mm",
-        "6",
-        "--mm-per-px",
-        "0.1",
-    )
-    said = fails(*arguments)
+    for name in ("background.png", "other.png"):
+        save_picture(tmp_path / name, grey)
+    image, mine, none = images_of(press_folder)[0], ("-c", calibration_file), ("-c", tmp_path / "none.npz")
+    scale = ("--ball-diameter-mm", "6", "--mm-per-px", "0.1")
+    said = fails("evaluate", tmp_path, *mine, *scale)
     assert "Expected images of 120x160 px (height x width), got 60x80" in said
-
-
-def test_a_wrong_calibration(fails, press_folder, tmp_path):
-    assert "No file" in fails("evaluate", press_folder, "-c", tmp_path / "missing.npz")
+    assert "other.png" in fails("explain", tmp_path / "other.png", *mine)
+    assert "No file" in fails("evaluate", press_folder, *none)
+    assert "No file" in fails("compare", image, *mine, *none)
+    assert "expected two, got 1" in fails("compare", image, *mine, status=2)
 
 
 def test_heights_of_flat_punches_are_shown(run, press_folder, calibration_file, tmp_path):
@@ -101,18 +91,10 @@ def test_compare_writes_a_picture_for_each_image(
 
 
 def test_a_calibration_agrees_with_itself(run_json, calibration_file, press_folder):
-    row = run_json("compare", images_of(press_folder)[0], "-c", calibration_file, "-c", calibration_file)[
-        "images"
-    ][0]
+    mine = ("-c", calibration_file)
+    (row,) = run_json("compare", images_of(press_folder)[0], *mine, *mine)["images"]
     assert (row["unit"], row["difference_rms"], row["angle_deg"]) == ("mm", 0, 0)
     assert row["peak_a"] == row["peak_b"] > 0
-    json.dumps(row)
-
-
-def test_compare_wants_two(fails, calibration_file, press_folder, tmp_path):
-    image = images_of(press_folder)[0]
-    assert "expected two, got 1" in fails("compare", image, "-c", calibration_file, status=2)
-    assert "No file" in fails("compare", image, "-c", calibration_file, "-c", tmp_path / "none.npz")
 
 
 @pytest.fixture
@@ -143,10 +125,3 @@ def test_explain_names_causes_and_draws_them(
     assert code == 0
     assert "saturated (%)" in out
     assert "of the frame is at the camera's upper end. Lower exposure" in said
-
-
-def test_an_image_of_another_sensor_is_refused(fails, calibration_file, tmp_path):
-    import numpy as np
-
-    cv2.imwrite(str(tmp_path / "other.png"), np.full((30, 40, 3), 90, np.uint8))
-    assert "other.png" in fails("explain", tmp_path / "other.png", "-c", calibration_file)

@@ -31,10 +31,7 @@ def test_mistakes_are_one_line(fails):
         (["-c", "missing.npz"], "missing.npz"),
         (["simulated:three-edge"], "three-edges"),
         (["--host", "203.0.113.9"], "address of this machine"),
+        (["--sink", "rviz", "--rate", "5"], "sinks among rerun, foxglove, got rviz"),
         (["a", "b", "c", "-c", "x.npz", "-c", "y.npz"], "one for each of the 3"),
     ):
         assert said in fails("live", *arguments)
-
-
-def test_an_unknown_sink_is_named(fails):
-    assert "sinks among rerun, foxglove, got rviz" in fails("live", "--sink", "rviz", "--rate", "5")

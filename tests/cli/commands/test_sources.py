@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 
 import cv2
 import numpy as np
@@ -22,6 +21,7 @@ from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.cameras.survey import Mode
 from gelform.sensors.files import read_image, read_sensor_toml
 from gelform.sensors.source import open_source
+from live_waiting import until
 from made.capture import Capture
 from made.mjpeg_server import MjpegServer, jpeg, part
 
@@ -43,10 +43,6 @@ def test_keys_come_without_enter_and_the_terminal_is_as_before(keyboard):
         os.write(keyboard, b" q")
         assert [key(), key()] == [" ", "q"]
     assert termios.tcgetattr(sys.stdin) == before
-
-
-def test_the_terminal_is_as_before_also_after_an_error(keyboard):
-    before = termios.tcgetattr(sys.stdin)
     with pytest.raises(RuntimeError), single_keys("this"):
         raise RuntimeError
     assert termios.tcgetattr(sys.stdin) == before
@@ -106,9 +102,6 @@ def test_what_cannot_be_opened_says_why_and_the_others_are_listed(run, run_json,
     assert run_json("cameras", "--no-measure")["cameras"][0]["problem"] is None
 
 
-WAIT_S = 30.0
-
-
 def jpeg_of(image):
     return cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
 
@@ -118,13 +111,6 @@ def sent(picture, rate_hz=100.0):
     while True:
         yield part(picture())
         yield 1 / rate_hz
-
-
-def awaited(condition):
-    until = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < until, "it did not happen"
-        time.sleep(0.01)
 
 
 def test_into_a_folder_that_plays_again(run_json, tmp_path):
@@ -157,9 +143,9 @@ def test_ctrl_c_is_the_usual_end(tmp_path):
         command = [sys.executable, "-m", "gelform", "record", server.url, "-o", str(tmp_path / "r"), "--json"]
         recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
-            awaited(lambda: len(list((tmp_path / "r").glob("*.jpg"))) > 3)
+            until(lambda: len(list((tmp_path / "r").glob("*.jpg"))) > 3)
             recorder.send_signal(signal.SIGINT)
-            out, err = recorder.communicate(timeout=WAIT_S)
+            out, err = recorder.communicate(timeout=30)
         finally:
             recorder.kill()
     assert recorder.returncode == 0, err
@@ -176,16 +162,16 @@ def test_presses_with_the_space_bar(run, tmp_path, press_folder, monkeypatch):
 
     def hand():
         try:
-            awaited((folder / "sensor.toml").exists)
+            until((folder / "sensor.toml").exists)
             os.write(keyboard, b" ")
-            awaited((folder / "background" / "09.png").exists)
+            until((folder / "background" / "09.png").exists)
             for k, picture in enumerate((pressed[0], pressed[1], pressed[1])):
                 showing[0], before = picture, len(counted)
-                awaited(lambda before=before: len(counted) > before + 30)
+                until(lambda before=before: len(counted) > before + 30)
                 os.write(keyboard, b" ")
-                awaited((folder / "images" / f"000{k}.png").exists)
+                until((folder / "images" / f"000{k}.png").exists)
             os.write(keyboard, b"u")
-            awaited(lambda: not (folder / "images" / "0002.png").exists())
+            until(lambda: not (folder / "images" / "0002.png").exists())
         finally:
             os.write(keyboard, b"q")
 
@@ -215,22 +201,17 @@ def test_presses_with_the_space_bar(run, tmp_path, press_folder, monkeypatch):
     assert read_sensor_toml(folder / "sensor.toml").mm_per_px == 0.1268
 
 
-def test_presses_need_a_terminal_a_ball_and_a_scale(fails, monkeypatch, tmp_path):
-    say = fails("record", "simulated", "-o", tmp_path / "r", "--presses", status=2)
-    assert "which ball" in say
+def test_what_it_needs_is_said_and_no_file_is_left(fails, monkeypatch, tmp_path):
+    record = ("record", "simulated", "-o", tmp_path / "r")
+    for arguments, said in (
+        (["--presses"], "which ball"),
+        (["--set", "exposure"], "NAME=VALUE"),
+        (["--set", "exposure=x"], "a number"),
+        (["--set", "exposur=3"], "exposur"),
+        (["--sensor", "digit"], "--presses only"),
+    ):
+        assert said in fails(*record, *arguments, status=2)
     monkeypatch.setattr(sys, "stdin", open(os.devnull))  # noqa: SIM115
-    how = ("record", "simulated", "-o", tmp_path / "r", "--presses", "--ball-diameter-mm", "6")
-    assert "standard input is none" in fails(*how)
-
-
-def test_wrong_usage_says_what_is_expected(fails, tmp_path):
-    out = tmp_path / "r"
-    assert "NAME=VALUE" in fails("record", "simulated", "-o", out, "--set", "exposure", status=2)
-    assert "a number" in fails("record", "simulated", "-o", out, "--set", "exposure=x", status=2)
-    assert "exposur" in fails("record", "simulated", "-o", out, "--set", "exposur=3", status=2)
-    assert "--presses only" in fails("record", "simulated", "-o", out, "--sensor", "digit", status=2)
-
-
-def test_a_source_that_is_not_there_leaves_no_file(fails, tmp_path):
+    assert "standard input is none" in fails(*record, "--presses", "--ball-diameter-mm", "6")
     assert "Nothing answers" in fails("record", "http://127.0.0.1:9/x", "-o", tmp_path / "r")
     assert not (tmp_path / "r").exists()

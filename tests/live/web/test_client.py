@@ -184,13 +184,10 @@ def test_of_several_stations_each_gets_its_turn(running, hub, sensor, calibratio
     assert from_station in ([0, 1] * 4, [1, 0] * 4)
 
 
-def test_oversized_messages_are_cut_off(running):
+def test_oversized_messages_and_floods_are_cut_off(running):
     with opened(running) as socket:
         socket.send("x" * 100_000)
         until_closed(socket)
-
-
-def test_floods_are_cut_off(running):
     with opened(running) as socket:
         with contextlib.suppress(ConnectionClosed):
             for _ in range(5000):

@@ -1,33 +1,17 @@
 """Who may talk to the server: hosts, origins, tokens."""
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gelform.live.web.guard import Access, split_host
 
 
-@pytest.mark.parametrize(
-    ("host", "allowed"),
-    [
-        ("127.0.0.1:8765", True),
-        ("localhost:8765", True),
-        ("LOCALHOST:8765", True),
-        ("[::1]:8765", True),
-        ("127.0.0.1:8766", False),
-        ("127.0.0.1", False),
-        ("evil.example:8765", False),
-        ("127.0.0.1.evil.example:8765", False),
-        ("127.0.0.2:8765", False),
-        ("", False),
-        (":8765", False),
-        ("[::1]", False),
-        ("localhost:8765:8765", False),
-        ("localhost:08765x", False),
-    ],
-)
-def test_hosts_of_a_server_on_this_machine(host, allowed):
-    assert Access(8765).host_allowed(host) is allowed
+def test_hosts_of_a_server_on_this_machine():
+    for host in ("127.0.0.1:8765", "localhost:8765", "LOCALHOST:8765", "[::1]:8765"):
+        assert Access(8765).host_allowed(host), host
+    others = "127.0.0.1:8766 127.0.0.1 evil.example:8765 127.0.0.1.evil.example:8765 127.0.0.2:8765"
+    for host in (*others.split(), "", ":8765", "[::1]", "localhost:8765:8765", "localhost:08765x"):
+        assert not Access(8765).host_allowed(host), host
 
 
 def test_a_server_for_all_takes_addresses_but_no_unknown_names():
@@ -37,19 +21,11 @@ def test_a_server_for_all_takes_addresses_but_no_unknown_names():
     assert not access.host_allowed("evil.example")
 
 
-@pytest.mark.parametrize(
-    ("origin", "allowed"),
-    [
-        ("http://localhost:8765", True),
-        ("http://127.0.0.1:8765", False),
-        ("https://localhost:8765", False),
-        ("http://evil.example", False),
-        ("null", False),
-        ("http://localhost:8765.evil.example", False),
-    ],
-)
-def test_origins_are_the_page_under_the_same_host(origin, allowed):
-    assert Access(8765).origin_allowed(origin, "localhost:8765") is allowed
+def test_origins_are_the_page_under_the_same_host():
+    assert Access(8765).origin_allowed("http://localhost:8765", "localhost:8765")
+    others = "http://127.0.0.1:8765 https://localhost:8765 http://evil.example null"
+    for origin in (*others.split(), "http://localhost:8765.evil.example"):
+        assert not Access(8765).origin_allowed(origin, "localhost:8765"), origin
 
 
 def test_the_token_is_wanted_whole():
