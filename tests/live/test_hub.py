@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from gelform.errors import DataError, GelformError
-from gelform.live.hub import wait_for_frames
+from gelform.live.hub import Hub, wait_for_frames
 from live_waiting import until
 
 
@@ -19,6 +19,17 @@ def test_facts_can_be_sent_as_json(hub):
     facts = hub.facts()
     assert facts["notices"] == [[1, "info", "first line"]]
     assert hub.facts(notices_after=1)["notices"] == []
+
+
+def test_pages_and_sinks_want_every_result():
+    hub = Hub()
+    assert not hub.watched()
+    hub.pages.came("page-one")
+    assert hub.watched()
+    hub.pages.left("page-one")
+    assert not hub.watched()
+    hub.sinks = 1
+    assert hub.watched()
 
 
 def test_work_shows_its_progress_and_its_failure(hub):

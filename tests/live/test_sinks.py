@@ -43,6 +43,7 @@ def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub):
     sink, station = Slow(), hub.stations[0]
     feeder = Feeder(hub, sink, "slow")
     assert sink.busy.wait(10)
+    assert hub.watched()
     held = station.newest.serial
     until(lambda: station.newest.serial > held + 5)  # the station goes on while the sink stands still
     passed_over = station.newest.serial
@@ -54,6 +55,7 @@ def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub):
     assert sink.serials == sorted(set(sink.serials))
     assert sink.names == {"sensor_0"}
     assert sink.closed
+    assert hub.sinks == 0
 
 
 class Broken:
@@ -72,6 +74,7 @@ def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub):
     sink, station = Broken(), hub.stations[0]
     Feeder(hub, sink, "rerun")
     until(lambda: sink.closed)
+    assert hub.sinks == 0
     assert hub.notices[-1][1:] == ("error", "rerun ended: RuntimeError: the other program is gone")
     before = station.newest.serial
     until(lambda: station.newest.serial > before + 2)

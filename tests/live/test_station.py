@@ -8,8 +8,9 @@ import numpy as np
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.frames import Frame
+from gelform.live.recorder import Recorder
 from gelform.live.setup import Setup
-from gelform.live.station import Station
+from gelform.live.station import UNWATCHED_S, Station
 from live_waiting import until
 
 
@@ -98,6 +99,37 @@ def test_a_camera_that_goes_away_comes_back():
         lost.clear()
         until(lambda: station.newest.serial > before and station.facts()["state"] == "running")
         assert station.facts()["reopened"] >= 1
+
+
+def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(tmp_path):
+    looking, times_s = threading.Event(), []
+    station = Station(
+        0,
+        "scripted",
+        lambda: Scripted(lambda index: None),
+        lambda: times_s.append(station.newest.frame.time_s),
+        looking.is_set,
+    )
+    station.start()
+    try:
+        until(lambda: len(times_s) > 4)
+        assert (
+            np.diff(times_s).min() >= 0.9 * UNWATCHED_S
+        )  # a frame is a little older than its reconstruction
+        recorder = Recorder(station.grabber, tmp_path, Setup())
+        recorder.start()
+        until(lambda: recorder.stats.frames > 40)
+        recorder.close()
+        assert recorder.stats.missing == 0
+        assert recorder.stats.duration_s / recorder.stats.frames < UNWATCHED_S / 2
+        looking.set()
+        until(lambda: np.diff(times_s[-20:]).min() < UNWATCHED_S / 2)
+        looking.clear()
+        until(lambda: np.diff(times_s[-4:]).min() >= 0.9 * UNWATCHED_S)
+        station.taps.append(lambda shown: None)  # a guide, or frames that are averaged
+        until(lambda: np.diff(times_s[-4:]).max() < UNWATCHED_S / 2)
+    finally:
+        station.close()
 
 
 def test_numbers_are_those_of_every_result(hub):

@@ -43,6 +43,7 @@ class Hub:
     guides : guided calibrations by the station's number
     recorders : recordings under way, by the station's number
     pages : those that are open
+    sinks : how many other programs are fed with what the page shows
     folder : where both are written
     work : (what, done, total) of long work by the station's number; shown as progress
     notices : (number, level, text), the newest last; level is "info", "warning" or "error"
@@ -56,6 +57,7 @@ class Hub:
     guides: dict[int, GuideSession] = field(default_factory=dict)
     recorders: dict[int, Recorder] = field(default_factory=dict)
     pages: Pages = field(default_factory=Pages)
+    sinks: int = 0
     folder: Path = Path(".")
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
@@ -73,6 +75,10 @@ class Hub:
         """There is something newer to show."""
         for listener in tuple(self._listeners):
             listener()
+
+    def watched(self) -> bool:
+        """Whether anybody wants every result: a page is open, or another program is fed."""
+        return self.pages.any_connected or self.sinks > 0
 
     def notice(self, text: str, level: str = "info") -> None:
         """Tell everybody who looks."""

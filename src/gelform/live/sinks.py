@@ -54,6 +54,7 @@ class Feeder:
         self._shown: dict[int, int] = {}
         self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
         hub.listen(self._newer.set)
+        hub.sinks += 1
         self._thread.start()
 
     def close(self) -> None:
@@ -71,6 +72,7 @@ class Feeder:
         except Exception as problem:  # of another program's library: the page goes on without it
             self._hub.notice(f"{self._name} ended: {type(problem).__name__}: {problem}", "error")
         finally:
+            self._hub.sinks -= 1
             self._sink.close()
 
     def _show_newest(self) -> None:

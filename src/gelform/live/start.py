@@ -72,9 +72,8 @@ def start(options: Options) -> Hub:
     for number, spec in enumerate(options.sources):
         sensor = _simulated_sensor(spec)
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
-        station = Station(
-            number, spec, _opening(hub, spec, sensor or recording, options.rate_hz, number), hub.changed
-        )
+        opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
+        station = Station(number, spec, opening, hub.changed, hub.watched)
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]

@@ -28,6 +28,9 @@ RETRY_S = 1.0  # between attempts to open a source that is not there
 WAIT_S = 0.25  # for a result, before it is looked whether to go on
 RATE_OVER, STALE_S = 60, 1.0  # results that the rate is taken of; without one for so long it is 0
 CLOSE_S = 10.0  # for the threads of the pipeline and of the device, which are waited for 2 s each
+# Between frames that are reconstructed while nobody looks, s. What the memory learns are means over a second and more,
+# what it finds takes a quarter of a second at the least: eight frames a second are enough for it.
+UNWATCHED_S = 0.125
 NEVER_S = float("inf")  # a recording that is held has not stalled
 STAGES = ("view", "reconstruct")  # whose times are told as that of the reconstruction
 
@@ -59,6 +62,7 @@ class Station:
     spec : what the user asked for: "simulated", a serial, a path
     opening : how it comes to its source, or what opens it
     on_shown : called in the station's thread when there is something newer to show
+    watched : whether every frame is wanted, which a tap says too; else eight a second are reconstructed, for the memory
 
     Attributes
     ----------
@@ -74,6 +78,7 @@ class Station:
         spec: str,
         opening: Opening | Callable[[], Source],
         on_shown: Callable[[], None],
+        watched: Callable[[], bool] = lambda: True,
     ) -> None:
         self.number, self.spec = number, spec
         self._setup = Setup()
@@ -82,13 +87,13 @@ class Station:
         self.paused = False
         self._given = self._opening = opening if isinstance(opening, Opening) else Opening(opening)
         self._given_setup = self._setup
-        self._on_shown = on_shown
+        self._on_shown, self._watched = on_shown, watched
         self._grabber: Grabber | None = None
         self._pipeline: Pipeline[Shown] | None = None
         self._run_by: tuple[Any, Any] | None = None
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
-        self._serial = 0
+        self._serial, self._begun_s = 0, -NEVER_S
         self._times_s: deque[float] = deque(maxlen=RATE_OVER)
         self._numbers: deque[tuple[float, ...]] = deque(maxlen=KEPT_NUMBERS)
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
@@ -231,7 +236,7 @@ class Station:
 
     def _show_all(self, grabber: Grabber) -> None:
         """Show results until another source is wanted; when the source ends, its last frame stays."""
-        feed = NewestFrames(grabber, owned=False, paused=lambda: self.paused)
+        feed = NewestFrames(grabber, owned=False, paused=self._waits)
         pipeline = self._pipeline = Pipeline(feed, self)
         pipeline.start()
         after = -1
@@ -248,6 +253,12 @@ class Station:
             pipeline.close()
             self._pipeline = self._run_by = None
 
+    def _waits(self) -> bool:
+        """Whether no frame is to be reconstructed now: the picture is held, or nobody looks and there was one just now."""
+        if self.paused or self._watched() or self.taps:
+            return self.paused
+        return time.monotonic() - self._begun_s < UNWATCHED_S
+
     def _show(self, shown: Shown) -> None:
         self.newest = shown
         self._times_s.append(time.monotonic())
@@ -263,7 +274,7 @@ class Station:
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
         """What the setup makes of a frame; where that cannot be reconstructed, the frame and the reason."""
-        setup, self._serial = self._setup, self._serial + 1
+        setup, self._serial, self._begun_s = self._setup, self._serial + 1, time.monotonic()
         image = frame.image
         try:
             with timed("view"):
