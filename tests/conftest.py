@@ -79,6 +79,20 @@ def made_once(request, tmp_path_factory) -> MadeOnce:
     return MadeOnce(base.parent if hasattr(request.config, "workerinput") else base)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_library_of_the_user_s(tmp_path_factory):
+    """No test looks into the library of calibrations of whoever runs it, nor writes there."""
+    os.environ["GELFORM_CALIBRATIONS"] = str(tmp_path_factory.mktemp("no-library"))
+
+
+@pytest.fixture
+def library(tmp_path, monkeypatch) -> Path:
+    """An empty library of calibrations of the test's own."""
+    folder = tmp_path / "library"
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(folder))
+    return folder
+
+
 @pytest.fixture(scope="session")
 def playwright():
     """Drives browsers; one for all tests of a process, which allows no second."""

@@ -27,7 +27,7 @@ LEVELS = [
         "reconstruction",
     },
     {"reconstruct", "simulate"},
-    {"sensors", "plots", "importers", "exporters", "torch", "starters"},
+    {"sensors", "calibrations", "plots", "importers", "exporters", "torch", "starters"},
     {"calibration", "design", "streams"},
     {"batch", "live", "robots"},
     {"cli"},
@@ -47,6 +47,7 @@ NEIGHBOURS = {
     ("reconstruction", "contact"),
     ("reconstruction", "normals"),
     ("starters", "sensors"),  # the table of makes
+    ("calibrations", "sensors"),  # which unit a camera or a recording is
     ("design", "calibration"),
     ("batch", "robots"),  # LeRobot's levels
 }

@@ -6,14 +6,21 @@ import sys
 
 from gelform import __version__
 from gelform.cli import command_names
+from gelform.cli.app import GROUPS, LIBRARY
 
 COMMANDS = command_names()
+SUBCOMMANDS = (*(f"{LIBRARY} {name}" for name in ("list", "add", "remove", "export")), "batch verify")
 HEAVY = ("numpy", "scipy", "cv2", "matplotlib", "rich")
 
 
 def test_help_imports_nothing_heavy():
     """One process says after each command's help what it has brought in."""
-    asked = [[], ["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)]
+    asked = [
+        [],
+        ["--help"],
+        ["--version"],
+        *([*name.split(), "--help"] for name in (*COMMANDS, *SUBCOMMANDS)),
+    ]
     program = f"""
 import contextlib, io, sys
 from gelform.cli import main
@@ -30,8 +37,8 @@ print("all")
 
 
 def test_help_has_worked_examples_that_name_real_options_and_few_of_them(run):
-    for name in COMMANDS:
-        code, out, _ = run(name, "--help")
+    for name in (*(name for name in COMMANDS if name != LIBRARY), *SUBCOMMANDS[:-1]):
+        code, out, _ = run(*name.split(), "--help")
         assert code == 0
         examples = [line.split() for line in out.splitlines() if line.strip().startswith(f"gelform {name}")]
         assert len(examples) >= 2
@@ -42,9 +49,18 @@ def test_help_has_worked_examples_that_name_real_options_and_few_of_them(run):
         assert len(re.findall(r"^  (?:-\w, )?--[a-z]", out, re.M)) <= most, name
 
 
-def test_every_command_is_listed_and_the_version_said(run):
-    listed = re.findall(r"^  ([a-z]+) ", run("--help")[1].split("Commands:")[1], re.M)
-    assert tuple(listed) == COMMANDS
+def test_every_command_is_listed_in_its_group_and_the_version_said(run, monkeypatch):
+    """In 80 columns too, where no line is cut or broken."""
+    monkeypatch.setenv("COLUMNS", "80")
+    said = run("--help")[1]
+    listed = re.findall(r"^  ([a-z]+)  +([A-Z].+)$", said.partition("Start:")[2], re.M)
+    assert tuple(name for name, _ in listed) == COMMANDS
+    assert re.findall(r"^([A-Z]\w+):$", said, re.M) == ["Options", *GROUPS]
+    below = said.partition("Start:")[2].splitlines()
+    assert len([line for line in below if line.strip()]) == len(COMMANDS) + len(GROUPS) - 1
+    lines = re.findall(r"^  [a-z]+  +[A-Z].+$", run(LIBRARY, "--help")[1].partition("Commands:")[2], re.M)
+    assert len(lines) == len(SUBCOMMANDS) - 1
+    assert not [line for line in (*below, *lines) if "..." in line]
     assert run("--version")[1].strip() == f"gelform {__version__}"
 
 

@@ -14,6 +14,7 @@ from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, 
 
 PLACES = [(x, y) for y in (20, 32, 44) for x in (20, 40, 60)]
 WRITE_NOTHING = ("evaluate", "info", "cameras", "verify")
+LIBRARY = ("calibrations",)  # which writes into the user's folder: tests/calibrations
 SERVERS = ("live", "ros")  # live writes when the page asks for it: tests/live
 
 
@@ -57,6 +58,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
         "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
         "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],
         "lens": ["lens", out / "sensor.toml", "--led-frames", *leds],
+        "crosstalk": ["crosstalk", out / "sensor.toml", *leds],
         "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
         "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],
         "import": ["import", work / "net.pth", *imported, "-o", out / "imported.npz"],

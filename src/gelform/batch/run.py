@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,14 @@ from gelform.batch.finish import finish
 from gelform.batch.inputs.listing import Listing, listing_of
 from gelform.batch.inputs.plan import Part, plan_of, shard_of
 from gelform.batch.inputs.reading import backgrounds_of, frames_of_part, image_of_calibration
-from gelform.batch.manifest import Manifest, begin, only_run
+from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import FRAMES, PARTS, check_names
 from gelform.batch.outputs.lerobot import check_lerobot_source
 from gelform.batch.records import TABLES, outputs_there, read_record, record_path, table_form
 from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Job
 from gelform.calibration_file import Calibration, as_calibration
+from gelform.calibrations.choose import choose_calibration, unit_of_all
 from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.exporters.folders import check_room
@@ -77,7 +78,7 @@ class BatchSummary:
 
 def run_batch(
     source: str | os.PathLike[str],
-    calibration: Calibration | str | os.PathLike[str],
+    calibration: Calibration | str | os.PathLike[str] | None,
     output: str | os.PathLike[str],
     settings: BatchSettings | None = None,
     *,
@@ -87,13 +88,15 @@ def run_batch(
     engine: Engine | None = None,
     options: RunOptions | None = None,
     progress: Callable[[BatchSummary], Any] = lambda _: None,
+    chosen: Callable[[str], Any] = lambda _: None,
 ) -> BatchSummary:
     """Reconstruct every frame of a data set into an output folder; the same call goes on where it was left.
 
     Parameters
     ----------
     source : see `listing_of`
-    calibration : of the sensor, with a scale
+    calibration : of the sensor, with a scale; None: the library's of the unit that the input names, in a run that goes on
+        the one with which it was begun
     output : a new folder, or one that the same call began
     settings : BatchSettings; the defaults without
     background : an image or a folder of the untouched gel, for all sequences; or a CSV table of `sequence,background`
@@ -102,6 +105,7 @@ def run_batch(
     engine : what does the parts; this process without
     options : which parts are done, and what ends the run; all of them without
     progress : called with the BatchSummary after each part
+    chosen : called with a sentence on the calibration where none was given
 
     Raises
     ------
@@ -112,11 +116,8 @@ def run_batch(
         A worker was killed.
     """
     settings, options, output = settings or BatchSettings(), options or RunOptions(), check_path(output)
-    calibration, table, engine = as_calibration(calibration), table_form(table), engine or Engine()
-    if calibration.mm_per_px is None:
-        raise DataError(
-            "This calibration has no scale, so there is no depth in mm. Import it again with --mm-per-px F."
-        )
+    table, engine = table_form(table), engine or Engine()
+    given = None if calibration is None else _with_scale(as_calibration(calibration))
     if options.overwrite and options.shard[1] > 1:
         raise DataError(
             "A shard cannot overwrite what the others write. Delete the output, then start them all."
@@ -126,6 +127,7 @@ def run_batch(
     backgrounds = backgrounds_of(None if background is None else check_path(background))
     listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
     check_apart(listing, output)
+    calibration = given or _with_scale(_chosen(listing, output, options.overwrite, chosen))
     check_names([sequence.name for sequence in listing.sequences], settings)
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
@@ -147,6 +149,25 @@ def run_batch(
             finish(output, manifest, table, listing.root, again=bool(todo))
             summary.complete = True
     return summary
+
+
+def _with_scale(calibration: Calibration) -> Calibration:
+    if calibration.mm_per_px is None:
+        raise DataError(
+            "This calibration has no scale, so there is no depth in mm. Import it again with --mm-per-px F."
+        )
+    return calibration
+
+
+def _chosen(listing: Listing, output: Path, anew: bool, said: Callable[[str], Any]) -> Calibration:
+    """The library's calibration of the unit that the input names; of a run that goes on the one that it was begun with."""
+    unit = unit_of_all(sequence.path for sequence in listing.sequences)
+    begun = None if anew else read_manifest(output)
+    if begun is not None:
+        unit = replace(unit, digest=begun.calibration_digest, carries=None)
+    choice = choose_calibration(unit)
+    said(choice.said)
+    return choice.calibration
 
 
 def check_apart(listing: Listing, output: Path) -> None:

@@ -1,16 +1,18 @@
-"""The list of commands, and the options that stand before one."""
+"""The list of commands, in groups as the help shows them, and the options that stand before one."""
 
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import typer
 
+from gelform.cli.commands import calibrations
 from gelform.cli.commands.batch import batch, verify
 from gelform.cli.commands.calibrate import calibrate
 from gelform.cli.commands.demo import demo
 from gelform.cli.commands.exchange import export, import_
-from gelform.cli.commands.geometry import lens, scale
+from gelform.cli.commands.geometry import crosstalk, lens, scale
 from gelform.cli.commands.info import info
 from gelform.cli.commands.inspection import compare, evaluate, explain
 from gelform.cli.commands.live import live
@@ -22,40 +24,68 @@ from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-COMMANDS = (
-    *(
-        demo,
-        calibrate,
-        reconstruct,
-        evaluate,
-        scale,
-        lens,
-        simulate,
-        design,
-        import_,
-        compare,
-        explain,
-        export,
-    ),
-    *(info, cameras, record, live, batch, verify, bag, ros),
-)
+LIBRARY = "calibrations"  # the one command that has commands below it
+GROUPS: dict[str, tuple[Any, ...]] = {
+    "Start": (demo, live, simulate, info),
+    "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, evaluate, LIBRARY, design),
+    "Frames": (reconstruct, explain, compare, batch, verify),
+    "Robots": (bag, ros),
+    "Files": (import_, export),
+}
 
-app = typer.Typer(
-    name="gelform",
-    cls=ReportedFailures,
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,  # plain help: rich takes 0.3 s to start
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
-for command in COMMANDS:
-    app.command(command.__name__.rstrip("_"))(flat(command))
+
+def _name(command: Any) -> str:
+    return command if isinstance(command, str) else command.__name__.rstrip("_")
+
+
+class Commands(ReportedFailures):
+    """All commands, in groups; `gelform batch verify` is `gelform verify`."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write each group with a line for each of its commands."""
+        width = max(map(len, command_names()))
+        for group, commands in GROUPS.items():
+            rows = []
+            for name in map(_name, commands):
+                said = self.commands[name].get_short_help_str(formatter.width - 6 - width)
+                rows.append((name.ljust(width), said))
+            with formatter.section(group):
+                formatter.write_dl(rows)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is meant, and its arguments."""
+        if args[:2] == ["batch", "verify"]:
+            return "batch verify", self.commands["verify"], args[2:]
+        return super().resolve_command(ctx, args)
+
+
+def _typer(name: str, **settings: Any) -> typer.Typer:
+    return typer.Typer(
+        name=name,
+        no_args_is_help=True,
+        rich_markup_mode=None,  # plain help: rich takes 0.3 s to start
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+        **settings,
+    )
+
+
+def _library() -> typer.Typer:
+    """The commands below `gelform calibrations`."""
+    made = _typer(LIBRARY, help=calibrations.__doc__, short_help=calibrations.SUMMARY)
+    for command in calibrations.COMMANDS:
+        made.command(_name(command))(flat(command))
+    return made
+
+
+app = _typer("gelform", cls=Commands, add_completion=False, pretty_exceptions_enable=False)
+for command in (one for commands in GROUPS.values() for one in commands if one != LIBRARY):
+    app.command(_name(command))(flat(command))
+app.add_typer(_library())
 
 
 def command_names() -> tuple[str, ...]:
     """The names of all commands, in the order of the help."""
-    return tuple(command.__name__.rstrip("_") for command in COMMANDS)
+    return tuple(_name(command) for commands in GROUPS.values() for command in commands)
 
 
 def _print_version(asked: bool) -> None:

@@ -127,6 +127,15 @@ NewCalibration = Annotated[
 CalibrationFile = Annotated[
     Path, Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
 ]
+OptionalCalibration = Annotated[
+    Path | None,
+    Option(
+        "--calibration",
+        "-c",
+        metavar="CAL.npz",
+        help="The sensor's calibration; else the newest of its serial in the library.",
+    ),
+]
 Sensor = Annotated[
     str | None, Option(metavar="PROFILE", help=f"Sensor profile: {listed(tuple(PROFILES))}; crop and scale.")
 ]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gelform.cli.console import say
 from gelform.cli.process import mistakes_in
 from gelform.errors import GelformError
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from gelform.calibration_file import Calibration
+    from gelform.calibrations.choose import Unit
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction
 
@@ -31,12 +34,24 @@ def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.flo
     return None if path is None else _viewed(read_background(path), path, calibration)
 
 
-def prepared(calibration: Path, background: Path | None, **settings: Any) -> Reconstructor:
-    """A Reconstructor of a calibration's file, and of an untouched image or a folder of them where one is given."""
+def calibration_given(path: Path | None, unit: Callable[[], Unit], quiet: bool = False) -> Calibration:
+    """The calibration of a file; where none is given the library's for a unit, and which one is said."""
     from gelform.calibration_file import load_calibration
+    from gelform.calibrations.choose import choose_calibration
+
+    if path is not None:
+        return load_calibration(path)
+    chosen = choose_calibration(unit())
+    say(chosen.said, quiet)
+    return chosen.calibration
+
+
+def prepared(calibration: Calibration | Path, background: Path | None, **settings: Any) -> Reconstructor:
+    """A Reconstructor of a calibration, and of an untouched image or a folder of them where one is given."""
+    from gelform.calibration_file import as_calibration
     from gelform.reconstruct import Reconstructor
 
-    loaded = load_calibration(calibration)
+    loaded = as_calibration(calibration)
     return Reconstructor(loaded, background=background_in(background, loaded), **settings)
 
 

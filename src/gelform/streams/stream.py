@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration
+from gelform.calibrations.choose import choose_calibration, unit_of
 from gelform.errors import StaleError
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
@@ -25,7 +26,7 @@ KEPT = 8  # results whose images are held for `image_of`
 
 def stream(
     source: SourceLike,
-    calibration: Calibration | str | PathLike[str],
+    calibration: Calibration | str | PathLike[str] | None = None,
     *,
     background: ArrayLike | None = None,
     smoothing: float | None = None,
@@ -40,7 +41,8 @@ def stream(
     ----------
     source : what `open_source` takes: "simulated", a serial, a name, a device path, a video, a folder, an address; or an
         open Source, a function that opens one, or a running Grabber that several streams share
-    calibration : of the sensor, or the path of its file
+    calibration : of the sensor, or the path of its file; None: the newest one of the user's library that is of the camera's
+        serial, or the one that a recording carries
     background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
     smoothing : temporal smoothing, s; None: none. Noise is averaged over this time; depth that changes by more
         than its noise is followed at once, what is smaller late by at most this
@@ -55,10 +57,13 @@ def stream(
     SensorError, DataError
         The source cannot be opened; the message lists what is there.
     CalibrationError
-        The background is clearly not of the calibrated sensor, or the calibration cannot be read.
+        The background is clearly not of the calibrated sensor, the calibration cannot be read, or none was given and the
+        library has none of the sensor.
     ValueError, TypeError
         A background of another size or a smoothing that is no time.
     """
+    if calibration is None:
+        calibration = choose_calibration(unit_of(source)).calibration
     reconstruct = Reconstructor(calibration, background)
     if smoothing is not None:
         Smoothing(smoothing)  # refused before a device is opened
@@ -180,6 +185,11 @@ class Stream:
         raise LookupError(
             f"The image of frame {result.index} is not held any more: take both by newest() or pairs()."
         )
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration in use."""
+        return self._memory.reconstruct.calibration
 
     def take_background(self) -> None:
         """Say that nothing touches the gel: the mean of the next second becomes the untouched image."""

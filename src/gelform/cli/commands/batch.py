@@ -14,7 +14,7 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import CalibrationFile, Shown, one_of, usage_errors
+from gelform.cli.options import OptionalCalibration, Shown, one_of, usage_errors
 from gelform.cli.process import MISTAKE
 from gelform.reconstruction.maps import KEPT_MAPS
 
@@ -127,7 +127,7 @@ def batch(
             metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
         ),
     ],
-    calibration: CalibrationFile,
+    calibration: OptionalCalibration = None,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     frames: Frames,
     results: Results,
@@ -135,12 +135,16 @@ def batch(
     run: Run,
     shown: Shown,
 ) -> None:
-    """Reconstruct every frame of a data set; the same command goes on where it was left.
+    """Reconstruct every frame of a data set.
+
+    The same command goes on where it was left; `gelform batch verify DIR` reads all that was written.
 
     INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
     LeRobot data set, or a pattern. DIR gets
     frames/<sequence>/<frame>.npz, a table with one row per frame, and manifest.json. A frame that cannot be
     read or is of another size is a row with its error; the others are done, and the exit status is 1.
+
+    Without -c a sensor.toml or the recordings have to say one serial: its newest calibration is taken.
 
     \b
     Examples:
@@ -166,6 +170,7 @@ def batch(
             engine=machines.made(),
             options=RunOptions(shard=machines.shard, **vars(run)),
             progress=progress,
+            chosen=shown.say,
         )
     shown.json({"output": output, **asdict(summary)})
     _report(summary, output, run.max_errors, shown.silent)
@@ -230,7 +235,9 @@ def verify(
     output: Annotated[Path, Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
     shown: Shown,
 ) -> None:
-    """Read everything that a batch wrote and say what is missing, altered or in excess.
+    """Read all that a batch wrote and say what is wrong.
+
+    What is missing, altered or in excess is listed; `gelform batch verify` is the same command.
 
     The exit status is 1 where something is wrong. Frames that have an error of their own are counted, and are
     nothing wrong with the output.

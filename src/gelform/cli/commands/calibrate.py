@@ -55,7 +55,7 @@ def calibrate(
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
-    """Calibrate a sensor from presses of a ball of known diameter, without a click.
+    """Calibrate a sensor from presses of a ball.
 
     PRESSES holds background.png (the untouched gel), images, presses.csv (columns image,ball_diameter_mm) and
     sensor.toml (name, mm_per_px). A plain folder of images does too, with --ball-diameter-mm and --mm-per-px

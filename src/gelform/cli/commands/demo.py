@@ -26,7 +26,9 @@ def demo(
     ] = Path("gelform-demo"),
     shown: Shown,
 ) -> None:
-    """Try everything without a sensor: simulate one, calibrate it, reconstruct, compare with the truth.
+    """Try everything without a sensor, on a simulated one.
+
+    It is calibrated, reconstructs, and is compared with the truth.
 
     Writes DIR/presses (a press folder), DIR/calibration.npz, DIR/report and, for each of four objects (a
     ball, a coin-like relief, a screw thread, a ball cut by the border) its image, result and picture.

@@ -37,7 +37,9 @@ def scale(
     background: Background = None,
     shown: Shown,
 ) -> None:
-    """Measure mm per pixel and write it where `calibrate` reads it: into the folder's sensor.toml.
+    """Measure mm per pixel, for `calibrate`.
+
+    It is written where `calibrate` reads it: into the folder's sensor.toml.
 
     Images are camera frames, read through the [view] that is there. Several measurements are averaged by their
     uncertainty; where they contradict each other, nothing is written.
@@ -124,22 +126,19 @@ def lens(
     dots: Annotated[bool, Option("--dots", help="It is a grid of dots, not a checkerboard.")] = False,
     led_frames: Annotated[
         tuple[Path, Path, Path] | None,
-        Option(
-            metavar="R G B", help="Untouched gel with the red, green, blue LEDs alone: crosstalk is undone."
-        ),
+        Option(metavar="R G B", hidden=True),  # `gelform crosstalk`, where it was before
     ] = None,
     shown: Shown,
 ) -> None:
-    """Measure the lens (distortion, perspective, scale) and the crosstalk of the colours, for `calibrate` to undo.
+    """Measure the lens, for `calibrate` to undo.
 
-    The first image shows a printed grid that lies on the gel; further ones, tilted or moved, help with the
-    distortion alone. All are written into sensor.toml, beside what is there.
+    Distortion, perspective and scale. The first image shows a printed grid that lies on the gel; further ones, tilted or
+    moved, help with the distortion alone. All are written into sensor.toml, beside what is there.
 
     \b
     Examples:
       gelform lens presses/ --image grid.png --grid 9x6 --pitch-mm 1
       gelform lens presses/sensor.toml --image flat.png --image tilted.png --grid 12x9 --pitch-mm 0.8 --dots
-      gelform lens presses/ --led-frames red.png green.png blue.png
     """
     asked = [images, grid, pitch_mm]
     if any(asked) and not all(asked):
@@ -154,6 +153,33 @@ def lens(
     for measured in ("lens", "crosstalk"):
         if measured in said:
             shown.say(f"{said[measured]}.")
+    shown.say(f"Wrote {said['file']}.")
+    shown.json(said)
+
+
+def crosstalk(
+    *,
+    place: Annotated[
+        Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")
+    ],
+    led_frames: Annotated[
+        tuple[Path, Path, Path],
+        Argument(metavar="R G B", help="Untouched gel with the red, green, blue LEDs alone."),
+    ],
+    shown: Shown,
+) -> None:
+    """Measure the crosstalk of the colours, for `calibrate`.
+
+    Each of three images shows the untouched gel with the LEDs of one colour alone. What the other channels see of it is
+    written into sensor.toml, beside what is there.
+
+    \b
+    Examples:
+      gelform crosstalk presses/ red.png green.png blue.png
+      gelform crosstalk presses/sensor.toml red.png green.png blue.png --json
+    """
+    said = _write_crosstalk(place, led_frames)
+    shown.say(f"{said['crosstalk']}.")
     shown.say(f"Wrote {said['file']}.")
     shown.json(said)
 

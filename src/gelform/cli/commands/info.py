@@ -38,7 +38,9 @@ def info(
     ],
     as_json: Json = False,
 ) -> None:
-    """Say what a calibration, result, image, video, recording, bag of ROS 2 or folder of presses is, and what is missing.
+    """Say what a file or folder is, and what is missing.
+
+    It knows calibrations, results, images, videos, recordings, bags of ROS 2 and folders of presses.
 
     \b
     Examples:

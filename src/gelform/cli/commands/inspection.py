@@ -58,7 +58,9 @@ def evaluate(
     given: PressOptions,
     shown: Shown,
 ) -> None:
-    """Measure a calibration on presses of a ball: angles in degrees, depth in um, radius in percent.
+    """Measure a calibration's errors on presses of a ball.
+
+    Angles are in degrees, depth in um, the ball's radius in percent.
 
     Says which presses the calibration was made from: their errors say little.
 
@@ -158,7 +160,9 @@ def compare(
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
-    """Compare two calibrations on the same images: depth, normals and curl, with a picture of both.
+    """Compare two calibrations on the same images.
+
+    Depth, normals and curl, with a picture of both.
 
     Depths are compared in mm, or in pixels where one calibration has no scale. The angle is the mean between
     the normals where either sees contact. With -o, DIR/<image>.png shows both depths on one scale, their

@@ -45,7 +45,7 @@ def live(
     browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show depth in mm on a page in the browser, calibrate with a ball, record, compare.
+    """Show depth in the browser, calibrate with a ball, record.
 
     Without SOURCE a simulated sensor is shown: nothing has to be plugged in.
 

@@ -12,10 +12,10 @@ import typer
 from typer import BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import Background, CalibrationFile, Images, Overwrite, Shown, one_of
+from gelform.cli.options import Background, Images, OptionalCalibration, Overwrite, Shown, one_of
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
-from gelform.cli.sensor_images import image_in, prepared, reconstruction_of
+from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
 from gelform.errors import GelformError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def _formats(text: str) -> list[str]:
 def reconstruct(
     *,
     images: Images,
-    calibration: CalibrationFile,
+    calibration: OptionalCalibration = None,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     background: Background = None,
     solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto",
@@ -58,11 +58,13 @@ def reconstruct(
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
-    """Reconstruct depth in mm from images of a calibrated sensor.
+    """Reconstruct depth in mm from images.
 
     An image a/b/c.png becomes DIR/<path below the images' common folder>.npz with depth_mm, gradients,
     confidence, contact, known and mm_per_px; with --format npz,png a picture beside it. An image that cannot be
     read or is of another sensor is reported, the others are done, and the exit status is 1.
+
+    Without -c the images' sensor.toml or recording has to say the serial: its newest calibration is taken.
 
     \b
     Examples:
@@ -72,18 +74,20 @@ def reconstruct(
     """
     wanted = _formats(formats)
     paths = result_paths(images, output, wanted)
-    protected = [*images, calibration, *([background] if background else [])]
+    protected = [*images, *(one for one in (calibration, background) if one)]
     todo = list(zip(images, paths))
     if skip_existing:
         todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
     check_results([results for _, results in todo], overwrite=overwrite or skip_existing, protected=protected)
     if "png" in wanted:
         check_pictures()
+    from gelform.calibrations.choose import unit_of_all
     from gelform.solvers import SOLVERS
 
     one_of(solver, ("auto", *SOLVERS), "--solver")
+    used = calibration_given(calibration, lambda: unit_of_all(images), shown.quiet)
     with shown.progress() as progress:
-        run = prepared(calibration, background, solver=solver)
+        run = prepared(used, background, solver=solver)
         rows, failed = [], []
         for done, (path, results) in enumerate(todo):
             try:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import ALL_TOPICS, Background, CalibrationFile, Shown, number, usage_errors
+from gelform.cli.options import ALL_TOPICS, Background, OptionalCalibration, Shown, number, usage_errors
 from gelform.cli.process import mistakes_in
-from gelform.cli.sensor_images import background_in
+from gelform.cli.sensor_images import background_in, calibration_given
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
 
 if TYPE_CHECKING:
@@ -52,12 +52,14 @@ def bag(
     source: Annotated[
         str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
     ],
-    calibration: CalibrationFile,
+    calibration: OptionalCalibration = None,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: Shown,
 ) -> None:
-    """Write images, indentation, points and findings as a bag of ROS 2 (rosbag2, MCAP); needs no ROS.
+    """Write results as a bag of ROS 2; needs no ROS.
+
+    Images, indentation, points and findings, as rosbag2 (MCAP).
 
     Every frame of a recording, the newest ones of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation (32FC1,
     metres, positive where pressed), /NAME/points (metres, in NAME_gel_optical_frame), /diagnostics. Extra `ros`.
@@ -68,11 +70,11 @@ def bag(
       gelform bag simulated -c cal.npz -o press_bag --seconds 5 --name left_finger
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
-    from gelform.calibration_file import load_calibration
+    from gelform.calibrations.choose import unit_of
     from gelform.robots.send import save_bag
 
     wanted = sent.wanted()
-    loaded = load_calibration(calibration)
+    loaded = calibration_given(calibration, lambda: unit_of(source), shown.quiet)
     with shown.progress() as progress:
         stats = save_bag(source, loaded, output, **sent.settings(loaded), progress=progress)
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
@@ -84,7 +86,7 @@ def bag(
 
 def ros(
     *,
-    calibration: CalibrationFile,
+    calibration: OptionalCalibration = None,
     source: Annotated[
         str, Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
@@ -95,7 +97,9 @@ def ros(
     ] = 0,
     shown: Shown,
 ) -> None:
-    """Publish images, indentation, points and findings to ROS 2 over zenoh, without ROS here. Experimental.
+    """Publish results to ROS 2 over zenoh (experimental).
+
+    Images, indentation, points and findings; needs no ROS here.
 
     For nodes whose middleware is rmw_zenoh, Jazzy and later; topics and messages are those of gelform bag. A zenoh
     router has to run, as rmw_zenoh wants: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Extra `zenoh`.
@@ -106,11 +110,11 @@ def ros(
       gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
-    from gelform.calibration_file import load_calibration
+    from gelform.calibrations.choose import unit_of
     from gelform.robots.send import publish
 
     wanted = sent.wanted()
-    loaded = load_calibration(calibration)
+    loaded = calibration_given(calibration, lambda: unit_of(source), shown.quiet)
     with mistakes_in("ros"), shown.progress() as progress:
         settings = {**sent.settings(loaded), "router": router, "domain": domain}
         stats = publish(source, loaded, **settings, progress=progress)

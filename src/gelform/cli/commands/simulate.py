@@ -95,7 +95,9 @@ def simulate(
     workers: Annotated[int, Option(min=1, help="Processes; the bytes are the same for any number.")] = 1,
     shown: Shown,
 ) -> None:
-    """Simulate a sensor: images of pressed balls, or of your own height map or mesh, with the exact truth.
+    """Simulate a sensor: images of presses with their truth.
+
+    Balls are pressed, or your own height map or mesh.
 
     Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels,
     sensor.toml, images/, and truth/ with depth_mm, gradients, contact and more of each image. A height map
@@ -217,7 +219,9 @@ def design(
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
-    """Compare designs of a sensor before it is built: lights, crosstalk, noise, gel.
+    """Compare designs of a sensor before it is built.
+
+    Lights, crosstalk, noise, gel.
 
     Each is simulated, calibrated on ball presses and measured on others, whose depth is known exactly. The
     slope noise and the condition of the lights say where on the gel a design is weak, whatever the calibration.

@@ -86,7 +86,9 @@ def cameras(
     ] = True,
     shown: Shown,
 ) -> None:
-    """List the cameras that are plugged in: serial, name, path, modes and measured rate.
+    """List the cameras that are plugged in.
+
+    Each with serial, name, path, modes and measured rate.
 
     \b
     Examples:
@@ -181,7 +183,9 @@ def record(
     ] = None,
     shown: Shown,
 ) -> None:
-    """Record a camera's frames as they come, with their times and the camera's settings.
+    """Record a camera's frames, or presses for a calibration.
+
+    Frames are kept as they come, with their times and the camera's settings.
 
     An MCAP file (extra `mcap`) holds ROS 2 messages, a folder PNG or JPEG files and frames.csv; both play again with
     every command that takes a SOURCE. With --presses, a folder that `gelform calibrate` reads.

@@ -66,6 +66,11 @@ class AskedPress:
         return None if going_out < 0 else self.depth_mm * min(1.0, going_in / PRESS_S, going_out / PRESS_S)
 
 
+def serial_of_simulated(sensor: SimulatedSensor) -> str:
+    """What stands for a serial number: a simulated sensor of a name is always the same one."""
+    return f"simulated-{sensor.name}"
+
+
 class SimulatedSource:
     """Frames of a simulated sensor, evenly spaced in time, each with noise of its own; late ones are left out.
 
@@ -81,12 +86,12 @@ class SimulatedSource:
     """
 
     live = True
-    serial: str | None = None
 
     def __init__(self, sensor: SimulatedSensor, *, rate_hz: float = RATE_HZ, seed: int = 0) -> None:
         self.sensor = sensor
         self.rate_hz: float | None = check_positive(rate_hz, "rate_hz")
         self.name = f"simulated {sensor.name}"
+        self.serial: str | None = serial_of_simulated(sensor)
         height, width = sensor.shape
         self.settings: dict[str, float | str] = {"width": width, "height": height, "fps": rate_hz}
         self._rate_hz, self._seed = rate_hz, seed

@@ -1,0 +1,11 @@
+"""The user's calibrations in one folder, found by the camera that they are of."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "choose": ["Choice", "Unit", "choose_calibration", "unit_of"],
+        "library": ["Entry", "add_calibration", "entries", "library_folder", "matching"],
+    },
+)

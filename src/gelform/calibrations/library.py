@@ -1,0 +1,226 @@
+"""The library: a folder of the user's calibrations, under names that say of which sensor, unit and gel they are."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gelform.calibration_file import Calibration, load_calibration
+from gelform.errors import CalibrationError, DataError, GelformError
+from gelform.npz_files import sweep
+
+FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
+DIGEST_SHOWN = (
+    10  # characters of a digest in names and lists: two of a million calibrations share them once in two
+)
+MAX_PART = (
+    40  # characters of a sensor's name, a serial or a gel in a file's name: file systems take 255 in all
+)
+
+
+def library_folder() -> Path:
+    """Where this user's calibrations are: `GELFORM_CALIBRATIONS`, else the system's place for data of programs.
+
+    Raises
+    ------
+    DataError
+        The variable does not name a whole path, or nothing says where the user's files are.
+    """
+    given = os.environ.get(FOLDER_VARIABLE)
+    if given:
+        return _whole(Path(given).expanduser(), FOLDER_VARIABLE)
+    try:
+        return _data_folder(sys.platform, os.environ, Path.home()) / "gelform" / "calibrations"
+    except RuntimeError as problem:  # neither HOME nor an entry of the user
+        raise DataError(
+            f"Expected a home folder for the library of calibrations, got none. Name a folder in {FOLDER_VARIABLE}."
+        ) from problem
+
+
+def _data_folder(platform: str, variables: Mapping[str, str], home: Path) -> Path:
+    """The system's folder for data of a user's programs."""
+    if platform == "darwin":
+        return home / "Library" / "Application Support"
+    if platform == "win32":
+        return Path(variables.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    given = Path(variables.get("XDG_DATA_HOME", ""))
+    return given if given.is_absolute() else home / ".local" / "share"  # the standard ignores other values
+
+
+def _whole(path: Path, variable: str) -> Path:
+    if not path.is_absolute():
+        raise DataError(f"Expected a whole path in {variable}, got {path}. Begin it at the root.")
+    return path
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of the library.
+
+    Attributes
+    ----------
+    path : of the file
+    problem : why it cannot be read; empty where it can
+    sensor, serial, gel_id, created_utc, digest, held_out : as of the `Calibration`; empty where it cannot be read
+    """
+
+    path: Path
+    problem: str = ""
+    sensor: str = ""
+    serial: str | None = None
+    gel_id: str | None = None
+    created_utc: str = ""
+    digest: str = ""
+    held_out: Mapping[str, float] = field(default_factory=dict)
+
+    def described(self) -> str:
+        """For a sentence: its file, gel and date."""
+        return f"{self.path.name} (gel {self.gel_id or 'not named'}, of {date_of(self.created_utc)})"
+
+    def answers_to(self, word: str) -> bool:
+        """Whether a serial, a file's name or the begin of a digest means it."""
+        by_digest = bool(self.digest) and len(word) >= 4 and self.digest.startswith(word.lower())
+        return word in (self.serial, self.path.name, self.path.stem) or by_digest
+
+
+def date_of(created_utc: str) -> str:
+    """A calibration's date and minute as people read them, UTC."""
+    return created_utc[:16].replace("T", " ") or "an unknown date"
+
+
+def entry_of(path: Path) -> Entry:
+    """What a file of the library is; one that cannot be read says why."""
+    try:
+        return _entry(path, load_calibration(path))
+    except GelformError as problem:
+        return Entry(path, str(problem))
+
+
+def _entry(path: Path, calibration: Calibration) -> Entry:
+    return Entry(
+        path,
+        "",
+        calibration.sensor_name,
+        calibration.serial,
+        calibration.gel_id,
+        calibration.created_utc,
+        calibration.digest,
+        dict(calibration.held_out),
+    )
+
+
+def entries(folder: Path | None = None) -> list[Entry]:
+    """All files of the library, the newest calibration first, those that cannot be read last.
+
+    Parameters
+    ----------
+    folder : of the library; the user's without
+    """
+    folder = library_folder() if folder is None else folder
+    try:
+        paths = sorted(folder.glob("*.npz"))
+    except OSError as problem:
+        raise DataError(f"Cannot list {folder}: {problem.strerror or problem}.") from problem
+    return sorted(map(entry_of, paths), key=lambda one: one.created_utc, reverse=True)
+
+
+def matching(word: str, gel_id: str | None = None, folder: Path | None = None) -> list[Entry]:
+    """The entries that a serial, a file's name or the begin of a digest means, the newest first.
+
+    Raises
+    ------
+    DataError
+        There is none; the message lists what there is.
+    """
+    there = entries(folder)
+    found = [one for one in there if one.answers_to(word) and gel_id in (None, one.gel_id)]
+    if not found:
+        gel = "" if gel_id is None else f" and gel {gel_id!r}"
+        raise DataError(
+            f"No calibration in the library with serial, file name or digest {word!r}{gel}. There: {listed(there)}."
+        )
+    return found
+
+
+def listed(there: Sequence[Entry]) -> str:
+    """Names of entries in a sentence's end."""
+    return ", ".join(one.path.name for one in there) or "nothing"
+
+
+def add_calibration(calibration: Calibration, folder: Path | None = None) -> tuple[Path, bool]:
+    """Put a calibration into the library; one that is there already (by its digest) is not written again.
+
+    The file appears under its name whole or not at all, and no file is replaced: any number of processes may add at once.
+
+    Returns
+    -------
+    path : of its file
+    new : whether it was written now
+
+    Raises
+    ------
+    DataError, CalibrationError
+        The folder cannot be made or written to.
+    """
+    folder = library_folder() if folder is None else folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise DataError(f"Cannot make the folder {folder}: {problem.strerror or problem}.") from problem
+    sweep(folder)
+    for entry in entries(folder):
+        if entry.digest == calibration.digest:
+            return entry.path, False
+    number = 1
+    while True:
+        path = folder / file_name(calibration, number)
+        try:
+            calibration.save(path)
+        except CalibrationError:
+            if not os.path.lexists(path):
+                raise
+            if entry_of(path).digest == calibration.digest:  # another process was quicker
+                return path, False
+            number += 1  # what has the name is damaged: it stays
+        else:
+            return path, True
+
+
+def file_name(calibration: Calibration, number: int = 1) -> str:
+    """Sensor, serial, gel, date and begin of the digest; numbered from the second of the same name on."""
+    made = re.sub(r"[^0-9T]", "", calibration.created_utc[:16])
+    parts = [calibration.sensor_name, calibration.serial or "no-serial", calibration.gel_id or "no-gel", made]
+    named = "_".join(_plain(part) for part in parts)
+    return f"{named}_{calibration.digest[:DIGEST_SHOWN]}{f'_{number}' if number > 1 else ''}.npz"
+
+
+def _plain(text: str) -> str:
+    """What every file system takes in a name."""
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.")[:MAX_PART] or "unnamed"
+
+
+def remove_calibration(entry: Entry) -> None:
+    """Delete a file of the library; DataError where that cannot be."""
+    try:
+        entry.path.unlink(missing_ok=True)
+    except OSError as problem:
+        raise DataError(f"Cannot remove {entry.path}: {problem.strerror or problem}.") from problem
+
+
+def facts_of(entry: Entry) -> dict[str, Any]:
+    """An entry as JSON has it."""
+    return {
+        "file": str(entry.path),
+        "sensor": entry.sensor or None,
+        "serial": entry.serial,
+        "gel_id": entry.gel_id,
+        "created_utc": entry.created_utc or None,
+        "digest": entry.digest or None,
+        "held_out": dict(entry.held_out),
+        "problem": entry.problem or None,
+    }

@@ -1,0 +1,195 @@
+"""The library: a folder of your calibrations, from which commands take the newest of a camera's serial.
+
+`live`, `reconstruct`, `batch`, `bag` and `ros` look into it where no calibration is given, and say which they take. What the
+guide of `gelform live` makes is put into it. GELFORM_CALIBRATIONS names another folder.
+
+\b
+Examples:
+  gelform calibrations list
+  gelform calibrations add mini.npz --serial 2BKRXXXX
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument, BadParameter, Option
+
+from gelform.cli.console import figure, print_json
+from gelform.cli.options import NewCalibration, Overwrite, Shown
+from gelform.errors import DataError
+
+if TYPE_CHECKING:
+    from gelform.calibration_file import Calibration
+    from gelform.calibrations.library import Entry
+
+SUMMARY = "List, add, remove and export calibrations by serial."
+COLUMNS = {"normal_free_deg": "normals (°)", "cap_free_um": "contact (um)", "off_contact_um": "off it (um)"}
+SHOWN_DIGEST = 10  # characters: what tells calibrations apart, and `remove` and `export` take
+
+Which = Annotated[
+    str, Argument(metavar="WHICH", help="Serial, name of the file, or first characters of the digest.")
+]
+Gel = Annotated[str | None, Option("--gel", metavar="GEL", help="Only those of this gel.")]
+
+
+def list_(
+    *,
+    serial: Annotated[str | None, Option(help="Only those of this camera.")] = None,
+    gel: Gel = None,
+    shown: Shown,
+) -> None:
+    """List calibrations by serial, gel and date.
+
+    With their errors on presses held out.
+
+    The newest comes first: it is what the camera of its serial takes. A file that cannot be read is listed with the reason.
+
+    \b
+    Examples:
+      gelform calibrations list
+      gelform calibrations list --serial 2BKRXXXX --gel gel-3
+      gelform calibrations list --json
+    """
+    from gelform.calibrations.library import date_of, entries, facts_of, library_folder
+
+    folder = library_folder()
+    there = [one for one in entries(folder) if serial in (None, one.serial) and gel in (None, one.gel_id)]
+    if shown.as_json:
+        print_json({"folder": folder, "calibrations": [facts_of(one) for one in there]})
+        return
+    rows = [
+        (
+            one.sensor,
+            one.serial or "-",
+            one.gel_id or "-",
+            date_of(one.created_utc),
+            *(figure(one.held_out.get(name)) for name in COLUMNS),
+            one.digest[:SHOWN_DIGEST],
+        )
+        for one in there
+        if not one.problem
+    ]
+    if rows:
+        columns = ("sensor", "serial", "gel", "made (UTC)", *COLUMNS.values(), "digest")
+        shown.table(f"Calibrations in {folder}", columns, rows)
+    for one in there:
+        if one.problem:
+            shown.say(f"damaged: {one.path.name}: {one.problem}")
+    if not there:
+        shown.say(f"There is none in {folder}. Add one: gelform calibrations add CAL.npz.")
+
+
+def add(
+    *,
+    files: Annotated[list[Path], Argument(metavar="CAL.npz...", help="Files of calibrations.")],
+    serial: Annotated[str | None, Option(help="Of the camera, where the file does not say it.")] = None,
+    gel: Annotated[
+        str | None, Option("--gel", metavar="GEL", help="Name of the gel, where the file does not say it.")
+    ] = None,
+    shown: Shown,
+) -> None:
+    """Copy calibrations into the library.
+
+    The file itself stays where it is. One that is there already is not copied again.
+
+    \b
+    Examples:
+      gelform calibrations add mini.npz
+      gelform calibrations add mini.npz --serial 2BKRXXXX --gel gel-3
+    """
+    from gelform.calibration_file import load_calibration
+    from gelform.calibrations.library import add_calibration
+
+    if serial is not None and len(files) > 1:
+        raise BadParameter("is of one camera: add one file at a time.", param_hint="--serial")
+    loaded = [_named(load_calibration(path), path, serial, gel) for path in files]
+    added = []
+    for calibration in loaded:
+        path, new = add_calibration(calibration)
+        shown.say(f"Added {path}." if new else f"There already: {path}.")
+        if not calibration.serial:
+            shown.say(
+                "It names no serial: only a camera without one takes it by itself. Say whose it is: --serial SERIAL."
+            )
+        added.append({"file": path, "new": new, "serial": calibration.serial, "gel_id": calibration.gel_id})
+    shown.json({"added": added})
+
+
+def _named(calibration: Calibration, path: Path, serial: str | None, gel: str | None) -> Calibration:
+    """With the serial and gel that the user says; DataError where the file says another one."""
+    from dataclasses import replace
+
+    said: dict[str, Any] = {}
+    for name, option, value in (("serial", "--serial", serial), ("gel_id", "--gel", gel)):
+        known = getattr(calibration, name)
+        if value and known and value != known:
+            raise DataError(f"{path} is of {name} {known!r}, not of {value!r}. Leave {option} out.")
+        if value:
+            said[name] = value
+    return replace(calibration, **said) if said else calibration
+
+
+def remove(
+    *,
+    which: Which,
+    gel: Gel = None,
+    every: Annotated[bool, Option("--all", help="All that match, where there are several.")] = False,
+    yes: Annotated[bool, Option("--yes", "-y", help="Do not ask.")] = False,
+    shown: Shown,
+) -> None:
+    """Delete calibrations from the library, after asking.
+
+    \b
+    Examples:
+      gelform calibrations remove 1a2b3c4d5e
+      gelform calibrations remove 2BKRXXXX --gel gel-2 --all --yes
+    """
+    from gelform.calibrations.library import listed, matching, remove_calibration
+
+    found = matching(which, gel)
+    if len(found) > 1 and not every:
+        raise DataError(f"{len(found)} calibrations match: {listed(found)}. Name one, or take --all.")
+    if not yes:
+        if sys.stdin is None:
+            raise DataError("Expected a terminal to ask in. Take --yes to delete without being asked.")
+        typer.confirm(f"Delete {listed(found)}?", abort=True, err=True)
+    for entry in found:
+        remove_calibration(entry)
+        shown.say(f"Deleted {entry.path}.")
+    shown.json({"removed": [str(entry.path) for entry in found]})
+
+
+def export_(
+    *, which: Which, gel: Gel = None, output: NewCalibration, overwrite: Overwrite = False, shown: Shown
+) -> None:
+    """Copy a calibration out of the library; of several the newest.
+
+    \b
+    Examples:
+      gelform calibrations export 2BKRXXXX -o mini.npz
+      gelform calibrations export 2BKRXXXX --gel gel-2 -o gel-2.npz
+    """
+    from gelform.calibrations.library import matching
+    from gelform.cli.outputs import check_output
+    from gelform.npz_files import written_file
+
+    check_output(output, overwrite=overwrite)
+    entry = _newest_whole(matching(which, gel))
+    with written_file(output, overwrite=overwrite) as handle:
+        handle.write(entry.path.read_bytes())
+    shown.say(f"Wrote {output}: {entry.described()}.")
+    shown.json({"file": output, "from": entry.path, "serial": entry.serial, "gel_id": entry.gel_id})
+
+
+def _newest_whole(found: list[Entry]) -> Entry:
+    whole = [one for one in found if not one.problem]
+    if not whole:
+        raise DataError(f"{found[0].path.name} cannot be read: {found[0].problem}")
+    return whole[0]
+
+
+COMMANDS = (list_, add, remove, export_)
