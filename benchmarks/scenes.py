@@ -115,6 +115,7 @@ PEAKS = total(
 TEXTURE = total(gaussian(0.8, 2.5), waves(0.012, 0.6))
 BUMP = gaussian(1.0, 1.5, (0.4, -0.3))
 PLANE = polynomial({(1, 0): 0.05, (0, 1): -0.03})
+QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
 
 SCENES: dict[str, Surface] = {
     "ball": BALL,

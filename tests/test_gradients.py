@@ -17,10 +17,9 @@ from gelform.gradients import (
 )
 from gelform.normals import normals_from_gradients
 from kernel_agreement import assert_kernel_agrees
-from scenes import PEAKS, polynomial, scene
+from scenes import PEAKS, QUADRATIC, polynomial, scene
 
 PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
-QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
 
 
 @pytest.mark.parametrize("pitch", PITCHES)

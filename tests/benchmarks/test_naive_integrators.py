@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from gelform.depth import depth_from_gradients
-from scenes import BALLS, PLANE, polynomial, rmse_um, scene, waves
+from scenes import BALLS, PLANE, QUADRATIC, polynomial, rmse_um, scene, waves
 from solvers.naive_integrators import depth_along_lines, depth_periodic, depth_zero_border
 
-QUADRATIC = polynomial({(1, 0): 0.05, (0, 1): -0.03, (2, 0): 0.02, (1, 1): -0.015, (0, 2): 0.01})
 PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
 
 
