@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelform.findings import Finding
-from gelform.live.shown import CONTACT, KNOWN, PLANES, Shown, measures_of, outlines_of
+from gelform.live.shown import CONTACT, KNOWN, OTHER_UNKNOWN, PLANES, UNKNOWN, Shown, measures_of, outlines_of
 
 
 def test_numbers_are_those_of_the_depth(result, press):
@@ -30,6 +30,27 @@ def test_an_outline_goes_round_the_contact(result):
     wrong = filled.astype(bool) != result.contact
     assert wrong.sum() < 0.06 * result.contact.sum()
     assert outlines_of(replace(result, contact=np.zeros_like(result.contact))) == []
+
+
+def test_what_is_not_known_is_told_and_is_no_deepest_point(shown, result):
+    """Half of the press is not known: its filled depth is nobody's figure."""
+    assert shown.planes(["unknown"], "raw") == []
+    known = np.ones(result.shape, bool)
+    _, column = np.unravel_index(result.depth.argmax(), result.shape)
+    known[:, column - 3 : column + 4] = False
+    partly = replace(result, known=known)
+    measures = measures_of(partly)
+    assert measures.peak == result.depth[known].max() < result.depth.max()
+    assert known[measures.y_px, measures.x_px]
+    other = replace(result, known=known[::-1, ::-1])
+    both = replace(shown, result=partly, other=other, measures=measures, _made={})
+    (plane,) = both.planes(["unknown"], "raw")
+    bits = np.frombuffer(plane.data, np.uint8).reshape(result.shape)
+    np.testing.assert_array_equal(bits & UNKNOWN != 0, ~known)
+    np.testing.assert_array_equal(bits & OTHER_UNKNOWN != 0, ~other.known)
+    (depth,), (plane,) = both.planes(["depth"], "small"), both.planes(["unknown"], "small")
+    sizes = [[one.facts[name] for name in ("height", "width")] for one in (depth, plane)]
+    assert sizes[0] == sizes[1], "each pixel of the depth has its own"
 
 
 def test_it_has_the_planes_of_its_result(shown, result):

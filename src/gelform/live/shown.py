@@ -22,8 +22,12 @@ from gelform.markers import MarkerFlow
 from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import MAP_PLANES
 
-PLANES = ("image", "flags", "causes", "other", *MAP_PLANES)
+PLANES = ("image", "flags", "unknown", "causes", "other", *MAP_PLANES)
 CONTACT, KNOWN = 1, 2  # bits of the plane `flags`
+UNKNOWN, OTHER_UNKNOWN = (
+    1,
+    2,
+)  # bits of the plane `unknown`: of this result, of the one that it is compared with
 MOST_CONTACTS, MOST_OUTLINES = 8, 32  # of a frame that are sent
 OUTLINE_PX = 0.6  # how far an outline may be from the pixels' edge
 
@@ -53,10 +57,14 @@ class Measures:
 
 
 def measures_of(result: Reconstruction) -> Measures | None:
-    """The numbers of a result; in pixels where it has no scale. None where nothing of its depth is known."""
+    """The numbers of a result; in pixels where it has no scale. None where nothing of its depth is known.
+
+    The deepest point is one of those that are known.
+    """
     if not result.known.any():
         return None
-    row, column = np.unravel_index(int(result.depth.argmax()), result.depth.shape)
+    known_depth = np.where(result.known, result.depth, np.float32(-np.inf))
+    row, column = np.unravel_index(int(known_depth.argmax()), result.depth.shape)
     pitch_x, pitch_y = (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
     pixel = pitch_x * pitch_y
     return Measures(
@@ -142,6 +150,9 @@ class Shown:
             return None if values is None else level_plane(name, values, encoding, step=row.plane_step)
         if name == "causes" and self.explain is not None:
             return bits_plane("causes", _cause_bits(self.explain()), encoding)
+        if name == "unknown":
+            bits = _unknown_bits(result, self.other)
+            return bits_plane("unknown", bits, encoding) if bits.any() else None
         if name == "flags":
             bits = result.contact.view(np.uint8) * CONTACT + result.known.view(np.uint8) * KNOWN
             return bits_plane("flags", bits, encoding)
@@ -181,6 +192,14 @@ class Shown:
             "curl_rms": self.result.curl_rms,
             "health": findings,
         }
+
+
+def _unknown_bits(result: Reconstruction, other: Reconstruction | None) -> NDArray[np.uint8]:
+    """Where depth was filled without information: pixels that no map may show as if they were known."""
+    bits = np.where(result.known, 0, UNKNOWN).astype(np.uint8)
+    if other is not None and other.known.shape == bits.shape:
+        bits |= np.where(other.known, 0, OTHER_UNKNOWN).astype(np.uint8)
+    return bits
 
 
 def _cause_bits(explanation: Explanation) -> NDArray[np.uint16]:

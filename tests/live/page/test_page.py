@@ -35,7 +35,9 @@ def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
     top = page.evaluate("gelform.settings.range")
     row, column = np.unravel_index(depth.argmax(), depth.shape)
     for y, x in ((row, column), (row, column + 12), (5, 5)):
-        script = "([x, y]) => [...gelform.panes[0].pixels.getContext('2d').getImageData(x, y, 1, 1).data]"
+        script = (
+            "([x, y]) => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(x, y, 1, 1).data]"
+        )
         found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
         np.testing.assert_allclose(found[:3], wanted, atol=12)
@@ -53,6 +55,74 @@ def test_colours_profile_and_numbers_are_those_of_the_array(page, hub):
     np.testing.assert_allclose(along_y, depth[:, column], atol=1e-4)
     until(lambda: page.inner_text("#number-peak .value").startswith(f"{depth.max():.3f}"))
     assert page.evaluate("gelform.look.renderer").startswith("WebGL2")
+
+
+@pytest.fixture
+def blinded(hub, sensor):
+    """The sensor with a rectangle so bright that nothing is known of it."""
+    source = hub.stations[0].source
+    seen = source.image_at
+
+    def image_at(index):
+        image = seen(index)
+        image[BLIND] = 255
+        return image
+
+    source.image_at = image_at
+    until(lambda: not hub.stations[0].newest.result.known.all())
+
+
+BLIND = np.s_[80:110, 20:60]
+
+
+def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, picture):
+    """On maps, in the profile and on the surface, though the solver filled it in."""
+    until(lambda: page.evaluate("gelform.frame.has('unknown')"), 20)
+    known = held(page, hub).known
+    assert not known[90:100, 30:50].any()
+    for view, unknown in (("depth", True), ("normals", True), ("image", False)):
+        page.select_option(".pane select >> nth=0", view)
+        page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        script = "([x, y, w, h]) => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(x, y, w, h).data]"
+        pixels = np.array(page.evaluate(script, [30, 90, 20, 10])).reshape(10, 20, 4)
+        greys = {tuple(rgb) for rgb in pixels.reshape(-1, 4)[:, :3].tolist()}
+        assert (greys == {(138, 148, 153), (93, 103, 108)}) is unknown
+        assert page.locator(".pane >> nth=0 >> .swatch").count() == int(unknown)
+    script = """() => import('/js/maps/charts.js').then(({ profilesThrough }) => {
+        const { alongX, depth } = profilesThrough(gelform.frame, [40, 95]);
+        return [alongX.map(Number.isNaN), Number.isNaN(depth)];
+    })"""
+    unknown_along_x, unknown_there = page.evaluate(script)
+    np.testing.assert_array_equal(unknown_along_x, ~known[95])
+    assert unknown_there
+
+    shown = picture(page, "#surface").astype(int)
+    page.evaluate("gelform.frame.planes.unknown.values.fill(0)")
+    page.evaluate("gelform.surface.orbit.changed()")
+    page.wait_for_timeout(400)
+    filled = picture(page, "#surface").astype(int)
+    changed = np.abs(shown - filled).max(axis=-1) > 20
+    assert changed.sum() > 500
+    spread = np.ptp(shown[changed], axis=-1)  # grey: channels alike
+    assert np.median(spread) < 12 < np.median(np.ptp(filled[changed], axis=-1))
+
+
+def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, blinded, picture):
+    until(lambda: page.evaluate("gelform.frame.has('unknown')"), 20)
+    assert "confidence" not in page.evaluate("gelform.panes.map((one) => one.view)")
+    page.select_option("#drape", "confidence")
+    until(lambda: page.evaluate("gelform.frame.has('confidence')"), 20)
+    until(lambda: "colours: confidence" in page.inner_text("#stage .corner"), 20)
+    yellow = np.array([37, 231, 253])  # BGR of 1, of which the most part is; lit, it keeps its hue
+
+    def yellow_pixels():
+        pixels = picture(page, "#surface").astype(float)
+        bright = pixels / np.maximum(pixels.max(axis=-1, keepdims=True), 1)
+        return int((np.abs(bright - yellow / 253).max(axis=-1) < 0.15).sum())
+
+    until(lambda: yellow_pixels() > 10_000, 20)
+    page.select_option("#drape", "depth")
+    until(lambda: yellow_pixels() < 1_000, 20)
 
 
 def test_the_surface_is_drawn_and_turns(page, hub, picture):

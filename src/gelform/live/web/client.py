@@ -23,7 +23,7 @@ from gelform.live.web.commands import MessageError, done, parsed, station
 from gelform.live.web.wire import ENCODINGS, message
 
 MAX_CREDIT = 4  # for each station
-SURFACE = ("depth",)  # planes of stations of which no more is shown
+SURFACE = ("depth", "unknown")  # planes of stations of which no more is shown
 MAX_REPLIES = 32  # that wait for a client
 STATE_EVERY_S = 0.25  # how often a client hears how things are
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # of a client: a page that draws 60 times a second sends 70

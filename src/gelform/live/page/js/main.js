@@ -2,6 +2,7 @@
 
 import { drawChart, drawNumbers, drawProfile, NUMBERS, Pointer, startNumbers } from "./maps/charts.js";
 import { drawMarkers, Pane } from "./maps/pane.js";
+import { Painting } from "./maps/painting.js";
 import { VIEWS } from "./maps/views.js";
 import { byId, element, setText } from "./page/dom.js";
 import { Cadence, showCode, showKeys, startKeys, startTabs, startTheme, toast } from "./page/page.js";
@@ -19,7 +20,7 @@ const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, 
 const look = { ageMs: 0, drawnHz: 0, surfaces: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
 const pointer = new Pointer(() => redraw());
-const stages = [];
+const stages = [], draped = new Painting();
 // Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
 const SOFTWARE_MS = 46, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
 const surfaces = new Cadence(SURFACE_MS, schedule), curves = new Cadence(CURVES_MS, schedule), running = new Cadence(FACTS_MS, () => {});
@@ -33,7 +34,7 @@ const inSoftware = () => stages.some((one) => one.surface.software);
 const send = (what, fields = {}) => connection.send({ do: what, station: number, ...fields });
 
 function watch() {
-  const planes = new Set(["depth"]);
+  const planes = new Set(["depth", "unknown"]);
   for (const pane of [...panes, guidePane]) VIEWS[pane.view].planes.forEach((name) => planes.add(name));
   if (byId("drape").value !== "depth") planes.add(byId("drape").value);
   const all = stages.map((one) => one.number);
@@ -117,12 +118,12 @@ function drawStages() {
   stale.surfaces = false;
   look.surfaces++;
   const lift = Number(byId("exaggeration").value), dark = document.documentElement.dataset.theme === "dark";
-  const over = byId("drape").value, pane = panes.find((one) => one.view === over);
-  const drape = over === "depth" || !pane || pane.pixels.width < 2 ? null : pane.pixels;
+  const over = byId("drape").value, frame = frameNow();
+  const drape = over !== "depth" && frame && draped.paint(frame, over, settings) ? draped.canvas : null;
   const common = { lift, colors: settings.colors, ink: dark ? [0.45, 0.6, 0.66, 1] : [0.45, 0.55, 0.6, 1] };
   for (const one of stages) {
     const named = stages.length > 1 ? `${one.number + 1} ${facts?.stations[one.number]?.name ?? ""}` : "";
-    one.draw({ ...common, drape: one === stage() ? drape : null }, named, one === stage());
+    one.draw({ ...common, drape: one === stage() ? drape : null, over: one === stage() && drape ? over : "depth" }, named, one === stage());
   }
 }
 

@@ -27,7 +27,7 @@ function ticks(low, high, count = 4) {
 export function drawChart(canvas, lines, { xUnit, yUnit, xRange, yLeast = 0.1, mark = null, ink = null }) {
   const { context, width, height } = prepared(canvas), [soft, grid] = styles(["soft", "grid"]);
   if (!width) return;
-  const all = lines.flatMap((line) => Array.from(line.y));
+  const all = lines.flatMap((line) => Array.from(line.y)).filter((v) => !Number.isNaN(v));
   const high = Math.max(yLeast, ...all) * 1.08, low = Math.min(0, ...all) * 1.1 - 0.03 * high;
   const toX = (v) => LEFT + ((v - xRange[0]) / (xRange[1] - xRange[0] || 1)) * (width - LEFT - RIGHT);
   const toY = (v) => height - BOTTOM - ((v - low) / (high - low)) * (height - BOTTOM - TOP);
@@ -51,7 +51,7 @@ function trace(context, { x, y, color }, toX, toY, nth) {
   context.lineWidth = 2;
   if (nth % 2) context.setLineDash([7, 3]); // told apart without colours too
   context.beginPath();
-  for (let k = 0; k < y.length; k++) context[k ? "lineTo" : "moveTo"](toX(x[k]), toY(y[k]));
+  for (let k = 0; k < y.length; k++) if (!Number.isNaN(y[k])) context[k && !Number.isNaN(y[k - 1]) ? "lineTo" : "moveTo"](toX(x[k]), toY(y[k])); // interrupted where nothing is known
   context.stroke();
   context.setLineDash([]);
 }
@@ -113,14 +113,15 @@ export class Pointer {
   }
 }
 
-/** The depth of a row and a column, and where they cross: {x, alongX, y, alongY, depth}, places in the unit of the depth from the image's left and top. */
+/** The depth of a row and a column, and where they cross, NaN where it is not known: {x, alongX, y, alongY, depth}, places in the unit of the depth from the image's left and top. */
 export function profilesThrough(frame, [column, row]) {
-  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height, values, zero, step } = map, depth = (number) => (number - zero) * step;
+  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height, values, zero, step } = map, unknown = frame.planes.unknown?.values;
+  const depthAt = (at) => (unknown && unknown[at] & 1 ? NaN : (values[at] - zero) * step);
   const c = Math.min(width - 1, Math.round(column / map.scale)), r = Math.min(height - 1, Math.round((row * height) / frame.height));
   return {
-    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: Array.from(values.subarray(r * width, (r + 1) * width), depth),
-    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: Array.from({ length: height }, (_, k) => depth(values[k * width + c])),
-    depth: depth(values[r * width + c]),
+    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: Array.from({ length: width }, (_, k) => depthAt(r * width + k)),
+    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: Array.from({ length: height }, (_, k) => depthAt(k * width + c)),
+    depth: depthAt(r * width + c),
   };
 }
 
@@ -130,7 +131,7 @@ export function drawProfile(canvas, label, frame, point) {
     return void prepared(canvas);
   }
   const { x, alongX, y, alongY, depth } = profilesThrough(frame, point);
-  setText(label, `at (${point[0]}, ${point[1]}) px: ${depth.toFixed(3)} ${frame.unit}`);
+  setText(label, `at (${point[0]}, ${point[1]}) px: ${Number.isNaN(depth) ? "not known" : `${depth.toFixed(3)} ${frame.unit}`}`);
   drawChart(canvas, [{ x, y: alongX, color: "series-a", name: "along x" }, { x: y, y: alongY, color: "series-b", name: "along y" }],
     { xUnit: frame.unit, yUnit: frame.unit, xRange: [0, Math.max(x.at(-1), y.at(-1))], yLeast: 0.05 });
 }

@@ -1,5 +1,6 @@
 // A pane: one view of the frame, with what is drawn over it, and its legend.
 
+import { HATCH, Painting } from "./painting.js";
 import { ramp, VIEWS } from "./views.js";
 import { element, fit } from "../page/dom.js";
 
@@ -83,11 +84,17 @@ export function drawMarkers(context, { header, width }, px) {
   context.fill();
 }
 
+function swatch(background, name) {
+  const mark = element("i", { class: "swatch" });
+  mark.style.background = background;
+  return element("span", {}, mark, name);
+}
+
 export class Pane {
   /** `actions`: {changed(), code(view), pointed(x, y, kind)}; kind is "move", "leave" or "click". */
   constructor(view, actions) {
     this.actions = actions;
-    this.pixels = element("canvas"); // the map, a pixel for each of its own
+    this.painting = new Painting();
     this.shown = element("canvas", { class: "shown", "aria-hidden": "true" }); // as large as it is shown, with what is drawn over it
     this.select = element("select", { onchange: () => this.show(this.select.value) }, ...Object.entries(VIEWS).map(([value, { title }]) => element("option", { value, text: title })));
     this.legend = element("div", { class: "legend" });
@@ -118,49 +125,25 @@ export class Pane {
     this.frame = frame;
     const view = VIEWS[this.view], aspect = `${frame.width} / ${frame.height}`;
     if (this.aspect !== aspect) this.map.style.aspectRatio = this.aspect = aspect;
-    const source = frame.planes[view.from];
-    const missing = view.planes.filter((name) => name !== "image" && !frame.has(name));
-    if (!source || missing.length) this.blank(settings);
-    else this.paint(frame, view, source, settings);
+    if (this.painting.paint(frame, this.view, settings)) this.explain({ ...view.legend(settings, frame), hatched: Boolean(view.unknown && frame.has("unknown")) });
+    else this.explain({ text: settings.missing(this.view) });
     if (fit(this.shown, Math.min(2, devicePixelRatio || 1))) this.compose(frame, settings);
-  }
-
-  paint(frame, view, source, settings) {
-    const { width, height } = source, context = this.pixels.getContext("2d", { alpha: false, willReadFrequently: true });
-    if (this.pixels.width !== width || this.pixels.height !== height || !this.image) {
-      this.pixels.width = width;
-      this.pixels.height = height;
-      this.image = context.createImageData(width, height);
-      this.words = new Uint32Array(this.image.data.buffer);
-    }
-    if (source.kind === "jpeg") context.drawImage(source.values, 0, 0);
-    else {
-      view.paint(frame, this.words, settings);
-      context.putImageData(this.image, 0, 0);
-    }
-    this.explain(view.legend(settings, frame));
-  }
-
-  blank(settings) {
-    this.pixels.width = this.pixels.height = 1;
-    this.image = null;
-    this.explain({ text: settings.missing(this.view) });
   }
 
   explain(legend) {
     const said = JSON.stringify(legend);
     if (said === this.said) return;
     this.said = said;
-    if (legend.text) return this.legend.replaceChildren(legend.text);
-    if (legend.swatches) return this.legend.replaceChildren(...legend.swatches.map(([color, name]) => {
-      const swatch = element("i", { class: "swatch" });
-      swatch.style.background = `#${color}`;
-      return element("span", {}, swatch, name);
-    }));
+    this.legend.replaceChildren(...this.legendParts(legend), ...(legend.hatched ? [swatch(`repeating-linear-gradient(135deg, ${HATCH[0]} 0 2px, ${HATCH[1]} 2px 4px)`, "not known")] : []));
+  }
+
+  legendParts(legend) {
+    if (legend.text) return [element("span", { text: legend.text })];
+    if (legend.swatches) return legend.swatches.map(([color, name]) => swatch(`#${color}`, name));
     const context = this.bar.getContext("2d"), strip = context.createImageData(256, 1);
     ramp(legend.colors).forEach((rgb, k) => strip.data.set([...rgb, 255], 4 * k));
     context.putImageData(strip, 0, 0);
-    this.legend.replaceChildren(legend.low, this.bar, legend.high);
+    return [legend.low, this.bar, legend.high];
   }
 
   /** The map at the size of the screen, and the marks over it: one picture for the browser to put there. */
@@ -168,7 +151,7 @@ export class Pane {
     const { width, height } = this.shown, context = this.shown.getContext("2d"), x = width / frame.width, y = height / frame.height;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, width, height);
-    if (this.image) context.drawImage(this.pixels, 0, 0, width, height);
+    if (this.painting.image) context.drawImage(this.painting.canvas, 0, 0, width, height);
     context.setTransform(x, 0, 0, y, x / 2, y / 2);
     const px = Math.min(2, devicePixelRatio || 1) / x;
     if (settings.outlines) drawOutlines(context, frame, px);

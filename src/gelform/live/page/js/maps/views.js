@@ -1,4 +1,4 @@
-// The maps that a pane can show: which planes they need, how a pixel gets its colour, what the legend says.
+// The maps that a pane can show: which planes they need, how a pixel gets its colour, which bits of the plane `unknown` are hatched, what the legend says.
 
 // viridis and cividis grow evenly in lightness, so they read the same to the colour-blind and in grey.
 const ANCHORS = {
@@ -90,12 +90,12 @@ function paintCauses(frame, pixels, settings) {
 }
 
 export const VIEWS = {
-  depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
+  depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), unknown: 1, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
   image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "yellow: press here; white: what is pressed now" : f.header.simulated ? "click to press here" : "as the calibration's view shows it" }) },
-  normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, legend: () => ({ text: "red: x to the right, green: y down, blue: towards the camera" }) },
+  normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: 1, legend: () => ({ text: "red: x to the right, green: y down, blue: towards the camera" }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
-  sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
+  sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), unknown: 1, legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },
   causes: { title: "Why not trusted", planes: ["causes", "image"], from: "causes", paint: paintCauses, legend: (s, f) => ({ swatches: (f.header.causes ?? []).map((name, k) => [f.header.cause_colors[k].slice(1), name.replace("_", " ")]) }) },
-  other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
-  difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, legend: (s, f) => ({ text: `orange: deeper than by the other, blue: less deep; full colour at ${(s.range / 5).toPrecision(2)} ${f.unit}; apart by ${f.header.other?.apart?.toFixed(4)} ${f.unit} (RMS)` }) },
+  other: { title: "Other calibration", planes: ["other"], from: "other", paint: ramped("other", () => 0, (s) => s.range), unknown: 2, legend: (s, f) => ({ colors: s.colors, low: `deepest ${f.header.other?.peak.toFixed(3)} ${f.unit}; 0`, high: `${s.range.toPrecision(2)} ${f.unit}` }) },
+  difference: { title: "Difference", planes: ["depth", "other"], from: "depth", paint: paintOther, unknown: 3, legend: (s, f) => ({ text: `orange: deeper than by the other, blue: less deep; full colour at ${(s.range / 5).toPrecision(2)} ${f.unit}; apart by ${f.header.other?.apart?.toFixed(4)} ${f.unit} (RMS)` }) },
 };

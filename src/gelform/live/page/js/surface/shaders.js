@@ -35,13 +35,17 @@ void main() {
 /** `coarse`: there are few vertices, and each pixel of the screen reads the map itself, so that the shading is as fine. */
 export const surfaceFragment = (coarse) => `#version 300 es
 precision highp float;
-${coarse ? HEIGHT : ""}
+${coarse ? HEIGHT : "uniform highp ivec2 size;"}
+uniform highp usampler2D unknown; uniform int hatched;
 in vec3 normal; in float level; in vec2 place; in vec3 seen;
 uniform sampler2D colors; uniform sampler2D drape; uniform float range; uniform int draped; uniform vec3 eye;
 out vec4 color;
 void main() {
-  ${coarse ? "ivec2 at = ivec2(round(place * vec2(size - 1))); vec3 n = normalize(normalAt(at, 1)); float z = depthAt(at);" : "vec3 n = normalize(normal); float z = level;"}
+  ivec2 at = ivec2(round(place * vec2(size - 1)));
+  ${coarse ? "vec3 n = normalize(normalAt(at, 1)); float z = depthAt(at);" : "vec3 n = normalize(normal); float z = level;"}
   vec3 base = draped == 1 ? texture(drape, place).rgb : texture(colors, vec2(clamp(z / range, 0.0, 1.0), 0.5)).rgb;
+  bool filled = hatched == 1 && (texelFetch(unknown, at, 0).r & 1u) != 0u; // no depth is known here: grey stripes
+  if (filled) base = vec3((at.x + at.y) % 6 < 3 ? 0.56 : 0.38);
   vec3 towards = normalize(eye - seen);
   vec3 key = normalize(vec3(-0.5, 0.65, 0.75));
   float lit = 0.52 + 0.5 * max(dot(n, key), 0.0) + 0.14 * max(dot(n, normalize(vec3(0.8, -0.3, 0.35))), 0.0);

@@ -17,13 +17,13 @@ class Relief {
   draw(frame, look) {
     const map = frame.map("depth");
     if (!map) return this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    const { width, height, values, zero, step } = map, [x, y] = frame.pitch(map), colors = packedRamp(look.colors);
+    const { width, height, values, zero, step } = map, unknown = frame.planes.unknown?.values, [x, y] = frame.pitch(map), colors = packedRamp(look.colors);
     this.small.width = width;
     this.small.height = height;
     const small = this.small.getContext("2d"), image = small.createImageData(width, height), bytes = new Uint8Array(colors.buffer);
     eachNormal(map, x / look.lift, y / look.lift, (k, nx, ny, nz) => {
       const level = 4 * Math.max(0, Math.min(255, (255 * step * (values[k] - zero)) / look.range | 0)), lit = 0.35 + 0.75 * Math.max(0, -0.5 * nx - 0.5 * ny + 0.7 * nz);
-      for (let c = 0; c < 3; c++) image.data[4 * k + c] = Math.min(255, bytes[level + c] * lit);
+      for (let c = 0; c < 3; c++) image.data[4 * k + c] = unknown && unknown[k] & 1 ? 140 : Math.min(255, bytes[level + c] * lit);
       image.data[4 * k + 3] = 255;
     });
     small.putImageData(image, 0, 0);
@@ -34,6 +34,7 @@ class Relief {
   }
 }
 
+const SAID = { confidence: ", colours: confidence from 0 to 1", image: ", colours: the camera's" };
 const LEAST_RANGE = 0.2, LEAST_RANGE_PX = 3, FALLING = 0.985;
 
 export class Stage {
@@ -86,6 +87,6 @@ export class Stage {
     if (named) setText(this.button, frame?.header.peak === undefined ? named : `${named}: ${frame.header.peak.toFixed(3)} ${frame.unit}`);
     if (!frame) return;
     this.surface.draw(frame, { ...look, range: this.range });
-    setText(this.note, frame.has("depth") ? `${(frame.width * x).toFixed(1)} × ${(frame.height * y).toFixed(1)} ${frame.unit}, heights × ${look.lift}` : "");
+    setText(this.note, frame.has("depth") ? `${(frame.width * x).toFixed(1)} × ${(frame.height * y).toFixed(1)} ${frame.unit}, heights × ${look.lift}${SAID[look.over] ?? ""}` : "");
   }
 }

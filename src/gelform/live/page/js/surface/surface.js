@@ -93,10 +93,11 @@ export class Surface {
     this.depth = texture(gl, gl.NEAREST);
     this.colors = texture(gl, gl.LINEAR);
     this.drape = texture(gl, gl.LINEAR);
+    this.unknown = texture(gl, gl.NEAREST);
     this.indices = gl.createBuffer();
     this.corners = gl.createBuffer();
     this.gridKey = this.colorsKey = "";
-    this.drapes = null;
+    this.drapes = this.hatching = null;
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1, 1); // the border lies in the surface: it is drawn before it
@@ -113,6 +114,7 @@ export class Surface {
     if (!fit(this.canvas, this.software ? SCALE_IN_SOFTWARE : Math.min(2, devicePixelRatio || 1))) return;
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     this.upload(map, look);
+    this.uploadUnknown(frame.planes.unknown, map);
     this.clear();
     const camera = this.orbit.matrix(this.canvas.width / this.canvas.height), extent = spans.map((span) => span * unit);
     this.drawSurface(map, camera, extent, unit * look.lift, look);
@@ -127,7 +129,8 @@ export class Surface {
   drawSurface(map, camera, extent, lift, look) {
     const { gl } = this, set = uniforms(gl, this.program);
     gl.useProgram(this.program);
-    this.bind(0, this.depth); this.bind(1, this.colors); this.bind(2, this.drape);
+    this.bind(0, this.depth); this.bind(1, this.colors); this.bind(2, this.drape); this.bind(3, this.unknown);
+    gl.uniform1i(set("unknown"), 3); gl.uniform1i(set("hatched"), this.hatched ? 1 : 0);
     gl.uniform1i(set("depth"), 0); gl.uniform1i(set("colors"), 1); gl.uniform1i(set("drape"), 2);
     gl.uniform2i(set("size"), map.width, map.height); gl.uniform2i(set("grid"), ...this.grid);
     gl.uniform2f(set("meaning"), map.zero, map.step);
@@ -168,6 +171,16 @@ export class Surface {
     this.bind(2, this.drape);
     if (look.drape) gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, look.drape);
     else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
+  /** Where nothing is known, in the map's own pixels; nothing where all is. */
+  uploadUnknown(plane, map) {
+    const { gl } = this;
+    this.hatched = Boolean(plane && plane.width === map.width && plane.height === map.height);
+    this.bind(3, this.unknown);
+    if (this.hatched) gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8UI, map.width, map.height, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, plane.values);
+    else if (this.hatching !== false) gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8UI, 1, 1, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, new Uint8Array(1));
+    this.hatching = this.hatched;
   }
 
   /** Triangles over the map, of every pixel or of every second, third ... where there are too many. */
