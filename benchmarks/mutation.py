@@ -39,6 +39,9 @@ RELATED = {  # files of tests that hold what a module does beside its own
         f"tests/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
     ),
     "background/untouched": ("tests/confidence/test_frame_sigma.py",),
+    "contact": ("tests/test_contacts_measured.py",),
+    "confidence/causes": ("tests/confidence/test_clipped_channels.py",),
+    "color_models/forward_response": ("tests/color_models/test_older_response.py",),
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),
     "native/gradients/slopes.c": ("tests/test_depth.py",),
