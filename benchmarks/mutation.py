@@ -34,7 +34,7 @@ EQUIVALENT = Path(__file__).parent / "mutants" / "equivalent.json"
 OWN_TIMEOUT_S = 240.0  # of a whole test file, on a machine that does other things too
 PATH_TESTS = ("tests/test_reconstruct_truth.py", "tests/test_reconstruct_faults.py")
 RELATED = {  # files of tests that hold what a module does beside its own
-    "view": ("tests/test_lens.py",),
+    "view/view": ("tests/view/test_lens.py",),
     "color_models/_shared/least_squares": tuple(
         f"tests/color_models/test_{name}.py" for name in ("lambertian", "hierarchical")
     ),
@@ -45,7 +45,7 @@ RELATED = {  # files of tests that hold what a module does beside its own
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),
     "native/gradients/slopes.c": ("tests/test_depth.py",),
-    "native/checks/finite.c": ("tests/test_checks.py",),
+    "native/checks/finite.c": ("tests/foundations/test_checks.py",),
 }
 ROOMS = (
     "background",
@@ -54,8 +54,8 @@ ROOMS = (
     "color_models",
     "color_models/_shared",
 )
-ROOMS += ("calibration/held_out", "calibration/circles", "markers")
-FILES = ("reconstruct", "view", "lens", "normals", "gradients", "anchor", "depth", "contact", "health")
+ROOMS += ("view", "calibration/held_out", "calibration/circles", "markers")
+FILES = ("reconstruct", "normals", "gradients", "anchor", "depth", "contact", "health")
 
 
 def modules() -> list[str]:

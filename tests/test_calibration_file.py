@@ -11,7 +11,7 @@ import gelform
 from gelform.calibration_file import KIND
 from gelform.color_models._shared.least_squares import polynomial_terms, unit_position
 from gelform.errors import CalibrationError
-from gelform.npz_files import write_npz
+from gelform.foundations.npz_files import write_npz
 
 DATA = Path(__file__).parent / "data"
 

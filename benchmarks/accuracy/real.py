@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.ball import ball_center
 from gelform.calibration.coverage import COARSE, tile_of
 from gelform.metrics import press_errors, score_slopes
+from gelform.metrics.ball import ball_center
 from presses import DATA, mini_ball, unlabelled
 from report import table
 

@@ -15,8 +15,8 @@ import numpy as np
 
 import gelform
 from gelform.background.change import image_from_color_change
-from gelform.ball import ball_gradients
 from gelform.exporters.taxim import save_taxim
+from gelform.metrics.ball import ball_gradients
 from presses import DATA, Circle, by_name, reference_circles
 
 INSIDE = 0.75  # of the contact's radius

@@ -17,7 +17,7 @@ _listed, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 MOVED = {  # public until 0.1, and the modules that have them: these aliases end with 0.3
     "Source": "sensors.source",
-    "Lens": "lens",
+    "Lens": "view",
     "frame_from_image": "view",
     "ChangeSettings": "background.change",
     "read_background": "sensors.files",

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.foundations.pool import Pool
 from gelform.gradients import fill_unknown
-from gelform.pool import Pool
 from gelform.solvers.dct import DctSolver
 
 REST_SIGMA_MM = 0.08  # how close to 0 gel of untouched colour is, far from what is pressed

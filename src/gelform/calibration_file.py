@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from gelform.background.change import ChangeSettings
 from gelform.background.check import background_digest
-from gelform.checks import (
+from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
+from gelform.color_models.forward_response import older_response
+from gelform.color_models.seam import RenderingModel
+from gelform.confidence import SlopeSigma
+from gelform.errors import CalibrationError
+from gelform.foundations.checks import (
     check_gel_thickness,
     check_image,
     check_mm_per_px,
@@ -21,13 +26,8 @@ from gelform.checks import (
     check_values,
     check_within,
 )
-from gelform.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
-from gelform.color_models.forward_response import older_response
-from gelform.color_models.seam import RenderingModel
-from gelform.confidence import SlopeSigma
-from gelform.errors import CalibrationError
-from gelform.findings import Finding
-from gelform.npz_files import digest_of, read_npz, write_npz
+from gelform.foundations.findings import Finding
+from gelform.foundations.npz_files import digest_of, read_npz, write_npz
 from gelform.view import View
 
 KIND = "gelform calibration"

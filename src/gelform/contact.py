@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.background.change import PreparedBackground
-from gelform.checks import as_array, check_map, check_mm_per_px, check_number, check_positive
 from gelform.color_models.seam import PreparedColorModel
-from gelform.filters import LANES, blur_taps, medians_where
+from gelform.foundations.checks import as_array, check_map, check_mm_per_px, check_number, check_positive
+from gelform.foundations.filters import LANES, blur_taps, medians_where
 
 MOST_CONTACTS = 65_535  # labels are uint16
 RUN_WORDS = 6  # of native/contact/runs.h

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import is_finite
-from gelform.checks import check_gradients, check_map, check_mask, check_mm_per_px
 from gelform.errors import ConvergenceError
+from gelform.foundations.checks import check_gradients, check_map, check_mask, check_mm_per_px
 from gelform.gradients import curl_rms, fill_unknown
 from gelform.solvers import SOLVERS, Solution, Solver, Weights
 from gelform.solvers.inputs import check_anchor, check_slopes, check_weights, checked_solver

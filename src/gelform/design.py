@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.checks import check_positive
 from gelform.errors import CalibrationError, SensorError
+from gelform.foundations.checks import check_positive
+from gelform.foundations.progress import Progress, no_progress
 from gelform.metrics import angle_deg
 from gelform.plots.canvas import canvas, draw_map, pixels_of
-from gelform.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.simulate import (
     Led,

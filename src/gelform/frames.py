@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
+from gelform.foundations.checks import check_image
 
 
 @dataclass(frozen=True)

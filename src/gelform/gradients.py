@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.checks import (
+from gelform.foundations.checks import (
     check_gradients,
     check_map,
     check_mask,

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.checks import value_range
 from gelform.errors import CalibrationError
-from gelform.findings import Finding
+from gelform.foundations.checks import value_range
+from gelform.foundations.findings import Finding
 from gelform.frames import as_levels
 
 BLOCK_PX = 16  # of JPEG with halved colour: what is lost of a frame is lost in such blocks

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_gradients, check_normals, check_values
 from gelform.color_models.lambertian import inverse_lights
+from gelform.foundations.checks import check_gradients, check_normals, check_values
 
 
 def normals_from_image(

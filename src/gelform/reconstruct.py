@@ -17,7 +17,6 @@ from gelform.background.change import PreparedBackground
 from gelform.background.check import background_digest, check_own_background
 from gelform.background.untouched import Reference, reference_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.checks import check_image
 from gelform.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.color_models.stepped import SteppedSlopes
 from gelform.confidence import (
@@ -36,12 +35,13 @@ from gelform.contact import PreparedContact, noise_by_place
 from gelform.depth import Integration, integrate_unchecked
 from gelform.depth_sigma.sigma import DepthDifference, DepthSigma, add_in_proportion, checked_sigma
 from gelform.errors import GelformError
-from gelform.findings import Finding
+from gelform.foundations.checks import check_image
+from gelform.foundations.findings import Finding
+from gelform.foundations.pool import Pool, keep_freed_memory
 from gelform.frames import Frame, as_levels, check_viewed_image, whole_levels
 from gelform.gradients import slopes_of_solution
 from gelform.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.markers import MarkerFlow, MarkerFollower
-from gelform.pool import Pool, keep_freed_memory
 from gelform.reconstruction import Reconstruction
 from gelform.solvers.inputs import checked_solver, takes_weights
 from gelform.view import image_from_frame

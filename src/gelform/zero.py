@@ -7,8 +7,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_mask
-from gelform.filters import medians_where
+from gelform.foundations.checks import check_mask
+from gelform.foundations.filters import medians_where
 
 MEDIAN_SAMPLES = 5_000  # pixels on a lattice, fine enough for a median
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gelform.ball import ball_gradients
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.circles.prepare import prepare
 from gelform.calibration.fitted import untouched_change
@@ -13,6 +12,7 @@ from gelform.calibration.held_out.scores import HeldOutPresses
 from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page.page import report_page
+from gelform.metrics.ball import ball_gradients
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ def broken(monkeypatch, tmp_path):
         def raises(path):
             raise problem
 
-        monkeypatch.setattr("gelform.npz_files.kind_of_npz", raises)
+        monkeypatch.setattr("gelform.foundations.npz_files.kind_of_npz", raises)
         (tmp_path / "file").touch()
         return tmp_path / "file"
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gelform.background.change import ChangeSettings, gain_from_background
-from gelform.ball import ball_gradients
 from gelform.cli.commands.inspection import explain
 from gelform.confidence import causes
 from gelform.confidence.causes import (
@@ -23,6 +22,7 @@ from gelform.confidence.causes import (
     PreparedCauses,
     outside_of_gel,
 )
+from gelform.metrics.ball import ball_gradients
 from kernel_agreement import assert_kernel_agrees
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "confidence.md"

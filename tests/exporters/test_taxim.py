@@ -8,10 +8,10 @@ import pytest
 
 import gelform
 from gelform.background.change import image_from_color_change
-from gelform.ball import ball_gradients
 from gelform.errors import CalibrationError, DataError
 from gelform.exporters.taxim import BINS, save_taxim
 from gelform.importers.tables import read_taxim_forward
+from gelform.metrics.ball import ball_gradients
 from gelform.simulate import Ball, simulate_press
 from made.networks import network_arrays, torch_file
 

@@ -17,13 +17,12 @@ from gelform.contact import contacts_from_mask
 from gelform.depth import edge_residuals
 from gelform.exporters.press_folder import save_press_folder
 from gelform.gradients import fill_unknown
-from gelform.lens import Lens
 from gelform.markers.follower import MarkerFollower
 from gelform.metrics import press_errors
 from gelform.plots.canvas import save_picture
 from gelform.sensors.files import read_background
 from gelform.starters import load_starter
-from gelform.view import frame_from_image
+from gelform.view import Lens, frame_from_image
 from made.small_gel import LIGHTS, MM_PER_PX, SHAPE, Touch, background, calibration, depth_of, image_of
 
 PLACE = tempfile.TemporaryDirectory(prefix="gelform-doors-")

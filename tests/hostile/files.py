@@ -15,7 +15,7 @@ import numpy as np
 
 import gelform
 from gelform.exporters.press_folder import save_press_folder
-from gelform.npz_files import digest_of
+from gelform.foundations.npz_files import digest_of
 from gelform.sensors.files import read_sensor_toml
 from made.networks import network_arrays, torch_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.live.shown import CONTACT, KNOWN, OTHER_UNKNOWN, PLANES, UNKNOWN, Shown, measures_of, outlines_of
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.ball import ball_gradients
+from gelform.metrics.ball import ball_gradients
 from gelform.metrics.depth_errors import angle_deg, press_errors, score_slopes
 
 MM_PER_PX = 0.06

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.filters import medians_where as by_kernel
+from gelform.foundations.filters import medians_where as by_kernel
 from gelform.solvers.dct import DctSolver
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")

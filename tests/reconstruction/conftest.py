@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.reconstruction import Reconstruction
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gelform.errors import DataError, GelformError
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
+from gelform.foundations.npz_files import write_npz
 from gelform.markers import MarkerFlow
-from gelform.npz_files import write_npz
 from gelform.reconstruction import KIND, Reconstruction, load_result, save_result
 
 DATA = Path(__file__).parents[1] / "data"

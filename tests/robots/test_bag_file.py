@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import DataError
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.sensors.source import open_source

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import GelformError
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.robots.ros_messages import typestore

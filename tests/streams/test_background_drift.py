@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.streams.background_drift import AFTER_S, MEAN_IMAGE_S, BackgroundDrift, Touched
 from gelform.streams.memory import Memory
 from gelform.streams.smooth_light import block_means

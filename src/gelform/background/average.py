@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.background.exposure import block_means
-from gelform.checks import check_image
 from gelform.errors import DataError
+from gelform.foundations.checks import check_image
 
 # Of frames that are held, and of rows that are sorted at once.
 MAX_BYTES, ROWS_BYTES = 192 * 2**20, 32 * 2**20

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.background.check import compared
 from gelform.background.exposure import Exposure, block_means
-from gelform.checks import check_image, check_is, check_values, check_within
-from gelform.filters import LANES, blur_taps
-from gelform.findings import Finding
+from gelform.foundations.checks import check_image, check_is, check_values, check_within
+from gelform.foundations.filters import LANES, blur_taps
+from gelform.foundations.findings import Finding
 
 MAX_CONDITION = 30.0  # of a crosstalk matrix, from which two channels count as one
 MAX_OFFSET, MAX_BLUR_PX, POSSIBLE_RESPONSES = 1e4, 100.0, (0.05, 20.0)  # that a file may say

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.background.exposure import Exposure, block_means, exposure_from_blocks
 from gelform.errors import CalibrationError
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.frames import pixels_digest
 
 # Of the brightness: outside a new background is asked for, or the image refused.

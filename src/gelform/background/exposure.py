@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.checks import check_image
+from gelform.foundations.checks import check_image
 
 BLOCKS = 1200  # of an image: each averages the noise away, and is smaller than a contact
 DARK, BRIGHT = 6.0, 250.0  # grey levels, between which a block's ratio tells the gain

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image, check_mask
+from gelform.foundations.checks import check_image, check_mask
 
 OFFSET = 10.0  # grey levels, as where the color change divides
 # Standard deviations, coarse to fine; with the first a shift of about 8 px is still found.

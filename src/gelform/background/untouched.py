@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.filters import medians_where
-from gelform.findings import Finding
+from gelform.foundations.filters import medians_where
+from gelform.foundations.findings import Finding
 
 MIN_UNTOUCHED = 0.02  # fraction of the frame: of fewer pixels the median slope is noise
 SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and fractions

@@ -22,7 +22,7 @@ from gelform.batch.inputs.plan import Part
 from gelform.batch.records import PartRecord
 from gelform.batch.work import Job, Stopped, Worker
 from gelform.errors import GelformError, needed
-from gelform.processes import WorkerLostError, interrupt_held, worker_processes
+from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes
 
 NOTHING_LOST = "What is done is kept, and not done again."
 TRIES_AGAIN = 5  # of a part whose worker or machine is lost; it writes the same bytes each time

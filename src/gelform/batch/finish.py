@@ -13,7 +13,7 @@ from gelform.batch.manifest import Manifest
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.records import TABLES, files_of, read_record, table_is_whole, tables_there, write_table
 from gelform.errors import DataError
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 
 SHEET = "sheet.png"
 COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet

@@ -18,7 +18,7 @@ from gelform.batch.outputs.hdf5_files import INDEX
 from gelform.batch.records import TABLES
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 
 NAME, KIND, FORMAT_VERSION = "manifest.json", "gelform batch", 1
 LOCK = ".gelform-batch.lock"

@@ -17,7 +17,7 @@ from typing import Any
 
 from gelform.batch.outputs.files import PARTS, OutputFile
 from gelform.errors import DataError
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 
 PARTS_IN_A_FOLDER = 1000  # records: folders of millions of files are slow
 COLUMNS: dict[str, str] = {  # name -> type in Parquet

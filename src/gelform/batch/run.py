@@ -23,9 +23,9 @@ from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Job
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.calibrations.choose import choose_calibration, unit_of_all
-from gelform.checks import check_path
 from gelform.errors import DataError
 from gelform.exporters.folders import check_room
+from gelform.foundations.checks import check_path
 
 LOOKED_AT = 5  # sequences, for frames of the calibrated size
 LEFTOVERS = ".gelform-*.tmp"

@@ -12,9 +12,9 @@ from gelform.batch.manifest import read_manifest
 from gelform.batch.outputs.files import FRAMES, output_file
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import PartRecord, read_record
-from gelform.checks import check_path
 from gelform.errors import DataError
-from gelform.progress import Progress, no_progress
+from gelform.foundations.checks import check_path
+from gelform.foundations.progress import Progress, no_progress
 
 TO_BE_MADE = "is missing or not what the parts say. Delete it and run the same command again."
 

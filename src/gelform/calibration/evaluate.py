@@ -19,7 +19,7 @@ from gelform.calibration.report.record import summary
 from gelform.calibration.report.statistics import errors_where
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 
 STANDING = 0.5  # of the largest depth: more than that is the punch and a narrow strip around it

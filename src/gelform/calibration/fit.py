@@ -15,7 +15,7 @@ from gelform.calibration.inputs import check_inputs, input_notes
 from gelform.calibration.presses.folder import Presses, as_presses
 from gelform.calibration.report.record import report_of_run
 from gelform.calibration_file import Calibration
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 
 def calibrate(

@@ -34,7 +34,7 @@ from gelform.color_models.forward_response import RIDGES
 from gelform.confidence import SlopeSigma
 from gelform.confidence.causes import ends_shown
 from gelform.errors import GelformError
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 UNTOUCHED_PERCENTILE = 99.0  # of the color change's size
 UNTOUCHED_DISTANCE = 3  # contact radii

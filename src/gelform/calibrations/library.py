@@ -12,7 +12,7 @@ from typing import Any
 
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.npz_files import sweep
+from gelform.foundations.npz_files import sweep
 
 FOLDER_VARIABLE = "GELFORM_CALIBRATIONS"
 DIGEST_SHOWN = (

@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 
 @contextmanager

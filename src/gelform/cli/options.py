@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_type_hints
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import print_json, progress_shown, say, show_table
-from gelform.progress import Progress
+from gelform.foundations.progress import Progress
 from gelform.robots.topics import TOPICS
 from gelform.sensors.profiles import PROFILES
 
@@ -77,7 +77,7 @@ def positive(text: str) -> float:
 
 def pitch(text: str) -> float:
     """A sensor's pixel pitch, mm, that was given as an option."""
-    from gelform.checks import check_sensor_pitch  # imports numpy, which --help does not wait for
+    from gelform.foundations.checks import check_sensor_pitch  # imports numpy, which --help does not wait for
 
     with usage_errors():
         return check_sensor_pitch(positive(text))

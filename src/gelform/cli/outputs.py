@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import check_pictures, json_bytes
 from gelform.errors import DataError
-from gelform.progress import Progress
+from gelform.foundations.progress import Progress
 
 if TYPE_CHECKING:
     from gelform.calibration.presses.folder import Presses
@@ -56,7 +56,7 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
     DataError
         The message names the first one and how many there are.
     """
-    from gelform.npz_files import sweep
+    from gelform.foundations.npz_files import sweep
 
     inputs = {os.path.realpath(path) for path in protected}
     results = [path for one in paths for path in one.values()]
@@ -101,7 +101,7 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     DataError
         The name is a folder's, a file has it already (unless `overwrite`), or nothing can be written there.
     """
-    from gelform.npz_files import sweep
+    from gelform.foundations.npz_files import sweep
 
     if path.is_dir():
         raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
@@ -175,7 +175,7 @@ def write_report(
 
 def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
     """Write all the files or none: each takes its name only when the bytes of all are on the disk."""
-    from gelform.npz_files import written_file
+    from gelform.foundations.npz_files import written_file
 
     make_folder(next(iter(files)).parent)
     with ExitStack() as stack:

@@ -64,7 +64,7 @@ def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) 
 
 
 def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArray[Any]:
-    from gelform.checks import check_image
+    from gelform.foundations.checks import check_image
     from gelform.view import image_from_frame
 
     with mistakes_in(path):

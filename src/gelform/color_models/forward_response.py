@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.checks import check_values, check_within
 from gelform.color_models._shared.least_squares import (
     Term,
     VaryingRegression,
@@ -35,6 +34,7 @@ from gelform.color_models._shared.least_squares import (
     unit_position,
 )
 from gelform.color_models.seam import Samples
+from gelform.foundations.checks import check_values, check_within
 
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.color_models.seam import Samples, check_image_shape
-from gelform.resample import pixel_positions
+from gelform.view.resample import pixel_positions
 
 NEIGHBOURS = 16  # of a pixel: five times the unknowns of its line
 POINTS = 4000  # samples that are kept, for speed

@@ -15,9 +15,9 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import LARGEST, check_values, check_within
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
 from gelform.color_models.seam import Samples
+from gelform.foundations.checks import LARGEST, check_values, check_within
 
 MAX_CONDITION = 1e4  # of a light matrix, from which lights count as coplanar
 MAX_SLOPE = 5.0  # mm/mm, that pixels in shadow get at most

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gelform.color_models._shared.layers import Layers, RestedNetwork
 from gelform.color_models._shared.least_squares import unit_position
 from gelform.color_models.seam import Samples, check_image_shape
-from gelform.resample import pixel_positions
+from gelform.view.resample import pixel_positions
 
 
 @dataclass(frozen=True)

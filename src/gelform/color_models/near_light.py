@@ -28,7 +28,7 @@ from gelform.color_models.lambertian import (
     linear_change,
 )
 from gelform.color_models.seam import Samples, check_image_shape
-from gelform.resample import pixel_positions
+from gelform.view.resample import pixel_positions
 
 LEAST_RATIO = 1e-3  # of the light at rest: a channel with less is held there
 OFF_DIAGONAL = ~np.eye(3, dtype=bool)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gelform.color_models._shared.layers import Layers, RestedNetwork
 from gelform.color_models.lambertian import MAX_SLOPE
 from gelform.color_models.seam import check_image_shape
-from gelform.resample import pixel_positions
+from gelform.view.resample import pixel_positions
 
 Position = Literal["xy", "yx", "zeros"]
 Answer = Literal["angles", "normals"]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.color_models.seam import check_image_shape
-from gelform.resample import pixel_positions
+from gelform.view.resample import pixel_positions
 
 FADED_DEG = 10.0  # the table's own answer at slope 0 is subtracted there, and less and less up to this angle
 SMOOTHED_BINS = 1.0  # standard deviation: bins were fitted apart from their neighbours

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models.forward_response import ForwardResponse, PreparedStep, Step
-from gelform.filters import medians_where
+from gelform.foundations.filters import medians_where
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.confidence.causes import CAUSES
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 
 LAW = "law"
 LEAST_NAMED_PX = 12  # connected pixels where a cause adds enough: fewer are not named, as noise makes a few

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_values, check_within
+from gelform.foundations.checks import check_values, check_within
 
 SLOPE_BINS = 10  # of equal counts, between which the law is linear
 PLACES = (3, 4)  # rows and columns of the factors by place

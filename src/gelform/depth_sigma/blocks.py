@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.depth_sigma.closed_form import white_as_blurred
-from gelform.filters import blur_taps
+from gelform.foundations.filters import blur_taps
 from gelform.gradients import fill_unknown
 from gelform.solvers.system import FLOOR, constant_map, problem_from_gradients
 

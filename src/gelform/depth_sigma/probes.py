@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
-from gelform.pool import Pool
+from gelform.foundations.pool import Pool
 from gelform.solvers.multigrid import Grid
 from gelform.solvers.system import Problem
 

@@ -15,15 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.checks import (
-    as_array,
-    check_is,
-    check_map,
-    check_mask,
-    check_mm_per_px,
-    check_numbers,
-    check_within,
-)
 from gelform.depth_sigma.blocks import (
     Blocks,
     ErrorParts,
@@ -40,6 +31,15 @@ from gelform.depth_sigma.closed_form import (
 )
 from gelform.depth_sigma.probes import ProbeSolver, correlated_draws, white_draws
 from gelform.errors import ConvergenceError
+from gelform.foundations.checks import (
+    as_array,
+    check_is,
+    check_map,
+    check_mask,
+    check_mm_per_px,
+    check_numbers,
+    check_within,
+)
 from gelform.solvers.inputs import check_anchor
 from gelform.solvers.system import FLOOR, constant_map
 from gelform.zero import Level, Zero, checked_level, fitted_surface, zero_region

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.checks import check_image
 from gelform.errors import DataError
-from gelform.npz_files import locked_folder, sweep
+from gelform.foundations.checks import check_image
+from gelform.foundations.npz_files import locked_folder, sweep
 
 PROBE_BYTES = 16_384  # several blocks of any file system
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from gelform.checks import (
+from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
+from gelform.exporters.simulated import truth_from_press
+from gelform.foundations.checks import (
     check_image,
     check_is,
     check_list,
@@ -17,9 +19,7 @@ from gelform.checks import (
     check_path,
     check_positive,
 )
-from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
-from gelform.exporters.simulated import truth_from_press
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 from gelform.simulate import SimulatedPresses
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_values
 from gelform.errors import DataError
+from gelform.foundations.checks import check_values
 
 ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0  # of 16 bits: 0.1 um a step, 3.3 mm either way
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
 from gelform.exporters.folders import write_csv, write_npz, write_png, write_sensor_toml, written_whole
-from gelform.processes import interrupt_held, worker_processes
-from gelform.progress import Progress, no_progress
+from gelform.foundations.checks import check_positive
+from gelform.foundations.processes import interrupt_held, worker_processes
+from gelform.foundations.progress import Progress, no_progress
 from gelform.simulate import (
     Indenter,
     SimulatedPress,

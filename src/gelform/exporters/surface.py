@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_is, check_path
 from gelform.errors import DataError, needed
 from gelform.exporters.quantised import levels_from_depth
-from gelform.npz_files import written_file
+from gelform.foundations.checks import check_is, check_path
+from gelform.foundations.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"

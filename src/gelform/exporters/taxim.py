@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from gelform.background.change import image_from_color_change
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.checks import check_path
 from gelform.errors import CalibrationError
 from gelform.exporters.folders import written_whole
+from gelform.foundations.checks import check_path
 from gelform.simulate.twin import STEEPEST_RENDERED
 
 RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, grad_b

@@ -15,8 +15,8 @@ from gelform import __version__
 from gelform.background.average import noise_from_image
 from gelform.background.change import ChangeSettings
 from gelform.calibration_file import Calibration, CalibrationSettings
-from gelform.checks import check_image, check_is, check_path, check_sensor_pitch
 from gelform.color_models import ColorModel
+from gelform.foundations.checks import check_image, check_is, check_path, check_sensor_pitch
 from gelform.importers.networks import read_gs_sdk, read_gsrobotics, read_gsrobotics_web
 from gelform.importers.tables import read_lut, read_taxim
 from gelform.view import View

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from gelform.color_models import NetworkModel
 from gelform.color_models._shared.layers import Layers
 from gelform.errors import DataError
+from gelform.foundations.npz_files import present_file
 from gelform.importers.torch_files import read_tensors
-from gelform.npz_files import present_file
 
 WEB_SIZES = (5, 64, 64, 64, 2)  # of the layers of gsrobotics' browser port
 LAYERS = 4  # of each package's network

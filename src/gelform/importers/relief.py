@@ -7,9 +7,9 @@ from os import PathLike
 import cv2
 import numpy as np
 
-from gelform.checks import check_path, check_positive
 from gelform.errors import DataError
-from gelform.npz_files import present_file
+from gelform.foundations.checks import check_path, check_positive
+from gelform.foundations.npz_files import present_file
 from gelform.simulate import HeightMap, Mesh
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")

@@ -15,11 +15,11 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
 from gelform.color_models.lookup import LookupModel
 from gelform.color_models.slope_table import SlopeTableModel
 from gelform.errors import DataError, said
-from gelform.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
+from gelform.foundations.checks import check_positive
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, present_file, read_npy
 
 MAX_LUT_BINS, MAX_TAXIM_BINS = 200, 2000  # along each axis: theirs have 90 and 125
 RANGE_LEVELS = 180.0  # a look-up table spans -90 to 90 grey levels of difference in each channel

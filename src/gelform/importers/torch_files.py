@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, said
-from gelform.npz_files import DAMAGED_ARCHIVE, present_file
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE, present_file
 
 MAX_BYTES, MAX_PICKLE_BYTES = 64 * 2**20, 2**20  # of a file, and of what describes its tensors
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelform.background.average import background_from_frames
-from gelform.checks import check_sensor_pitch
 from gelform.errors import GelformError
+from gelform.foundations.checks import check_sensor_pitch
+from gelform.foundations.progress import Progress
 from gelform.live import devices
 from gelform.live.code import Situation, code_of
 from gelform.live.hub import Hub, wait_for_frames
@@ -23,7 +24,6 @@ from gelform.live.recorder import share as share_file
 from gelform.live.setup import BACKGROUND_FRAMES, Setup
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Station
-from gelform.progress import Progress
 from gelform.sensors.profiles import profile_named
 from gelform.sensors.recordings.record import attached_background, attached_calibration
 from gelform.solvers import SOLVERS

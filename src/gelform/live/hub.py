@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from gelform import __version__
 from gelform.errors import GelformError
+from gelform.foundations.progress import Progress
 from gelform.live.devices import Devices, camera_facts
 from gelform.live.lists import Calibrations, Recordings
 from gelform.live.recorder import Recorder
@@ -20,7 +21,6 @@ from gelform.live.shown import Shown
 from gelform.live.snapshots import Snapshots
 from gelform.live.station import Station
 from gelform.live.web.pages import Pages
-from gelform.progress import Progress
 from gelform.sensors.profiles import PROFILES
 from gelform.solvers import SOLVERS
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from gelform.calibration_file import KIND, Calibration, load_calibration
 from gelform.errors import GelformError
-from gelform.npz_files import kind_of_npz
+from gelform.foundations.npz_files import kind_of_npz
 from gelform.sensors.recordings.image_folder import is_recorded_folder
 from gelform.sensors.video_files import is_video
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
-from gelform.checks import check_mm_per_px
 from gelform.contact import contact_from_depth
 from gelform.errors import GelformError
+from gelform.foundations.checks import check_mm_per_px
 from gelform.frames import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_mm_per_px
 from gelform.confidence.causes import CAUSES
 from gelform.confidence.explanation import Explanation
 from gelform.contact import Contact
+from gelform.foundations.checks import check_mm_per_px
 from gelform.frames import Frame
 from gelform.live.player import ReplayedFrame
 from gelform.live.web.wire import Plane, bits_plane, depth_plane, image_plane, level_plane

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_mm_per_px
 from gelform.errors import DataError, GelformError
 from gelform.exporters.quantised import levels_from_depth
+from gelform.foundations.checks import check_mm_per_px
 from gelform.live.shown import Shown
 from gelform.reconstruction import Reconstruction, save_result
 

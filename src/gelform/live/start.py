@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelform.errors import DataError, SensorError
+from gelform.foundations.progress import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.indexed import Indexed, indexed, is_recording
@@ -14,7 +15,6 @@ from gelform.live.lists import Calibrations, Origin, Recordings
 from gelform.live.player import Player
 from gelform.live.simulated.ready import ready_calibration
 from gelform.live.station import NEVER_S, Opening, Station
-from gelform.progress import Progress
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.grabber import STALL_S
 from gelform.sensors.simulated.settings import simulated_sensor_named

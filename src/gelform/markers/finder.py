@@ -16,7 +16,7 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
+from gelform.foundations.checks import check_image
 from gelform.markers.patches import level_from_image
 
 CLOSING_FRACTION = 0.13  # of the shorter side: wider than any dot

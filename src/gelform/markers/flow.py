@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_finite, check_mm_per_px
+from gelform.foundations.checks import check_finite, check_mm_per_px
 
 _SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image, check_mm_per_px
+from gelform.foundations.checks import check_image, check_mm_per_px
 from gelform.markers.finder import CandidateFinder, MarkerFinder
 from gelform.markers.flow import MarkerFlow
 from gelform.markers.patches import Patches, StretchedPatches, logs_from_image

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere, followed_radius
-from gelform.checks import check_gradients, check_map, check_numbers, check_positive, check_within
+from gelform.foundations.checks import check_gradients, check_map, check_numbers, check_positive, check_within
+from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, fit_sphere, followed_radius
 
 
 def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from gelform.checks import check_positive, check_values
+from gelform.foundations.checks import check_positive, check_values
 
 FORMS = {"none": 0, "plane": 1, "quadratic": 2}  # -> degree of the polynomial
 ALPHA = np.sqrt(np.log(2) / np.pi)  # ISO 16610-61: half of a wave of the cut-off's length passes

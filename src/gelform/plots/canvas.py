@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
 from gelform.errors import DataError, needed
-from gelform.npz_files import written_file
+from gelform.foundations.checks import check_image
+from gelform.foundations.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
 DPI, WIDTH = 110, 13.0  # pixels per inch, and inches of most pictures

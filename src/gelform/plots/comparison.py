@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image, check_mm_per_px
 from gelform.errors import DataError
+from gelform.foundations.checks import check_image, check_mm_per_px
 from gelform.metrics import angle_deg
 from gelform.plots.canvas import (
     BLUE,

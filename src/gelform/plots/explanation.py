@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image
 from gelform.confidence import Explanation
 from gelform.confidence.causes import CAUSES
+from gelform.foundations.checks import check_image
 from gelform.plots.canvas import INK, WIDTH, canvas, draw_map, pixels_of
 from gelform.reconstruction.maps import MAPS
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image, check_is, check_mm_per_px
+from gelform.foundations.checks import check_image, check_is, check_mm_per_px
 from gelform.plots.canvas import (
     BLUE,
     INK,

@@ -9,11 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_finite, check_is, check_map, check_mm_per_px, check_number, check_within
 from gelform.errors import DataError
-from gelform.findings import Finding
+from gelform.foundations.checks import (
+    check_finite,
+    check_is,
+    check_map,
+    check_mm_per_px,
+    check_number,
+    check_within,
+)
+from gelform.foundations.findings import Finding
+from gelform.foundations.npz_files import read_npz, write_npz
 from gelform.markers import MarkerFlow
-from gelform.npz_files import read_npz, write_npz
 from gelform.reconstruction.maps import BESIDE_DEPTH, MAPS
 from gelform.reconstruction.record import Reconstruction
 

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_mask, check_mm_per_px
 from gelform.contact import Contact, contacts_from_mask
 from gelform.errors import DataError, GelformError
-from gelform.findings import Finding
+from gelform.foundations.checks import check_mask, check_mm_per_px
+from gelform.foundations.findings import Finding
 from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
 from gelform.reconstruction.maps import BESIDE_DEPTH

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_values
 from gelform.errors import DataError
+from gelform.foundations.checks import check_values
 
 ZERO_LEVEL, UM_PER_MM, MAX_LEVEL = 1000, 1000.0, 65535  # of 16 bits: 1 um a step
 

@@ -10,10 +10,10 @@ from os import PathLike
 from numpy.typing import ArrayLike
 
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.checks import check_positive
 from gelform.errors import DataError
+from gelform.foundations.checks import check_positive
+from gelform.foundations.progress import Progress, no_progress
 from gelform.frames import Frame
-from gelform.progress import Progress, no_progress
 from gelform.reconstruction import Reconstruction
 from gelform.robots.bag_file import BagFile
 from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, check_topics, sensor_name_from

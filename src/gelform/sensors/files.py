@@ -15,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import Background, background_from_frames
-from gelform.checks import check_gel_thickness, check_path, check_positive, check_sensor_pitch, check_within
 from gelform.errors import DataError
+from gelform.foundations.checks import (
+    check_gel_thickness,
+    check_path,
+    check_positive,
+    check_sensor_pitch,
+    check_within,
+)
 from gelform.sensors.jpeg import SIGNATURE as JPEG
 from gelform.sensors.jpeg import is_grey_jpeg, pixels_of_jpeg
 from gelform.sensors.png_bytes import SIGNATURE as PNG

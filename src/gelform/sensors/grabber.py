@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 
-from gelform.checks import check_within
 from gelform.errors import SensorError, SourceLostError
+from gelform.foundations.checks import check_within
 from gelform.frames import Frame
 from gelform.sensors.source import Source, open_source
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from gelform.checks import check_positive
 from gelform.errors import DataError
+from gelform.foundations.checks import check_positive
 from gelform.frames import Frame
 from gelform.sensors.files import IMAGE_SUFFIXES, read_image
 from gelform.sensors.video_files import USUAL_RATE_HZ, Video

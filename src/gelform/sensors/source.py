@@ -8,8 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
-from gelform.checks import check_path
 from gelform.errors import DataError, SensorError
+from gelform.foundations.checks import check_path
 from gelform.frames import Frame
 from gelform.sensors.cameras.camera import camera_named
 from gelform.sensors.cameras.usb import UsbCamera

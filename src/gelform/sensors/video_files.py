@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelform.checks import check_path
 from gelform.errors import DataError
+from gelform.foundations.checks import check_path
 from gelform.frames import Frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")

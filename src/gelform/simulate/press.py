@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
+from gelform.foundations.checks import check_positive
 from gelform.simulate.gel.ball_press import ball_press
 from gelform.simulate.gel.gel import (
     Drag,

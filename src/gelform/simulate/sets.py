@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_is
-from gelform.progress import Progress, no_progress
+from gelform.foundations.checks import check_is
+from gelform.foundations.progress import Progress, no_progress
 from gelform.simulate.gel.ball_press import depth_of_ball
 from gelform.simulate.gel.gel import Drag
 from gelform.simulate.indenters.faces import Ball, Indenter

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelform.background.change import image_from_color_change
 from gelform.calibration_file import Calibration
-from gelform.checks import check_positive
+from gelform.foundations.checks import check_positive
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.indenters.faces import Indenter
 from gelform.simulate.indenters.pose import Pose

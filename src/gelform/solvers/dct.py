@@ -17,7 +17,7 @@ import scipy  # its parts load at first use: the usual sizes need none of them
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.pool import Pool
+from gelform.foundations.pool import Pool
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import divergence, edges_from_gradients
 

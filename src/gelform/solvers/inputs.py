@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import as_array, check_map, value_range
+from gelform.foundations.checks import as_array, check_map, value_range
 from gelform.solvers import SOLVERS
 from gelform.solvers.seam import Weights
 

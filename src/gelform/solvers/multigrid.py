@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Handle, Kernel
 from gelform.errors import ConvergenceError
-from gelform.pool import Pool
+from gelform.foundations.pool import Pool
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import Problem, edge_system, problem_from_gradients
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.pool import Pool
+from gelform.foundations.pool import Pool
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.multigrid import Grid
 from gelform.solvers.seam import Pair, Solution, Weights

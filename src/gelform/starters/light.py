@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import node_positions
 from gelform.errors import CalibrationError
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 
 DEGREE = 3  # of the surface in place
 BLOCKS = 16  # along the longer side: means that the surface is fitted to

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.background.average import noise_from_image
 from gelform.calibration_file import Calibration, calibration_from_contents
-from gelform.checks import check_image, check_mm_per_px, check_positive
 from gelform.color_models import StartableModel
 from gelform.errors import CalibrationError, SensorError
-from gelform.npz_files import read_npz, write_npz
+from gelform.foundations.checks import check_image, check_mm_per_px, check_positive
+from gelform.foundations.npz_files import read_npz, write_npz
 from gelform.sensors.profiles import SENSORS
 from gelform.starters.light import (
     check_light,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.streams.background_drift import Evidence
 from gelform.streams.smooth_light import robust_sigma
 

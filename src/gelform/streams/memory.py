@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gelform import view
 from gelform.errors import CalibrationError
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.frames import Frame
 from gelform.health import DepthLimit
 from gelform.markers import MarkerFlow, MarkerTracker

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.registration import PreparedRegistration
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.streams.background_drift import Evidence
 from gelform.streams.smooth_light import robust_sigma
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration_file import Calibration
-from gelform.findings import Finding
+from gelform.foundations.findings import Finding
 from gelform.sensors import settings_mismatch
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.source import Source

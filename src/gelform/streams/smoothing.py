@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_within
+from gelform.foundations.checks import check_within
 from gelform.gradients import slopes_of_solution
 from gelform.reconstruction import Reconstruction
 from gelform.streams.smooth_light import robust_sigma

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from gelform.background.change import ChangeSettings, gain_from_background, light_from_image
 from gelform.background.exposure import BRIGHT, DARK, FULL_SHARE, HALF_WIDTHS_LOG, MIN_SHARE, block_means
-from gelform.filters import blur_taps
+from gelform.foundations.filters import blur_taps
 from gelform.torch.maps import block_shares, planes
 
 BINS, WINDOW, SPAN = 240, 6, 1.2  # of the histogram of log ratios, as the kernel `crowd_of_ratios` has them

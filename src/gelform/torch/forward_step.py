@@ -15,8 +15,8 @@ from gelform.color_models.forward_response import (
     PLACE_DEGREES,
 )
 from gelform.color_models.stepped import LEAST_UNTOUCHED, coarse_grid
-from gelform.resample import pixel_positions
 from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medians_where
+from gelform.view.resample import pixel_positions
 
 
 class FrameDepth(nn.Module):

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from gelform.background.untouched import EXPOSURE_STEP_PX, MIN_UNTOUCHED, SAMPLES
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.checks import check_image
 from gelform.errors import CalibrationError, GelformError
+from gelform.foundations.checks import check_image
 from gelform.markers import markers_from_image
 from gelform.zero import MEDIAN_SAMPLES
 

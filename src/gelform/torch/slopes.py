@@ -19,7 +19,7 @@ from gelform.color_models import (
 from gelform.color_models._shared.least_squares import monomial_parents, monomials
 from gelform.color_models.lambertian import MAX_SLOPE, inverse_lights
 from gelform.errors import CalibrationError
-from gelform.resample import pixel_positions
+from gelform.view.resample import pixel_positions
 
 LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 

@@ -7,7 +7,6 @@ import pytest
 
 import gelform
 from gelform.background.change import ChangeSettings, color_change_from_image
-from gelform.ball import ball_gradients, center_jacobian
 from gelform.calibration.circles.find import ContactCircle, find_contact
 from gelform.calibration.circles.locate import ROUNDS, refine
 from gelform.calibration.circles.prepare import prepare
@@ -20,6 +19,7 @@ from gelform.calibration.circles.refine import (
     why_too_wide,
 )
 from gelform.calibration.circles.samples import PreparedPress
+from gelform.metrics.ball import ball_gradients, center_jacobian
 from gelform.simulate import LAYOUTS, Ball, simulate_press
 from gelform.simulate.render import simulate_background
 

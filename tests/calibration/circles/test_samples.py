@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.ball import followed_radius
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import (
     USUAL_EDGE,
@@ -13,6 +12,7 @@ from gelform.calibration.circles.samples import (
     contact_samples,
     with_rest_samples,
 )
+from gelform.metrics.ball import followed_radius
 
 
 def test_samples_carry_the_balls_slopes_and_the_untouched_image():

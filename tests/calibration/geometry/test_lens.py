@@ -8,8 +8,7 @@ import pytest
 
 from gelform.calibration.geometry.lens import view_from_grid
 from gelform.errors import DataError
-from gelform.lens import Lens
-from gelform.view import image_from_frame, image_px_from_frame_px
+from gelform.view import Lens, image_from_frame, image_px_from_frame_px
 
 SHAPE = (240, 320)
 MM_PER_PX = 0.0634

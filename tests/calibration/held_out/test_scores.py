@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.ball import ball_gradients
 from gelform.calibration.candidates import (
     Candidate,
     FittedSlopes,
@@ -25,6 +24,7 @@ from gelform.calibration.held_out.scores import (
     select,
 )
 from gelform.color_models.forward_response import RIDGES, Step
+from gelform.metrics.ball import ball_gradients
 
 PRESSES, FOLDS = 20, 5
 STIFF, FREE = (Candidate("hierarchical", (("ridge", ridge),)) for ridge in (1e-3, 1e-5))

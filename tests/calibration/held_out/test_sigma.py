@@ -5,7 +5,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import gelform
-from gelform.ball import ball_center, ball_gradients
 from gelform.calibration.circles.find import ContactCircle, magnitude
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out.folds import Fold
@@ -20,6 +19,7 @@ from gelform.calibration.held_out.sigma import (
     slope_sigma_from_folds,
 )
 from gelform.color_models.forward_response import Step
+from gelform.metrics.ball import ball_center, ball_gradients
 
 
 def slow(*values):

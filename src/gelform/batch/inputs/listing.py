@@ -20,8 +20,8 @@ from gelform.batch.inputs.containers import (
     zarr_sequences,
 )
 from gelform.batch.inputs.lerobot import is_lerobot_set, lerobot_sequences, lossy_warnings
-from gelform.checks import check_path
 from gelform.errors import DataError
+from gelform.foundations.checks import check_path
 from gelform.sensors.files import IMAGE_SUFFIXES
 from gelform.sensors.recordings.image_folder import is_recorded_folder
 from gelform.sensors.video_files import VIDEO_SUFFIXES, is_video

@@ -18,8 +18,8 @@ from gelform.batch.inputs.containers import hdf5_values, image_from_values, is_z
 from gelform.batch.inputs.lerobot import stored_images, video_frames
 from gelform.batch.inputs.plan import Part
 from gelform.calibration_file import Calibration
-from gelform.checks import check_image
 from gelform.errors import DataError, GelformError
+from gelform.foundations.checks import check_image
 from gelform.frames import Frame
 from gelform.sensors.files import read_background, read_image
 from gelform.sensors.source import open_source

@@ -19,7 +19,7 @@ from gelform.batch.inputs.plan import Part
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from gelform.exporters.quantised import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 from gelform.reconstruction.maps import KEPT_MAPS, MAPS, ResultMap
 

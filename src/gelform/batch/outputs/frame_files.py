@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gelform.batch.outputs.files import FlushedLater, OutputFile, PartTarget, PartWriter, maps_of, output_file
 from gelform.errors import DataError
-from gelform.npz_files import npz_bytes
+from gelform.foundations.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
 
 KIND, VERSION = "gelform maps", 1

@@ -26,7 +26,7 @@ from gelform.batch.outputs.files import (
     write_output,
 )
 from gelform.errors import needed
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 
 INDEX = "frames.h5"
 COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # what every reader of HDF5 has

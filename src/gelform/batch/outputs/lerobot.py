@@ -26,7 +26,7 @@ from gelform.batch.inputs.lerobot import INFO, STATS, lerobot_info
 from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, PartTarget, output_file, write_output
 from gelform.batch.outputs.video import Codec, VideoWriter
 from gelform.errors import DataError, needed
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 from gelform.robots.lerobot_depth import (
     UM_PER_MM,

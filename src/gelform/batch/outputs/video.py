@@ -22,7 +22,7 @@ from gelform.batch.outputs.files import (
 )
 from gelform.errors import DataError, needed
 from gelform.exporters.quantised import UNKNOWN
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 from gelform.reconstruction import Reconstruction
 
 

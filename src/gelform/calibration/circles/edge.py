@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import USUAL_EDGE, PreparedPress, contact_samples, with_rest_samples
 from gelform.calibration.enough import enough
 from gelform.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
+from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients
 
 GROUPS = 5  # that are left out in turn
 INNER = 0.5  # of the visible radius: what trains

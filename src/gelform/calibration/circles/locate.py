@@ -29,7 +29,7 @@ from gelform.calibration.enough import NEEDED, enough
 from gelform.calibration.presses.press_set import Presses
 from gelform.color_models import ColorModel, StartableModel
 from gelform.errors import CalibrationError
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 ROUNDS = 5  # of fitting the model and moving circles to it: further ones move none by a tenth of a pixel
 WHOLE_ROUNDS = 2  # of them without presses that the border cuts: those are found too far inside

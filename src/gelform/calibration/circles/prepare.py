@@ -18,9 +18,9 @@ from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.presses.press_set import Presses
 from gelform.color_models import COLOR_MODELS, PLAIN_MODEL
 from gelform.errors import CalibrationError
+from gelform.foundations.progress import Progress, no_progress
 from gelform.gradients import fill_unknown
 from gelform.markers import MarkerFinder
-from gelform.progress import Progress, no_progress
 
 BLUR_PX = 1.25  # at 240 rows: a camera's noise, not the gel's edges
 USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset

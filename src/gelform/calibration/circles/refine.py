@@ -17,7 +17,6 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
-from gelform.ball import ball_center, center_jacobian, followed_radius
 from gelform.calibration.circles.find import ContactCircle, moved, scale_of, steepest_radius, why_no_contact
 from gelform.calibration.circles.samples import (
     ZONE,
@@ -34,6 +33,7 @@ from gelform.color_models._shared.least_squares import (
     polynomial_terms,
     unit_position,
 )
+from gelform.metrics.ball import ball_center, center_jacobian, followed_radius
 
 REFINING_SAMPLES = 15_000  # pixels of all presses
 MAX_MOVE_PX = 8.0  # at 240 rows: usual presses are found within 2, deep ones within 10

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import ball_gradients, followed_radius
 from gelform.calibration.circles.find import ContactCircle
 from gelform.color_models import ColorModel, Samples
+from gelform.metrics.ball import ball_gradients, followed_radius
 
 TOTAL_SAMPLES = 40_000  # pixels of all presses: twice as many fit no better
 ZONE = 0.95  # of the contact's radius: what trains

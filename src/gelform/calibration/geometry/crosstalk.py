@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.background.change import ChangeSettings, light_from_image
-from gelform.checks import check_image, check_list
 from gelform.errors import DataError
+from gelform.foundations.checks import check_image, check_list
 
 NAMES = ("red", "green", "blue")
 MIN_LEVEL, MAX_LEVEL = 20.0, 250.0  # grey levels that tell a ratio

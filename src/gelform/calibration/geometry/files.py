@@ -17,7 +17,7 @@ from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.geometry.toml_text import Table, edited_toml
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError
-from gelform.npz_files import written_file
+from gelform.foundations.npz_files import written_file
 from gelform.sensors.files import background_in, read_background, read_image, read_sensor_toml
 from gelform.sensors.profiles import profile_named
 from gelform.view import View, image_from_frame

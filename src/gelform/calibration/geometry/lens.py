@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from gelform.calibration.geometry.scale import Scale
-from gelform.checks import check_image, check_list, check_numbers, check_positive
 from gelform.errors import DataError
-from gelform.lens import Lens
-from gelform.view import View
+from gelform.foundations.checks import check_image, check_list, check_numbers, check_positive
+from gelform.view import Lens, View
 
 MAX_RESIDUAL_PX = 0.5  # of a grid's points, RMS
 PITCH_SIGMA = 0.002  # of a printed grid

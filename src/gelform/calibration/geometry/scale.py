@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelform.checks import LARGEST, check_list, check_numbers, check_positive, check_within
 from gelform.errors import DataError
+from gelform.foundations.checks import LARGEST, check_list, check_numbers, check_positive, check_within
 from gelform.sensors.profiles import profile_named
 
 SOURCES = "two marked points, a flat punch, a thread, a step of a stage, or a grid"

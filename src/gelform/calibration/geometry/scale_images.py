@@ -13,8 +13,8 @@ from scipy.special import erfc, erfcx
 
 from gelform.background.change import ChangeSettings, PreparedBackground
 from gelform.calibration.geometry.scale import Scale, scale_from_lengths
-from gelform.checks import check_image, check_positive
 from gelform.errors import DataError
+from gelform.foundations.checks import check_image, check_positive
 
 RAYS = 360  # from the punch's middle
 SECTORS = 24  # of its outline, each fitted by itself

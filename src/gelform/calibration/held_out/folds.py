@@ -19,7 +19,7 @@ from gelform.calibration.circles.locate import refine
 from gelform.calibration.circles.refine import fit_model, recentered
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.color_models import StartableModel
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 FOLDS = 5  # each trains on four fifths of the presses
 SHORTER_SIDE = 12  # px of the small copies that are compared: noise averages out in them

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.calibration.candidates import Candidate
 from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import change_settings
@@ -26,8 +25,9 @@ from gelform.calibration.presses.press_set import Press, Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import ForwardResponse
 from gelform.confidence import SlopeSigma, SolvedErrors, SolvedSigma, with_solved_factors
+from gelform.foundations.progress import Progress, no_progress
 from gelform.metrics import PressErrors, press_errors
-from gelform.progress import Progress, no_progress
+from gelform.metrics.ball import STEEPEST_FRACTION, ball_center, ball_gradients, followed_radius
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
 

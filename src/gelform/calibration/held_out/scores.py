@@ -25,8 +25,8 @@ from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.samples import PreparedPress
 from gelform.calibration.held_out.folds import Fold
 from gelform.color_models.forward_response import RIDGES, Step
+from gelform.foundations.progress import Progress, no_progress
 from gelform.metrics import score_slopes
-from gelform.progress import Progress, no_progress
 
 SAMPLES_OF_FOLD = 12_000  # pixels of all presses that train
 SCORED_PIXELS = 1_500  # of a press

@@ -37,10 +37,10 @@ from gelform.calibration.presses.press_set import (
     table_rows,
 )
 from gelform.calibration.presses.video import presses_from_video
-from gelform.checks import check_is, check_path
 from gelform.errors import DataError
+from gelform.foundations.checks import check_is, check_path
+from gelform.foundations.progress import Progress, no_progress
 from gelform.frames import pixels_digest
-from gelform.progress import Progress, no_progress
 from gelform.sensors.files import IMAGE_SUFFIXES, background_in, read_background, read_image
 from gelform.sensors.video_files import is_video
 from gelform.view import View, image_from_frame, image_px_from_frame_px

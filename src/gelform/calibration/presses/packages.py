@@ -20,9 +20,9 @@ from gelform.calibration.presses.press_set import (
     number,
     table_rows,
 )
-from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError, said
-from gelform.npz_files import DAMAGED_ARCHIVE
+from gelform.foundations.checks import check_positive, check_sensor_pitch
+from gelform.foundations.npz_files import DAMAGED_ARCHIVE
 from gelform.sensors.files import IMAGE_SUFFIXES, SensorSettings, background_in, read_background, read_image
 
 MAX_PACK_BYTES = 4 << 30  # of a dataPack, unpacked

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.geometry.measured import Geometry
-from gelform.checks import check_positive, check_sensor_pitch
 from gelform.errors import DataError
+from gelform.foundations.checks import check_positive, check_sensor_pitch
 from gelform.frames import pixels_digest
 from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import profile_named

@@ -29,10 +29,10 @@ from gelform.calibration.presses.stills import (
     touch_threshold,
     untouched,
 )
-from gelform.checks import check_is, check_path
 from gelform.errors import DataError
+from gelform.foundations.checks import check_is, check_path
+from gelform.foundations.progress import Progress, no_progress
 from gelform.frames import Frame
-from gelform.progress import Progress, no_progress
 from gelform.sensors.files import read_background
 from gelform.sensors.video_files import Video
 from gelform.view import View, image_from_frame

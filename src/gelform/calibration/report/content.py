@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.ball import followed_radius
 from gelform.calibration.coverage import DIRECTIONS, coverage_from_circles, press_next, square_tiles
 from gelform.calibration.enough import enough
 from gelform.calibration.held_out.measure import HeldOutSample, stated_sigma
@@ -25,6 +24,7 @@ from gelform.calibration.report.statistics import (
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
 from gelform.calibration_file import Calibration
+from gelform.metrics.ball import followed_radius
 from gelform.reconstruct import Reconstructor
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 2

@@ -29,7 +29,7 @@ from gelform.calibration.held_out.scores import SAMPLES_OF_FOLD, score_of
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration_file import Calibration
 from gelform.color_models import COLOR_MODELS
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 SIZES = (5, 10, 15, 20, 30, 45, 70, 100, 150)  # numbers of presses that train
 DRAWS = 3  # of presses, for each size

@@ -175,7 +175,7 @@ def export_(
     """
     from gelform.calibrations.library import matching
     from gelform.cli.outputs import check_output
-    from gelform.npz_files import written_file
+    from gelform.foundations.npz_files import written_file
 
     check_output(output, overwrite=overwrite)
     entry = _newest_whole(matching(which, gel))

@@ -10,7 +10,7 @@ from typer import Option
 
 from gelform.cli.console import check_pictures, json_bytes
 from gelform.cli.options import Shown
-from gelform.progress import Progress
+from gelform.foundations.progress import Progress
 
 if TYPE_CHECKING:
     from gelform.calibration_file import Calibration

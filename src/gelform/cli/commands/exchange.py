@@ -119,7 +119,7 @@ def export(
       gelform export out/coin.npz --to stl -o coin.stl
     """
     from gelform.calibration_file import KIND as CALIBRATION
-    from gelform.npz_files import kind_of_npz
+    from gelform.foundations.npz_files import kind_of_npz
     from gelform.reconstruction import KIND as RESULT
 
     to = one_of(to, RENDERERS + FILES, "--to")

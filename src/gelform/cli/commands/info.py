@@ -65,7 +65,7 @@ def info(
 
 def _file(path: Path) -> dict[str, Any]:
     from gelform.calibration_file import KIND as CALIBRATION
-    from gelform.npz_files import kind_of_npz
+    from gelform.foundations.npz_files import kind_of_npz
     from gelform.reconstruction import KIND as RESULT
 
     kind = kind_of_npz(path)

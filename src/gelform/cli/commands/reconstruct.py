@@ -148,7 +148,7 @@ def _peak(result: Reconstruction) -> dict[str, Any]:
     """The deepest point and the contact's area, in mm; in pixels where the scale is unknown."""
     if result.mm_per_px is None:
         return {"peak_px": float(result.depth_px.max())}
-    from gelform.checks import check_mm_per_px
+    from gelform.foundations.checks import check_mm_per_px
 
     pitch = check_mm_per_px(result.mm_per_px)
     return {"peak_mm": result.peak_mm, "contact_mm2": float(result.contact.sum()) * pitch[0] * pitch[1]}

@@ -189,8 +189,8 @@ def _mesh(path: Path, mm_per_unit: float) -> Indenter:
 
 
 def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> HeightMap:
+    from gelform.foundations.npz_files import read_npy
     from gelform.importers.relief import read_height_image
-    from gelform.npz_files import read_npy
     from gelform.simulate import HeightMap
 
     if mm_per_px is None:

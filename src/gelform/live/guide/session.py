@@ -17,13 +17,13 @@ from gelform.calibration.report.page.page import report_page
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
 from gelform.exporters.press_folder import save_press_folder
+from gelform.foundations.npz_files import written_file
+from gelform.foundations.progress import Progress
 from gelform.live.guide.guide import Asked, Guide
 from gelform.live.guide.judge import forecast_of
 from gelform.live.recorder import named_by_time
 from gelform.live.shown import Shown
 from gelform.live.station import Station
-from gelform.npz_files import written_file
-from gelform.progress import Progress
 
 DEPTH_RATIO = 0.9  # of the simulated presses: depth over radius x fraction^2 (a cap: 0.5)
 RIM_FRACTIONS = (0.45, 0.6, 0.52)  # of the simulated presses in turn: contact radius over ball radius

@@ -15,7 +15,7 @@ import numpy as np
 from gelform import __version__
 from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
 from gelform.errors import CalibrationError
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 from gelform.sensors.simulated.settings import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses

@@ -7,8 +7,8 @@ from typing import Any
 
 import cv2
 
-from gelform.checks import check_number
 from gelform.errors import SensorError
+from gelform.foundations.checks import check_number
 
 Settings = Mapping[str, float | str]
 # name: (OpenCV's property, the automatic control that has to be off for it)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
+from gelform.foundations.checks import check_positive
 from gelform.frames import Frame
 from gelform.sensors.playback import Pace
 from gelform.simulate import (

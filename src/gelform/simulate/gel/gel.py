@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_positive
+from gelform.foundations.checks import check_positive
 from gelform.simulate.gel.ball_press import ball_on_grid, ball_press
 from gelform.simulate.gel.membrane import TOLERANCE, carried_along, membrane_over, spread
 from gelform.simulate.indenters.faces import Ball, Indenter

@@ -14,7 +14,7 @@ import numpy as np
 import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_map, check_mm_per_px, check_positive
+from gelform.foundations.checks import check_map, check_mm_per_px, check_positive
 
 MAX_SIZE_MM = 1000.0  # of an indenter: over a metre the unit is mistaken
 

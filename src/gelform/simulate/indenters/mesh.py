@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.checks import check_finite
+from gelform.foundations.checks import check_finite
 from gelform.simulate.indenters.faces import MAX_SIZE_MM
 
 MAX_TRIANGLES = 5_000_000  # of a mesh: a guard against files that were meant for something else

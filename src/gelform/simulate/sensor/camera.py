@@ -11,7 +11,7 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.checks import check_is
+from gelform.foundations.checks import check_is
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_map, check_positive
+from gelform.foundations.checks import check_map, check_positive
 
 Grid = tuple[int, int]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_mm_per_px, check_positive
+from gelform.foundations.checks import check_mm_per_px, check_positive
 from gelform.simulate.gel.gel import Gel
 from gelform.simulate.sensor.coating import Coating, check_not_negative
 

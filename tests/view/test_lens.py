@@ -5,8 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelform.lens import Lens
-from gelform.view import View, frame_px_from_image_px, image_from_frame, image_px_from_frame_px
+from gelform.view import Lens, View, frame_px_from_image_px, image_from_frame, image_px_from_frame_px
 
 CAMERA = (220.0, 210.0, 158.0, 121.0)
 

@@ -14,7 +14,15 @@ from hypothesis.extra import numpy as hnp
 
 from gelform import __version__
 from gelform.errors import CalibrationError, DataError
-from gelform.npz_files import kind_of_npz, locked_folder, npz_bytes, read_npz, sweep, write_npz, written_file
+from gelform.foundations.npz_files import (
+    kind_of_npz,
+    locked_folder,
+    npz_bytes,
+    read_npz,
+    sweep,
+    write_npz,
+    written_file,
+)
 
 KIND = "gelform test file"
 ARRAYS = {"depth_mm": np.arange(12, dtype=np.float32).reshape(3, 4), "known": np.eye(3, dtype=bool)}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gelform import filters
-from gelform.filters import medians_where
+from gelform.foundations import filters
+from gelform.foundations.filters import medians_where
 from kernel_agreement import assert_kernel_agrees
 
 

@@ -16,9 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.checks import check_image, check_is
-from gelform.lens import Lens
-from gelform.resample import averaged, box_centres, maps_of_positions, pixel_maps, pixel_positions, remapped
+from gelform.foundations.checks import check_image, check_is
+from gelform.view.lens import Lens
+from gelform.view.resample import (
+    averaged,
+    box_centres,
+    maps_of_positions,
+    pixel_maps,
+    pixel_positions,
+    remapped,
+)
 
 MAX_PIXELS = 200e6  # of a frame or an image
 FLIPS = ("none", "x", "y", "xy")

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gelform import checks
-from gelform.checks import (
+from gelform.foundations import checks
+from gelform.foundations.checks import (
     as_array,
     check_gradients,
     check_image,

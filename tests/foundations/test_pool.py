@@ -9,12 +9,12 @@ from threading import Barrier
 
 import pytest
 
-from gelform.pool import Pool
+from gelform.foundations.pool import Pool
 
 PAGES_TAKEN_AGAIN = """
 import resource, sys
 import numpy as np
-from gelform.pool import keep_freed_memory
+from gelform.foundations.pool import keep_freed_memory
 if sys.argv[1] == "kept":
     keep_freed_memory(20 << 20)
 def faults():

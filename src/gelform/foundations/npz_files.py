@@ -23,8 +23,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.checks import check_path
 from gelform.errors import DataError, GelformError, said
+from gelform.foundations.checks import check_path
 
 try:
     import fcntl

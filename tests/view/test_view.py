@@ -8,8 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelform.lens import Lens
-from gelform.view import FLIPS, View, frame_from_image, frame_px_from_image_px, image_from_frame
+from gelform.view import FLIPS, Lens, View, frame_from_image, frame_px_from_image_px, image_from_frame
 
 
 def ramp(shape, *, per_x=0.31, per_y=0.17, start=40.0):

@@ -12,12 +12,12 @@ import time
 
 import pytest
 
-from gelform.processes import WorkerLostError, worker_processes
+from gelform.foundations.processes import WorkerLostError, worker_processes
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 DRIVER = """
 import sys, time
-from gelform.processes import worker_processes
+from gelform.foundations.processes import worker_processes
 if __name__ == "__main__":
     with worker_processes(2) as pool:
         jobs = [pool.submit(time.sleep, 0) for _ in range(8)]

@@ -4,7 +4,7 @@ import inspect
 from importlib import import_module
 
 import gelform
-from gelform.progress import Progress, no_progress
+from gelform.foundations.progress import Progress, no_progress
 
 
 def test_nothing_is_reported_by_default(capsys):

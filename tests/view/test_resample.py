@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform.resample import averaged, box_centres, maps_of_positions, pixel_maps, pixel_positions, remapped
+from gelform.view.resample import (
+    averaged,
+    box_centres,
+    maps_of_positions,
+    pixel_maps,
+    pixel_positions,
+    remapped,
+)
 
 
 def plane(shape):

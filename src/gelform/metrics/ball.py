@@ -11,7 +11,7 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
-from gelform.checks import check_mm_per_px
+from gelform.foundations.checks import check_mm_per_px
 
 _ball_center = Kernel(
     "ball_center",

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelform import ball
-from gelform.ball import ball_center, ball_gradients, center_jacobian, fit_sphere, followed_radius
+from gelform.metrics import ball
+from gelform.metrics.ball import ball_center, ball_gradients, center_jacobian, fit_sphere, followed_radius
 from kernel_agreement import assert_kernel_agrees
 
 MM_PER_PX = 0.06

@@ -1,0 +1,1 @@
+"""What every room stands on: checks at public doors, files of arrays, lent memory, processes, findings, progress."""

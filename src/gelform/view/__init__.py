@@ -1,0 +1,21 @@
+"""frame -> image and back: what a view holds, its lens, and resampling in one pass."""
+
+from gelform.view.lens import Lens
+from gelform.view.view import (
+    FLIPS,
+    View,
+    frame_from_image,
+    frame_px_from_image_px,
+    image_from_frame,
+    image_px_from_frame_px,
+)
+
+__all__ = [
+    "FLIPS",
+    "Lens",
+    "View",
+    "frame_from_image",
+    "frame_px_from_image_px",
+    "image_from_frame",
+    "image_px_from_frame_px",
+]
