@@ -46,7 +46,9 @@ def test_the_names_are_those_of_the_tables():
     from gelform.importers.calibrations import PACKAGES
     from gelform.sensors.profiles import SENSORS
     from gelform.simulate import LAYOUTS
+    from gelform.starters import starter_names
 
+    assert tuple(starter_names()) == options.STARTERS
     assert tuple(COLOR_MODELS) == options.COLOR_MODELS
     assert tuple(PACKAGES) == options.PACKAGES
     assert tuple(SENSORS) == options.SENSORS

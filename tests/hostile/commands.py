@@ -9,6 +9,7 @@ import numpy as np
 
 import gelform
 from gelform.exporters.press_folder import save_press_folder
+from gelform.starters import load_starter
 from made.networks import network_arrays, torch_file
 from made.small_gel import MM_PER_PX, Touch, background, calibration, image_of, save
 
@@ -29,6 +30,7 @@ def make_work(folder: Path) -> Path:
     (folder / "frames").mkdir()
     for k in range(3):
         save(folder / "frames" / f"{k}.png", image_of(Touch(seed=k)))
+    save(folder / "digit.png", load_starter("digit").calibration.background.round().astype(np.uint8))
     save(folder / "rest.png", np.rint(background()).astype(np.uint8))
     for k, name in enumerate(("red", "green", "blue")):
         save(folder / f"{name}.png", np.full((64, 80, 3), 20, np.uint8) + 100 * np.eye(3, dtype=np.uint8)[k])
@@ -55,6 +57,7 @@ def commands(work: Path, out: Path) -> dict[str, list[Any]]:
     return {
         "demo": ["demo", "-o", out / "demo"],
         "calibrate": ["calibrate", work / "presses", *fitted, "-o", out / "cal.npz"],
+        "starter": ["starter", "digit", "--background", work / "digit.png", "-o", out / "unit.npz"],
         "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
         "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],
         "lens": ["lens", out / "sensor.toml", "--led-frames", *leds],

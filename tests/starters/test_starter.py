@@ -1,6 +1,7 @@
 """Starters: depth of a unit that was never pressed, from its untouched image and what other units have shown."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from gelform.starters import (
     load_starter,
     starter_for,
     starter_names,
+    starter_of_source,
 )
 from gelform.starters.starter import FOLDER, read_starter, starter_from_calibration
 
@@ -159,3 +161,15 @@ def test_a_starter_of_a_unit_comes_back_from_its_file(calibration, tmp_path):
     spoilt.write_bytes((tmp_path / "mine.npz").read_bytes()[:-2000])
     with pytest.raises(CalibrationError):
         read_starter(spoilt)
+
+
+def test_the_starter_of_a_source_is_known_by_its_camera_or_its_name():
+    def source(name, kind=None):
+        return SimpleNamespace(name=name, camera=SimpleNamespace(kind=kind) if kind else None)
+
+    assert starter_of_source(source("GelSight Mini R0B 2BKR", "gelsight-mini")) == "gelsight-mini"
+    assert starter_of_source(source("a digit by its USB id", "digit")) == "digit"
+    assert starter_of_source(source("DIGIT D20123")) == "digit"
+    assert starter_of_source(source("simulated three-edges")) == SIMULATED
+    assert starter_of_source(source("press.mp4")) is None
+    assert starter_of_source(source("DIGIT", "gelslim")) is None

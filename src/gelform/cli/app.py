@@ -20,6 +20,7 @@ from gelform.cli.commands.reconstruct import reconstruct
 from gelform.cli.commands.robots import bag, ros
 from gelform.cli.commands.simulate import design, simulate
 from gelform.cli.commands.sources import cameras, record
+from gelform.cli.commands.starter import starter
 from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
@@ -27,7 +28,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 LIBRARY = "calibrations"  # the one command that has commands below it
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
-    "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, evaluate, LIBRARY, design),
+    "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, LIBRARY, design),
     "Frames": (reconstruct, explain, compare, batch, verify),
     "Robots": (bag, ros),
     "Files": (import_, export),

@@ -46,6 +46,7 @@ COLOR_MODELS = names_in("color_models/__init__.py", "COLOR_MODELS")
 PACKAGES = names_in("importers/calibrations.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
 SENSORS = names_in("sensors/profiles.py", "SENSORS")
+STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "starters").glob("*.npz")))
 
 
 def listed(names: tuple[str, ...]) -> str:

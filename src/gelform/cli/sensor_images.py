@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import say
 from gelform.cli.process import mistakes_in
-from gelform.errors import GelformError
+from gelform.errors import CalibrationError, GelformError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -53,6 +53,24 @@ def prepared(calibration: Calibration | Path, background: Path | None, **setting
 
     loaded = as_calibration(calibration)
     return Reconstructor(loaded, background=background_in(background, loaded), **settings)
+
+
+def starter_calibration(sensor: str, background: Path, **known: Any) -> Calibration:
+    """The calibration of a unit of a make, from an image of its untouched gel or a folder of several; what is wrong is said.
+
+    Parameters
+    ----------
+    known : mm_per_px, serial, gel_id, as `calibration_from_background` takes them
+    """
+    from gelform.sensors.files import read_background
+    from gelform.starters import calibration_from_background
+
+    untouched = read_background(background)
+    try:
+        with mistakes_in(background):
+            return calibration_from_background(untouched, sensor, **known)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{background}: {problem}") from problem
 
 
 def reconstruction_of(run: Reconstructor, image: NDArray[np.uint8], path: Path) -> Reconstruction:

@@ -12,6 +12,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
             "load_starter",
             "starter_for",
             "starter_names",
+            "starter_of_source",
         ],
     },
 )

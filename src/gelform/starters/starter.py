@@ -60,6 +60,17 @@ class Starter:
         profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
         return self.sensor if profile is None else profile.name
 
+    def view(self, frame_shape: tuple[int, int]) -> View:
+        """How frames (H, W) of such a sensor's camera become images; identity where they have their size already.
+
+        Raises
+        ------
+        SensorError
+            Frames have another aspect than the make's.
+        """
+        profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
+        return View() if profile is None else profile.view(frame_shape)
+
     def for_unit(
         self,
         background: NDArray[Any],
@@ -214,6 +225,25 @@ def starter_for(sensor_name: str, image_shape: tuple[int, int]) -> Starter | Non
     return None
 
 
+def starter_of_source(source: Any) -> str | None:
+    """The name of the starter of a source of frames, by its camera's USB id or by what it calls itself; None without one.
+
+    Parameters
+    ----------
+    source : has a `name` and, where it is a camera of this machine, a `camera`
+    """
+    names = starter_names()
+    kind = getattr(getattr(source, "camera", None), "kind", None)
+    if kind is not None:
+        return kind if kind in names else None
+    said = str(getattr(source, "name", ""))
+    for name in names:
+        profile = SENSORS[name].profile if name in SENSORS else None
+        if said.replace(" ", "-") == name or (profile is not None and said.startswith(profile.name)):
+            return name
+    return None
+
+
 def calibration_from_background(
     background: ArrayLike,
     sensor: str,
@@ -252,9 +282,7 @@ def calibration_from_background(
     """
     starter = load_starter(sensor)
     frame = check_image(background, name="background")
-    shape = (int(frame.shape[0]), int(frame.shape[1]))
-    profile = SENSORS[sensor].profile if sensor in SENSORS else None
-    view = View() if profile is None else profile.view(shape)
+    view = starter.view((int(frame.shape[0]), int(frame.shape[1])))
     image = frame if view.is_identity else image_from_frame(frame, view)
     return starter.for_unit(image, view=view, mm_per_px=mm_per_px, serial=serial, gel_id=gel_id)
 

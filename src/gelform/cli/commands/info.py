@@ -262,14 +262,31 @@ def _calibration_lines(facts: Facts) -> Lines:
         ("images", f"{_size(facts['image_shape'])}, {_scale(facts)}"),
         ("view", "a frame is an image as it is" if not facts.get("view") else _said(facts["view"])),
         ("color model", f"{facts['color_model']} ({settings})" if settings else str(facts["color_model"])),
-        (
-            "made from",
-            f"{facts['training_presses']} presses" if facts["training_presses"] else "no presses: imported",
-        ),
+        *_made_from(facts),
         ("held out", ", ".join(known) or "no errors on held-out presses are known"),
         ("slope noise", _noise(facts.get("slope_sigma"))),
         ("made", f"{facts['created_utc']}, by gelform {facts['library_version']}"),
         ("digest", str(facts["digest"])),
+    ]
+
+
+def _made_from(facts: Facts) -> Lines:
+    """What it was made from; of a starter's also the make, and how far units differ."""
+    starter = facts["settings"].get("starter")
+    if starter is None:
+        presses = facts["training_presses"]
+        return [("made from", f"{presses} presses" if presses else "no presses: imported")]
+    return [
+        (
+            "starter",
+            f"of the make {starter['sensor']}: this unit was never pressed, its untouched image is known",
+        ),
+        ("made from", "; ".join(starter["units"])),
+        (
+            "spread",
+            f"slopes of a unit are within {100 * starter['spread']:.0f} % of these (one standard deviation)",
+        ),
+        *[("warning", str(message)) for _, message, _ in starter["findings"]],
     ]
 
 
