@@ -15,6 +15,7 @@ from gelform.calibration.coverage import (
     direction_of,
     name_of_place,
     one_part,
+    press_coverage,
     press_next,
     shown_by,
     square_tiles,
@@ -215,3 +216,12 @@ def test_where_errors_are_large_another_press_is_worth_more():
 def test_the_second_place_is_another_one():
     coverage = coverage_from_circles([(20.0, 20.0, 20.0)], (120, 160), tiles=(6, 8))
     assert len(set(press_next(coverage, 3, np.ones((6, 8, DIRECTIONS))))) == 3
+
+
+def test_the_stated_coverage_counts_what_the_gel_follows():
+    """A circle as wide as its ball is not followed to its rim: it shows no more than the same press by a larger ball."""
+    wide = press_coverage([(80.0, 60.0, 40.0)], [40.0], (120, 160))
+    narrow = press_coverage([(80.0, 60.0, 30.0)], [400.0], (120, 160))
+    np.testing.assert_array_equal(wide.counts, narrow.counts)
+    assert wide.counts.shape == (6, 8, DIRECTIONS)
+    assert wide.fraction < press_coverage([(80.0, 60.0, 40.0)], [400.0], (120, 160)).fraction

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration.enough import NEEDED, enough
+from gelform.metrics.ball import followed_radius
 
 DIRECTIONS = 8  # of slopes, 45 degrees each
 LONGER_SIDE = 8  # tiles along it
@@ -82,6 +83,18 @@ def coverage_from_circles(
     for circle in circles:
         counts += shown_by(circle, shape, tiles, zone)
     return Coverage(shape, tuple(circles), zone, counts)
+
+
+def press_coverage(
+    circles: Sequence[Circle], ball_radii_px: Sequence[float], shape: tuple[int, int]
+) -> Coverage:
+    """The coverage that is stated to users, of visible contact circles with the balls that made them.
+
+    The guide and the report both have it from here, on square tiles and up to the same part of the contact, so that it is
+    one figure.
+    """
+    followed = [(x, y, followed_radius(r, ball)) for (x, y, r), ball in zip(circles, ball_radii_px)]
+    return coverage_from_circles(followed, shape, tiles=square_tiles(shape))
 
 
 def square_tiles(shape: tuple[int, int], longer: int = LONGER_SIDE) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import pytest
 from gelform.errors import GelformError
 from gelform.frames import Frame
 from gelform.live.guide import guide as module
-from gelform.live.guide.guide import BACKGROUND_FRAMES, LEAST, STILL_LOOKS, Asked, Guide
+from gelform.live.guide.guide import BACKGROUND_FRAMES, LEAST, NEXT_PLACES, STILL_LOOKS, Asked, Guide
 from gelform.simulate import simulate_background
 
 
@@ -63,12 +63,16 @@ def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):
 
 def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
     see(times=BACKGROUND_FRAMES)
+    assert len(guide.places) == NEXT_PLACES
     shares, targets = [], set()
     for x_mm, y_mm in ((0, 0), (6, 4), (-6, -4), (6, -4), (-6, 4)):
         see(press(x_mm, y_mm).image, 8)
         see()
         shares.append(guide.facts()["coverage"]["share"])
         targets.add((guide.target.x_px, guide.target.y_px))
+        places = [(x, y) for x, y, _, _ in guide.facts()["places"]]
+        assert len(set(places)) == len(places) == NEXT_PLACES
+        assert places[0] == (guide.target.x_px, guide.target.y_px)
     assert shares == sorted(shares)
     assert shares[-1] > shares[0] > 0
     assert len(targets) > 3

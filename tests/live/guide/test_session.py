@@ -37,6 +37,8 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, presses, calibration,
     assert session.guide.step == "report"
     assert report["accepted"] + len(report["rejected"]) == len(presses.presses)
     assert report["level"] in ("good", "fair", "poor")
+    (seen,) = [check["value"] for check in report["checks"] if "directions seen" in check["label"]]
+    assert seen == pytest.approx(100 * session.guide.facts()["coverage"]["share"]), "one figure"
     folder = tmp_path / session.name
     assert "<html" in (folder / "report.html").read_text(encoding="utf-8")
     assert len(gelform.read_presses(folder).presses) == len(presses.presses)

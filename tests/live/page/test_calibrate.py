@@ -28,7 +28,7 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     page.click("#tab-calibrate")
     page.fill("#ball", "5")
     page.click("#guide-start")
-    until(lambda: page.evaluate("Boolean(gelform.facts.guides[0]?.target)"), 60)
+    until(lambda: page.evaluate("Boolean(gelform.facts.guides[0]?.places.length)"), 60)
     until(lambda: yellow_pixels(picture(page, "#guide-pane .shown")) > 50)
     until(lambda: page.inner_text("#steps .now") == "Press")
     fit = "document.getElementById('guide-fit').disabled === !gelform.facts.guides[0].can_fit"

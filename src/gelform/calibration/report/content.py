@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.coverage import DIRECTIONS, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.coverage import DIRECTIONS, Coverage, press_coverage, press_next, square_tiles
 from gelform.calibration.enough import enough
 from gelform.calibration.held_out.measure import HeldOutSample, stated_sigma
 from gelform.calibration.presses.press_set import Presses
@@ -24,7 +24,6 @@ from gelform.calibration.report.statistics import (
 )
 from gelform.calibration.report.verdict import checks_of, verdict_of
 from gelform.calibration_file import Calibration
-from gelform.metrics.ball import followed_radius
 from gelform.reconstruct import Reconstructor
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 2
@@ -92,7 +91,7 @@ def report_content(
         "figures": _figures(report.presses, rng),
         "calibration": _facts(presses, calibration),
         "background": _background(calibration),
-        "coverage": _coverage(report, shape, ratio, calibration.known_mm_per_px),
+        "coverage": _coverage(report, shape, calibration.known_mm_per_px),
         "gain": {
             "contact_radius_ratio": ratio,
             "contact": gain_curve(inner, rng),
@@ -160,15 +159,17 @@ def _background(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _coverage(
-    report: CalibrationReport, shape: tuple[int, int], ratio: float, mm_per_px: float
-) -> dict[str, Any]:
-    """How many presses show each slope direction in each tile, and where to press next."""
+def report_coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: float) -> Coverage:
+    """The coverage of the presses that a calibration was fitted on."""
     used = [row for row in report.presses if row.accepted]
-    followed = [followed_radius(r.contact_radius_px, r.ball_diameter_mm / 2 / mm_per_px) for r in used]
-    circles = [(r.center_x_px, r.center_y_px, radius) for r, radius in zip(used, followed)]
-    rows, columns = square_tiles(shape)
-    coverage = coverage_from_circles(circles, shape, tiles=(rows, columns), zone=ratio)
+    circles = [(r.center_x_px, r.center_y_px, r.contact_radius_px) for r in used]
+    return press_coverage(circles, [r.ball_diameter_mm / 2 / mm_per_px for r in used], shape)
+
+
+def _coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px: float) -> dict[str, Any]:
+    """How many presses show each slope direction in each tile, and where to press next."""
+    coverage = report_coverage(report, shape, mm_per_px)
+    rows, columns = coverage.counts.shape[:2]
     errors = square_error_by_direction(report.samples, shape, (rows, columns))
     return {
         "rows": rows,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.background.average import background_from_frames
-from gelform.calibration.coverage import PressPlace, coverage_from_circles, press_next, square_tiles
+from gelform.calibration.coverage import Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.enough import NEEDED
 from gelform.calibration.presses.press_set import Press, Presses
 from gelform.errors import GelformError
@@ -24,7 +24,7 @@ from gelform.view import View, image_from_frame
 WANTED, LEAST = (NEEDED[row].presses for row in ("guided well", "guided"))
 LOOK_EVERY_S = 0.08  # at a frame: a look takes some 10 ms
 STILL_LOOKS = 3  # in a row, for a press to count
-TILES_LONGER = 6  # tiles of the coverage along the longer side
+NEXT_PLACES = 3  # that are shown: where to press next, and then
 FIRST_RADIUS = 0.55  # of the target over the ball's radius, before the first press
 
 
@@ -60,13 +60,15 @@ class Guide:
     ----------
     step : "background", "press", "fit", "report" or "failed"
     hint : what to do now, in words
-    target : PressPlace to press at, or None
+    places : where to press next, the most helpful one first; a later one is chosen anew after each press
+    covered : Coverage of the presses that were accepted, None before the background is there
     """
 
     def __init__(self, asked: Asked, on_changed: Callable[[], None] = lambda: None) -> None:
         self.asked = asked
         self.step, self.hint = "background", "Touch nothing: the untouched gel is recorded."
-        self.target: PressPlace | None = None
+        self.places: tuple[PressPlace, ...] = ()
+        self.covered: Coverage | None = None
         self.forecast: Forecast | None = None
         self.report: dict[str, Any] | None = None
         self._changed = on_changed
@@ -82,6 +84,11 @@ class Guide:
         self._still = 0
         self._lifted = True
         self._looked_at = 0.0
+
+    @property
+    def target(self) -> PressPlace | None:
+        """Where to press now; None where no place helps any more."""
+        return self.places[0] if self.places else None
 
     @property
     def count(self) -> int:
@@ -133,7 +140,7 @@ class Guide:
     def facts(self) -> dict[str, Any]:
         """What the page shows of it."""
         with self._lock:
-            live, target = self._live, self.target
+            live, radius = self._live, self._radius()
             return {
                 "step": self.step,
                 "hint": self.hint,
@@ -142,12 +149,12 @@ class Guide:
                 "enough": len(self._circles) >= WANTED,
                 "can_fit": len(self._circles) >= LEAST,
                 "untouched": [len(self._untouched), BACKGROUND_FRAMES],
-                "target": None if target is None else [target.x_px, target.y_px, self._radius(), target.name],
+                "places": [[place.x_px, place.y_px, radius, place.name] for place in self.places],
                 "live": None if live is None or live.circle is None else list(live.circle),
                 "still": self._still / STILL_LOOKS,
                 "accepted": [list(circle) for circle in self._circles],
                 "rejected": [[*circle, reason] for circle, reason in self._verdicts[-5:]],
-                "coverage": self._coverage(),
+                "coverage": None if self.covered is None else _coverage_facts(self.covered),
                 "forecast": None if self.forecast is None else vars(self.forecast),
                 "report": self.report,
             }
@@ -164,8 +171,7 @@ class Guide:
             self._untouched, self.hint = [], f"{problem} Touch nothing, it is tried again."
             return
         self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
-        radius_px = self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
-        self._judge = Judge(self._background, image, float(taken.noise.max()), radius_px)
+        self._judge = Judge(self._background, image, float(taken.noise.max()), self._ball_radius_px)
         self.step = "press"
         self._ask_next()
 
@@ -202,31 +208,32 @@ class Guide:
         self.hint = "Accepted. Lift the ball."
 
     def _ask_next(self) -> None:
-        coverage = coverage_from_circles(self._circles, self._shape())
-        places = press_next(coverage, 1)
-        self.target = places[0] if places else None
+        assert self._background is not None
+        shape = (self._background.shape[0], self._background.shape[1])
+        self.covered = press_coverage(self._circles, [self._ball_radius_px] * len(self._circles), shape)
+        self.places = press_next(self.covered, NEXT_PLACES)
         self.hint = self._asking()
 
     def _asking(self) -> str:
         if len(self._circles) >= WANTED:
-            return "Enough. Fit now, or press on where the circle is."
-        return f"Press the ball here: {self.target.name}." if self.target else "Press anywhere else."
+            return "Enough. Fit now, or press on where circle 1 is."
+        return f"Press the ball at 1: {self.target.name}." if self.target else "Press anywhere else."
 
-    def _shape(self) -> tuple[int, int]:
-        assert self._background is not None
-        return self._background.shape[0], self._background.shape[1]
+    @property
+    def _ball_radius_px(self) -> float:
+        return self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
 
     def _radius(self) -> float:
         if self._circles:
             return float(np.median([radius for _, _, radius in self._circles]))
-        return FIRST_RADIUS * self.asked.ball_diameter_mm / 2 / self.asked.mm_per_px
+        return FIRST_RADIUS * self._ball_radius_px
 
-    def _coverage(self) -> dict[str, Any] | None:
-        """Which of eight slope directions each tile has shown, and the share of all."""
-        if self._background is None:
-            return None
-        shape = self._shape()
-        tiles = square_tiles(shape, TILES_LONGER)
-        found = coverage_from_circles(self._circles, shape, tiles=tiles)
-        directions = (found.counts > 0).sum(axis=-1)
-        return {"tiles": list(tiles), "directions": directions.ravel().tolist(), "share": found.fraction}
+
+def _coverage_facts(covered: Coverage) -> dict[str, Any]:
+    """How many of eight slope directions each tile has shown, and the share of all."""
+    directions = (covered.counts > 0).sum(axis=-1)
+    return {
+        "tiles": list(directions.shape),
+        "directions": directions.ravel().tolist(),
+        "share": covered.fraction,
+    }

@@ -12,7 +12,7 @@ import numpy as np
 from gelform.calibration.enough import enough
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.content import report_content
+from gelform.calibration.report.content import report_content, report_coverage
 from gelform.calibration.report.page.page import report_page
 from gelform.calibration_file import Calibration
 from gelform.errors import GelformError
@@ -82,6 +82,10 @@ class GuideSession:
             raise
         self.calibration = calibration
         guide.report = report_facts(calibration, content, self.name)
+        if calibration.report is not None:
+            guide.covered = report_coverage(
+                calibration.report, calibration.image_shape, calibration.known_mm_per_px
+            )
         guide.step, guide.hint = "report", "Done. Look at the report, then use it."
         self._on_changed()
 

@@ -91,7 +91,7 @@ function paintCauses(frame, pixels, settings) {
 
 export const VIEWS = {
   depth: { title: "Depth", planes: ["depth"], from: "depth", paint: ramped("depth", () => 0, (s) => s.range), unknown: 1, legend: (s, f) => ({ colors: s.colors, low: "0", high: `${s.range.toPrecision(2)} ${f.unit}` }) },
-  image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "yellow: press here; white: what is pressed now" : f.header.simulated ? "click to press here" : "as the calibration's view shows it" }) },
+  image: { title: "Camera", planes: ["image"], from: "image", paint: paintImage, legend: (s, f) => ({ text: s.plain ? "yellow: press at 1, then at 2 and 3; white: what is pressed now" : f.header.simulated ? "click to press here" : "as the calibration's view shows it" }) },
   normals: { title: "Normals", planes: ["depth"], from: "depth", paint: paintNormals, unknown: 1, legend: () => ({ text: "red: x to the right, green: y down, blue: towards the camera" }) },
   confidence: { title: "Confidence", planes: ["confidence"], from: "confidence", paint: ramped("confidence", () => 0, () => 1), legend: (s) => ({ colors: s.colors, low: "0", high: "1" }) },
   sigma: { title: "Uncertainty", planes: ["sigma"], from: "sigma", paint: ramped("sigma", () => 0, () => 0.1), unknown: 1, legend: (s) => ({ colors: s.colors, low: "0", high: "0.1 mm" }) },

@@ -14,8 +14,26 @@ let shownKey = "";
 export function drawGuideCircles(context, guide, px) {
   if (!guide || guide.step !== "press") return;
   for (const circle of guide.accepted) drawRing(context, circle, { width: px, color: "rgb(255 255 255 / 65%)", fill: "rgb(255 255 255 / 10%)" });
-  if (guide.target) drawRing(context, guide.target, { width: 3 * px, color: "#ffd166", dash: [7 * px, 5 * px] });
+  guide.places.forEach((place, k) => drawPlace(context, place, k, px));
   if (guide.live) drawRing(context, guide.live, { width: 2.5 * px, color: "#fff" });
+}
+
+const YELLOW = "#ffd166", LATER = "rgb(255 209 102 / 85%)", DARK = "rgb(0 0 0 / 70%)";
+
+/** Where to press: 1 now, 2 and 3 after it, so far as one can tell. */
+function drawPlace(context, [x, y, radius], nth, px) {
+  const now = nth === 0, color = now ? YELLOW : LATER;
+  drawRing(context, [x, y, radius], { width: (now ? 3 : 1.5) * px, color, dash: [(now ? 7 : 3) * px, (now ? 5 : 4) * px] });
+  context.font = `700 ${(now ? 26 : 17) * px}px system-ui, sans-serif`;
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.lineWidth = 4 * px;
+  context.strokeStyle = DARK;
+  context.strokeText(nth + 1, x, y);
+  context.fillStyle = color;
+  context.fillText(nth + 1, x, y);
+  context.textAlign = "start";
+  context.textBaseline = "alphabetic";
 }
 
 /** `does`: {send(do, fields)}; `work` is [what, done, total] while it fits. */
