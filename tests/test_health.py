@@ -21,6 +21,13 @@ def names(faults):
     return [finding.name for finding in faults.findings]
 
 
+def assert_torn(faults, lost, share=None):
+    """Nothing else is found, all of that is lost, and as large a share as is said."""
+    assert names(faults) == ["torn"]
+    assert faults.lost[lost].all()
+    assert share is None or faults.findings[0].figure == pytest.approx(share, abs=0.01)
+
+
 @pytest.mark.parametrize("frame", [gel(7), pressed()], ids=["untouched", "pressed"])
 def test_a_sound_frame_has_no_faults(health, frame):
     faults = health(frame)
@@ -38,12 +45,9 @@ def test_a_frame_of_one_colour_says_nothing(health, level, name):
     assert faults.findings[0].figure == pytest.approx(1.0, abs=0.03)
 
 
-def test_darkness_with_noise_is_dark(health):
+def test_darkness_with_noise_and_one_light_that_is_off_are_dark(health):
     noise = np.random.default_rng(5).integers(0, 5, (*SHAPE, 3), dtype=np.uint8)
     assert names(health(noise)) == ["dark"]
-
-
-def test_one_light_that_is_off_is_named(health):
     frame = pressed()
     frame[..., 1] = 2
     faults = health(frame)
@@ -71,38 +75,29 @@ def test_a_part_of_one_colour_is_torn_and_lost(health, part, level):
     assert np.count_nonzero(faults.lost & ~true) < 0.4 * true.size
 
 
-def test_rows_that_repeat_the_last_good_one_are_torn(health):
+def test_rows_that_repeat_a_good_one_or_a_band_are_torn_and_the_copy_is_lost(health):
     frame = pressed()
     frame[80:] = frame[79]
     faults = health(frame)
-    assert names(faults) == ["torn"]
-    assert faults.lost[80:].all()
+    assert_torn(faults, np.s_[80:])
     assert not faults.lost[:48].any()
-
-
-def test_of_a_band_and_its_copy_the_copy_is_lost(health):
     frame = gel(7)
     frame[64:80] = frame[8:24]
-    faults = health(frame)
-    assert names(faults) == ["torn"]
-    assert faults.findings[0].figure == pytest.approx(16 / 96, abs=0.01)
-    assert faults.lost[64:80].all()
+    assert_torn(health(frame), np.s_[64:80], 16 / 96)
+    faults = health(with_part(pressed(), np.s_[:7], 0))
+    assert_torn(faults, np.s_[:7])
+    assert not faults.lost[32:].any()
 
 
-@pytest.mark.parametrize("seam", [30, 70])
-def test_a_part_that_is_displaced_sideways_is_torn(seam):
-    stripes = gel().astype(np.float32)
-    stripes += 25 * np.sin(np.arange(SHAPE[1]) / 8)[None, :, None]
+@pytest.mark.parametrize(("displaced", "rows"), [(np.s_[:30], 30), (np.s_[70:], 26)])
+def test_a_part_that_is_displaced_sideways_is_torn(displaced, rows):
+    stripes = gel() + 25 * np.sin(np.arange(SHAPE[1]) / 8)[None, :, None]
     rest = np.clip(stripes, 0, 255).astype(np.uint8)
     frame = np.clip(rest + np.random.default_rng(3).normal(0, 1.5, rest.shape), 0, 255).astype(np.uint8)
     health = FrameHealth(rest)
     assert names(health(frame)) == []
-    displaced = np.s_[seam:] if seam > 48 else np.s_[:seam]
     frame[displaced] = np.roll(frame[displaced], 20, axis=1)
-    faults = health(frame)
-    assert names(faults) == ["torn"]
-    assert faults.lost[displaced].all()
-    assert faults.findings[0].figure == pytest.approx(26 / 96 if seam > 48 else 30 / 96)
+    assert_torn(health(frame), displaced, rows / 96)
 
 
 def test_rows_that_the_untouched_image_repeats_too_are_sound():
@@ -155,15 +150,6 @@ def test_frames_of_real_sensors_raise_no_false_alarm(data):
     assert [k for k, frame in enumerate(frames) if health(frame).findings] == []
 
 
-def test_a_few_rows_at_the_border_are_lost_and_not_the_rest(health):
-    frame = pressed()
-    frame[:7] = 0
-    faults = health(frame)
-    assert names(faults) == ["torn"]
-    assert faults.lost[:7].all()
-    assert not faults.lost[32:].any()
-
-
 @pytest.mark.parametrize("rows", [1, 40, 240])
 def test_the_signs_of_faults_are_those_of_numpy(rows):
     rng = np.random.default_rng(9)
@@ -182,33 +168,21 @@ def test_the_signs_of_faults_are_those_of_numpy(rows):
 
 def test_the_field_of_view_bounds_where_the_gel_is_unknown():
     limit = DepthLimit.of((240, 320), 0.05)
-    assert limit.limit_mm == pytest.approx(12.0)
-    assert not limit.is_thickness
+    assert limit == DepthLimit(pytest.approx(12.0), False)
+    anything = np.random.default_rng(0).uniform(0, 6.0, 100_000)
+    assert DepthLimit(6.0, True).ignorance_mm == pytest.approx(anything.std(), rel=0.01)
 
 
 def test_the_gels_thickness_goes_first():
     limit = DepthLimit.of((240, 320), 0.05, thickness_mm=3.5)
     assert limit.limit_mm == 3.5
-    depth = np.array([[1.0, 4.0], [-9.0, 0.0]], dtype=np.float32)
-    bounded, findings = limit.bound(depth)
+    bounded, (finding,) = limit.bound(np.array([[1.0, 4.0], [-9.0, 0.0]], dtype=np.float32))
     np.testing.assert_array_equal(bounded, [[1.0, 3.5], [-3.5, 0.0]])
-    (finding,) = findings
-    assert finding.name == "beyond_gel"
-    assert finding.figure == 9.0
+    assert (finding.name, finding.figure) == ("beyond_gel", 9.0)
     assert "3.5 mm" in finding.message
     assert "gel is thick" in finding.message
-
-
-def test_a_depth_within_is_left_as_it_is():
-    depth = np.array([[0.0, 3.0]], dtype=np.float32)
-    bounded, findings = DepthLimit(3.0, True).bound(depth)
-    assert bounded is depth
-    assert findings == ()
-
-
-def test_not_to_know_is_to_expect_anything_within_the_limit():
-    anything = np.random.default_rng(0).uniform(0, 6.0, 100_000)
-    assert DepthLimit(6.0, True).ignorance_mm == pytest.approx(anything.std(), rel=0.01)
+    within = np.array([[0.0, 3.0]], dtype=np.float32)
+    assert limit.bound(within) == (within, ())
 
 
 PRIME = np.uint64(0x9E3779B97F4A7C15)
@@ -284,26 +258,23 @@ def test_pixels_of_blocks_reach_the_border():
     assert mask.shape == (40, 60)
     assert mask[16:, 32:].all()
     assert np.count_nonzero(mask) == 24 * 28
+    small = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
+    assert small.means.shape == (0, 0, 3)
+    assert not small.pixels(np.zeros((0, 0), dtype=bool), 7).any()
 
 
-def test_an_image_smaller_than_a_block_has_none():
-    found = blocks_of(np.zeros((5, 7, 3), dtype=np.uint8))
-    assert found.means.shape == (0, 0, 3)
-    assert not found.pixels(np.zeros((0, 0), dtype=bool), 7).any()
+DIM, BRIGHT = np.minimum(gel(), 12), constant(250)
 
 
-def test_a_rest_image_that_is_dark_itself_says_nothing_of_darkness():
-    dim = np.minimum(gel(), 12)
-    assert Levels(blocks_of(dim))(blocks_of(constant(0))) == ((), None)
-
-
-def test_a_rest_image_that_is_saturated_itself_says_nothing_of_saturation():
-    assert Levels(blocks_of(constant(250)))(blocks_of(constant(255))) == ((), None)
-
-
-@pytest.mark.parametrize(("level", "found"), [(7, ["dark"]), (9, []), (251, []), (253, ["saturated"])])
-def test_the_levels_that_count(level, found):
-    findings, blocks = Levels(blocks_of(gel()))(blocks_of(constant(level)))
+@pytest.mark.parametrize(
+    ("rest", "level", "found"),
+    [
+        *((gel(), 7, ["dark"]), (gel(), 9, []), (gel(), 251, []), (gel(), 253, ["saturated"])),
+        *((DIM, 0, []), (BRIGHT, 255, [])),  # which the untouched image is itself
+    ],
+)
+def test_the_levels_that_count(rest, level, found):
+    findings, blocks = Levels(blocks_of(rest))(blocks_of(constant(level)))
     assert [finding.name for finding in findings] == found
     assert (blocks is not None) == bool(found)
 
@@ -323,23 +294,16 @@ def torn_of(background):
 
 
 def test_flat_blocks_with_the_rest_images_colour_are_sound():
-    rest = gel()
-    flat = with_part(
-        rest, (slice(0, 48), slice(0, 48)), rest[:48, :48].mean(axis=(0, 1)).round().astype(np.uint8)
-    )
-    found = torn_of(rest).flat(blocks_of(flat))
-    whole = torn_of(rest).flat(blocks_of(with_part(rest, (slice(0, 48), slice(0, 48)), 20)))
-    assert found is None or np.count_nonzero(found) < 9
-    assert np.count_nonzero(whole) == 9
+    rest, corner = gel(), np.s_[:48, :48]
+    own = rest[corner].mean(axis=(0, 1)).round().astype(np.uint8)
+    flat, other = (torn_of(rest).flat(blocks_of(with_part(rest, corner, colour))) for colour in (own, 20))
+    assert flat is None or np.count_nonzero(flat) < 9
+    assert np.count_nonzero(other) == 9
 
 
 def test_flat_blocks_of_many_colours_are_a_picture():
-    frame = gel()
-    rng = np.random.default_rng(3)
-    for row in range(0, 96, 16):
-        for column in range(0, 128, 16):
-            frame[row : row + 16, column : column + 16] = rng.integers(0, 256, 3)
-    found = torn_of(gel()).flat(blocks_of(frame))
+    colours = np.random.default_rng(3).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    found = torn_of(gel()).flat(blocks_of(np.kron(colours, np.ones((16, 16, 1), np.uint8))))
     assert found is None or found.mean() < 0.1
 
 

@@ -26,13 +26,17 @@ def follower():
     return MarkerFollower(image_of_dots(REST, noise=1.0), 0.1)
 
 
+def order_of(follower, places=REST):
+    """Which of the places each dot of a follower is."""
+    return np.linalg.norm(follower.rest_px[:, None] - places, axis=-1).argmin(axis=1)
+
+
 @pytest.mark.parametrize("height_px", [0.0, 2.0, 7.0])
 def test_dots_moved_less_than_half_a_spacing(follower, height_px):
     moved = bump(height_px)
     flow = follower(image_of_dots(REST + moved, noise=1.0, seed=1, light=0.3))
     assert flow.seen.all()
-    order = np.linalg.norm(follower.rest_px[:, None] - REST, axis=-1).argmin(axis=1)
-    assert np.abs(flow.displacement_px - moved[order]).max() < 0.12
+    assert np.abs(flow.displacement_px - moved[order_of(follower)]).max() < 0.12
     np.testing.assert_allclose(flow.displacement_mm, 0.1 * flow.displacement_px)
 
 
@@ -44,13 +48,11 @@ def test_all_dots_moved_alike_by_nearly_half_a_spacing(follower):
 
 
 def test_lost_dots_go_with_their_neighbours(follower):
-    gone = [17, 24]
-    left = np.delete(np.arange(len(REST)), gone)
-    flow = follower(image_of_dots((REST + bump(5.0))[left], noise=1.0, seed=1))
-    order = np.linalg.norm(follower.rest_px[:, None] - REST, axis=-1).argmin(axis=1)
-    lost = np.isin(order, gone)
+    gone, moved = [17, 24], bump(5.0)
+    flow = follower(image_of_dots(np.delete(REST + moved, gone, axis=0), noise=1.0, seed=1))
+    lost = np.isin(order_of(follower), gone)
     np.testing.assert_array_equal(flow.seen, ~lost)
-    assert np.abs(flow.displacement_px - bump(5.0)[order])[lost].max() < flow.sigma_px[lost].min()
+    assert np.abs(flow.displacement_px - moved[order_of(follower)])[lost].max() < flow.sigma_px[lost].min()
     assert flow.sigma_px[~lost].max() < 0.2
 
 
@@ -77,11 +79,8 @@ def test_dots_that_the_border_cuts_go_with_their_neighbours():
 
 def test_a_dot_that_leaves_its_neighbours_is_not_taken(follower):
     """By 7.6 px of a spacing of 16: it could be another one's."""
-    moved = np.zeros_like(REST)
-    moved[18] = 7.6, 0
-    flow = follower(image_of_dots(REST + moved, noise=1.0, seed=1))
-    order = np.linalg.norm(follower.rest_px[:, None] - REST, axis=-1).argmin(axis=1)
-    np.testing.assert_array_equal(flow.seen, order != 18)
+    flow = follower(image_of_dots(REST + [7.6, 0] * (np.arange(len(REST)) == 18)[:, None], noise=1.0, seed=1))
+    np.testing.assert_array_equal(flow.seen, order_of(follower) != 18)
 
 
 def test_a_place_is_clear_where_one_candidate_is_much_nearer_than_the_next(follower):
@@ -91,15 +90,14 @@ def test_a_place_is_clear_where_one_candidate_is_much_nearer_than_the_next(follo
     assert follower._clear(places, np.array([[3.1, 0.0]]))
 
 
-def test_no_dots_on_a_dark_image(follower):
+def test_no_dots_on_a_dark_image_and_on_a_gel_without_markers(follower):
     flow = follower(np.zeros((96, 128, 3), np.uint8))
     assert not flow.seen.any()
     np.testing.assert_array_equal(flow.now_px, flow.rest_px)
     assert np.isfinite(flow.sigma_px).all()
-
-
-def test_a_gel_without_markers_has_none():
-    assert len(MarkerFollower(image_of_dots(REST[:0], noise=1.0))) == 0
+    tracker = MarkerTracker(image_of_dots(REST[:0], noise=1.0))
+    assert tracker.update(image_of_dots(REST[:0])) is None
+    assert len(tracker) == 0
 
 
 @pytest.fixture(scope="module")
@@ -123,8 +121,7 @@ def test_simulated_shear_to_a_tenth_of_a_pixel(sheared):
     for press in presses:
         flow = follower(press.image)
         true = press.markers_shift_mm / sensor.mm_per_px
-        rest = press.markers_px - true
-        own = np.linalg.norm(follower.rest_px[:, None] - rest, axis=-1).argmin(axis=1)
+        own = order_of(follower, press.markers_px - true)
         assert flow.seen.mean() > 0.98
         error = (flow.displacement_px - true[own])[flow.seen]
         errors.append(error)
@@ -146,48 +143,35 @@ def test_real_markers_in_a_frame(data):
     assert pressed.seen.all()
 
 
-HONEYCOMB = grid()
-LINEAR = HONEYCOMB @ np.array([[0.02, -0.01], [0.03, 0.01]]) + [4.0, -3.0]
-ALL = np.ones(len(HONEYCOMB), dtype=bool)
+LINEAR = REST @ np.array([[0.02, -0.01], [0.03, 0.01]]) + [4.0, -3.0]
+NEIGHBOURS = Neighbours(REST)
 
 
-def test_spacing():
-    assert Neighbours(HONEYCOMB).spacing_px == 16
+def only(*dots):
+    return np.isin(np.arange(len(REST)), dots)
 
 
-def test_linear_motion_is_predicted():
-    sure = ALL.copy()
-    sure[[10, 11, 25]] = False
-    predicted = Neighbours(HONEYCOMB).predicted_px(LINEAR * sure[:, None], sure, ~sure)
+def test_linear_motion_is_predicted_and_of_one_sure_dot_its_own():
+    assert NEIGHBOURS.spacing_px == 16
+    sure = ~only(10, 11, 25)
+    predicted = NEIGHBOURS.predicted_px(LINEAR * sure[:, None], sure, ~sure)
     assert np.abs(predicted - LINEAR[~sure]).max() < 0.15
-
-
-def test_one_sure_dot_predicts_its_own_motion():
-    sure = ~ALL
-    sure[12] = True
-    predicted = Neighbours(HONEYCOMB).predicted_px(LINEAR, sure, ~sure)
+    predicted = NEIGHBOURS.predicted_px(LINEAR, only(12), ~only(12))
     np.testing.assert_allclose(predicted, np.broadcast_to(LINEAR[12], predicted.shape), atol=1e-9)
 
 
-def test_a_dot_that_moves_otherwise_is_astray():
-    moved = LINEAR.copy()
-    moved[18] += [16, 0]
-    astray = Neighbours(HONEYCOMB).astray_px(moved, ALL)
+def test_a_dot_that_moves_otherwise_is_astray_where_its_neighbours_are_sure():
+    astray = NEIGHBOURS.astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
     assert astray[18] == pytest.approx(16, abs=0.5)
     assert np.delete(astray, 18).max() < 1.5
-
-
-def test_no_sure_neighbour_no_opinion():
-    sure = ~ALL
-    sure[0] = True
-    assert Neighbours(HONEYCOMB).astray_px(LINEAR, sure)[0] == 0
+    assert NEIGHBOURS.astray_px(LINEAR, only(0))[0] == 0
 
 
 SHAPE = (128, 160)
 WIDE = grid(14.0, SHAPE, 12.0)
 BACKGROUND = image_of_dots(WIDE, shape=SHAPE, noise=1.0)
 FOLLOWER = MarkerFollower(BACKGROUND, 0.1)
-ORDER = np.linalg.norm(FOLLOWER.rest_px[:, None] - WIDE, axis=-1).argmin(axis=1)
+ORDER = order_of(FOLLOWER, WIDE)
 
 
 def dragged(spacings):
@@ -197,8 +181,8 @@ def dragged(spacings):
 
 
 def image(moved, seed, gone=()):
-    left = np.delete(np.arange(len(WIDE)), gone)
-    return image_of_dots((WIDE + moved)[left], shape=SHAPE, noise=1.0, seed=seed, light=0.3)
+    left = np.delete(WIDE + moved, gone, axis=0)
+    return image_of_dots(left, shape=SHAPE, noise=1.0, seed=seed, light=0.3)
 
 
 def test_two_spacings_without_a_swap():
@@ -222,22 +206,16 @@ def test_dots_that_move_by_more_than_half_a_spacing_a_frame_keep_their_speed():
         assert error.max() < 0.3
 
 
-def test_a_gel_that_springs_back_is_at_rest():
+def test_a_gel_that_springs_back_is_at_rest_and_reset_forgets():
     tracker = MarkerTracker(FOLLOWER)
+    first = tracker.update(image(dragged(0.2), 0))
     for k, spacings in enumerate(np.linspace(0, 1.0, 9)):
         tracker.update(image(dragged(spacings), k))
     flow = tracker.update(image(dragged(0.0), 20))
     assert flow.seen.all()
     assert np.abs(flow.displacement_px).max() < 0.2
-
-
-def test_reset_forgets():
-    tracker = MarkerTracker(FOLLOWER)
-    first = tracker.update(image(dragged(0.2), 0))
-    tracker.update(image(dragged(0.6), 1))
     tracker.reset()
-    again = tracker.update(image(dragged(0.2), 0))
-    np.testing.assert_array_equal(again.now_px, first.now_px)
+    np.testing.assert_array_equal(tracker.update(image(dragged(0.2), 0)).now_px, first.now_px)
 
 
 def test_a_background_or_its_follower():
@@ -246,9 +224,3 @@ def test_a_background_or_its_follower():
     np.testing.assert_array_equal(by_image.now_px, MarkerTracker(FOLLOWER).update(moved).now_px)
     with pytest.raises(ValueError, match="mm_per_px of the follower"):
         MarkerTracker(FOLLOWER, 0.1)
-
-
-def test_a_gel_without_markers_has_no_flow():
-    tracker = MarkerTracker(image_of_dots(WIDE[:0], shape=SHAPE))
-    assert tracker.update(image_of_dots(WIDE[:0], shape=SHAPE)) is None
-    assert len(tracker) == 0
