@@ -79,7 +79,7 @@ def test_the_class_says_what_is_tried(monkeypatch):
 
 
 def test_another_units_model_is_followed_less_and_less():
-    start = Start(HierarchicalModel.fit(ball_samples(lambertian_change)), "digest")
+    start = Start(HierarchicalModel.fit(ball_samples(lambertian_change)), "digest", 0.1, "another")
     ridges = [dict(c.settings)["ridge"] for c in candidates_from(start)]
     assert ridges == sorted(ridges, reverse=True)
     assert {c.start for c in candidates_from(start)} == {start}
@@ -90,7 +90,7 @@ def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
     """Slopes of which the other unit's model reads half: followed closely, and not at all."""
     samples = ball_samples(lambertian_change)
     whole = HierarchicalModel.fit(samples)
-    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest")
+    start = Start(replace(whole, nodes=0.5 * whole.nodes), "digest", 0.1, "another")
     held = replace(candidates_from(start)[0], settings=(("ridge", 1e6),)).fit(samples)
     np.testing.assert_allclose(held.nodes, start.model.nodes, atol=1e-3)
     alone = candidates_for("hierarchical", 6)[-1].fit(samples)

@@ -36,6 +36,7 @@ from gelform.color_models import (
 from gelform.color_models.forward_response import PreparedStep, Step
 from gelform.color_models.stepped import FrameDepth
 from gelform.errors import CalibrationError
+from gelform.starters import check_light, light_from_background, starter_for
 
 AUTO = "auto"
 START_RIDGES = (1e-1, 1e-2, 1e-3)  # of a model that is drawn to another unit's, the stiffest first
@@ -44,14 +45,28 @@ LEAST_STEP_SIGMA = 1e-4  # mm/mm, of images without noise
 TRANSLATED_SAMPLES = 20_000  # colours that a first unit's model reads
 # The steepest slope, mm/mm, where the first unit does not say up to which slope it was measured.
 TRANSLATED_SLOPE = 0.7
+# Relative, of slopes between units of a make that has no starter: that of DIGITs, the larger of two makes.
+UNIT_SPREAD = 0.10
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Another unit's fitted model, where a fit begins, and its calibration's digest; equal to itself alone."""
+    """Another unit's fitted model, where a fit may begin; equal to itself alone.
+
+    Attributes
+    ----------
+    model : of this unit's color changes
+    digest : of its calibration
+    spread : relative standard deviation of slopes between units
+    by : whose it is, in words
+    offered : whether a fit without it is tried as well, and kept where held-out presses are read better by it
+    """
 
     model: StartableModel
     digest: str
+    spread: float
+    by: str
+    offered: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,7 +105,8 @@ class Candidate:
         """Name and settings, short."""
         settings = ["-".join(map(str, v)) if isinstance(v, tuple) else f"{k} {v:g}" for k, v in self.settings]
         step = [] if self.step_ridge is None else [f"step {self.step_ridge:g}"]
-        return " ".join([self.model, *settings, *step])
+        begun = [] if self.start is None else [f"from {self.start.by}"]
+        return " ".join([self.model, *settings, *step, *begun])
 
 
 def color_model_names() -> list[str]:
@@ -201,6 +217,29 @@ def step_sigma_of(model: ColorModel, samples: Samples) -> tuple[float, float]:
     return STEP_SIGMAS * max(at_rest, LEAST_STEP_SIGMA**2) ** 0.5, STEP_SIGMAS * growth**0.5
 
 
+def known_make(presses: Presses) -> Start | None:
+    """The starter of the make that the sensor's name begins with; None where there is none, or its light is another."""
+    starter = starter_for(presses.sensor_name, presses.image_shape)
+    if starter is None:
+        return None
+    try:
+        check_light(presses.background, starter.light, starter.make)
+    except CalibrationError:
+        return None  # a name alone does not make it that sensor; whoever names a start gets the error
+    model, _ = starter.models_for(light_from_background(presses.background)[0])
+    digest = starter.calibration.digest
+    return Start(model, digest, starter.spread, f"the starter of a {starter.make}", offered=True)
+
+
+def is_offered(make: Start | None, presses: Presses, color_model: str) -> bool:
+    """Whether a fit begins with the starter by default: not where it was made from these very presses."""
+    if make is None or color_model not in (AUTO, DEFAULT_MODEL):
+        return False
+    starter = starter_for(presses.sensor_name, presses.image_shape)
+    seen = set() if starter is None else set(starter.calibration.training_digests)
+    return seen.isdisjoint(press.digest for press in presses.presses)
+
+
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
     """What a first unit's calibration, or its file, gives a second one to begin with: its color model, or a translation.
 
@@ -217,16 +256,17 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             f"Expected the color model {DEFAULT_MODEL}, which can be drawn to another unit's, got {color_model}. "
             f"Leave it out, or give --model {DEFAULT_MODEL}."
         )
-    model = first.color_model
+    model, by = first.color_model, f"a calibration of {first.sensor_name}"
+    spread = first.unit_spread or UNIT_SPREAD
     if isinstance(model, StartableModel):
         model.check_like(model.degree, presses.image_shape)
-        return Start(model, first.digest)
+        return Start(model, first.digest, spread, by)
     if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape
         raise ValueError(
             f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
         )
-    return Start(translated(first), first.digest)
+    return Start(translated(first), first.digest, spread, by)
 
 
 def translated(first: Calibration) -> StartableModel:

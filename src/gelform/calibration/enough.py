@@ -33,6 +33,7 @@ NEEDED = {
     "judged gain": Need(10, "a bin of the gain curve that counts for the verdict", "the chance of few presses is no fault"),
     "fair": Need(10, "the verdict fair on presses used", "fewer leave whole parts of the gel unseen"),
     "edge": Need(12, "the contact's edge, measured", "fewer do not know the light at every place: 0.85 is taken"),
+    "size": Need(12, "a size of ball that another one is read by", "fewer do not know the light at every place"),
     "guided well": Need(12, "the live page to say that they are enough (images)", "the contact's edge is measured then"),
     "advised": Need(20, "no note that more presses are advised", "10 read contacts within 2.4 degrees, 20 within 1.8"),
     "good": Need(30, "the verdict good on presses used", "normals hardly improve with more"),

@@ -6,7 +6,8 @@ import time
 from dataclasses import replace
 from os import PathLike
 
-from gelform.calibration.candidates import candidates_for, start_from
+from gelform.calibration.balls import ball_readings, notes_of
+from gelform.calibration.candidates import AUTO, candidates_for, is_offered, known_make, start_from
 from gelform.calibration.circles.locate import check_places, locate
 from gelform.calibration.fitted import fit
 from gelform.calibration.held_out.folds import make_folds
@@ -22,7 +23,7 @@ def calibrate(
     presses: Presses | str | PathLike[str],
     *,
     color_model: str = "auto",
-    start: Calibration | str | PathLike[str] | None = None,
+    start: Calibration | str | PathLike[str] | None = AUTO,
     compare: bool = False,
     progress: Progress = no_progress,
 ) -> Calibration:
@@ -35,8 +36,9 @@ def calibrate(
     ----------
     presses : from `read_presses`, or what that reads without options
     color_model : "auto" or a name in `gelform.color_models.COLOR_MODELS`
-    start : the calibration of another unit of the same sensor, of any color model, or its file
-        What it learnt is kept where these presses say nothing else: five of them can do.
+    start : "auto", None, or the calibration of another unit of the same sensor, of any color model, or its file
+        What it learnt is kept where these presses say nothing else: five of them can do. "auto" tries the starter of a known
+        make beside a fit without it, and keeps it where held-out presses are not read worse; None tries none.
     compare : whether every color model is tried on the same folds, for the report's table; what is chosen stays the same
     progress : called with (done, total, what)
 
@@ -56,17 +58,23 @@ def calibrate(
     presses = as_presses(presses, progress=progress)
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     check_inputs(presses)
-    first_unit = None if start is None else start_from(start, presses, color_model)
+    make = known_make(presses)
+    if start is None or start == AUTO:
+        first_unit = make if start == AUTO and is_offered(make, presses, color_model) else None
+    else:
+        first_unit = make = start_from(start, presses, color_model)
 
     located = locate(presses, first_unit, progress=progress)
+    balls = ball_readings(located, make)
+    located = replace(located, notes=(*notes_of(balls), *located.notes))
     folds = make_folds(
-        located.prepared, located.found, located.refined.accepted, start=located.model, progress=progress
+        located.prepared, located.found, located.refined.accepted, start=located.refined_by, progress=progress
     )
     check_places(located, len(folds))
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = judge(fitted, progress=progress)
     notes = input_notes(located)
-    report = report_of_run(fitted, judged, notes=notes, seconds=time.monotonic() - began)
+    report = report_of_run(fitted, judged, balls, notes=notes, seconds=time.monotonic() - began)
     return replace(
         fitted.calibration,
         slope_sigma=judged.slope_sigma,

@@ -82,11 +82,13 @@ def fit(
 ) -> Fitted:
     """Choose on held-out presses how stiff the color model and its forward response are, and fit both on all.
 
-    The color model is not asked for where `located` started from another unit; `compare` tries all, the choice stays.
+    The color model is not asked for where `located` has another unit's that was not just offered; `compare` tries all, the
+    choice stays.
     """
     accepted, start = len(located.refined.accepted), located.start
-    candidates = candidates_for(color_model, accepted) if start is None else candidates_from(start)
-    offsets = {one.change_offset for one in candidates}
+    begun = [] if start is None else [candidates_from(start)]
+    alone = [candidates_for(color_model, accepted)] if start is None or start.offered else []
+    offsets = {one.change_offset for group in (*begun, *alone) for one in group}
     if compare:
         offsets |= {float(one.change_offset) for one in COLOR_MODELS.values()}
     by_offset = prepared_by_offset(located.presses, located.prepared, offsets)
@@ -94,7 +96,7 @@ def fit(
         offset: untouched_change(*located.refined.of_accepted(own)) for offset, own in by_offset.items()
     }
     held_out = HeldOutPresses(by_offset, located.found, folds, untouched)
-    selection = select(candidates, held_out, progress=progress)
+    selection = select([*begun, *alone], held_out, progress=progress)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
@@ -113,7 +115,7 @@ def _compared(
     left_out: list[str] = []
     for name in COLOR_MODELS:
         try:
-            others = select(candidates_for(name, presses), held_out, progress=progress).trials
+            others = select([candidates_for(name, presses)], held_out, progress=progress).trials
         except GelformError as problem:  # its extra is not installed, or the presses are not enough for it
             left_out.append(f"{name} was not compared: {problem}")
             continue

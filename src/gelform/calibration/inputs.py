@@ -17,7 +17,7 @@ from gelform.calibration.coverage import coverage_notes
 from gelform.calibration.enough import enough
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
-from gelform.sensors.profiles import light_order_of
+from gelform.sensors.profiles import light_order_of, scale_off_make
 
 REVERSED_FIT = 0.6  # of the difference as it is: reversed channels fit clearly better
 MIN_DIFFERENCE = 3.0  # grey levels, median: less is noise
@@ -28,6 +28,7 @@ MIN_ROUGHER = 1.3  # background over the presses' median
 DARK, SATURATED = 10.0, 254.5  # grey levels
 MOST_UNUSABLE = 0.1  # of the pixels of the untouched image
 EARLY_EDGE = 0.75  # of the visible radius: a gel that leaves the ball further in is worth a note
+UNUSUAL_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make differ by under 7 %
 MIN_SINE = 0.3  # sum of the lights' turns; 2.6 for equal angles: less may be noise
 
 
@@ -136,6 +137,7 @@ def input_notes(located: Located) -> tuple[str, ...]:
         *drift,
         *light_notes(presses.background),
         *_edge_notes(prepared),
+        *_scale_notes(presses),
         *(() if order is None else (order,)),
     )
 
@@ -166,6 +168,17 @@ def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
     return (
         f"The gel leaves the ball at {prepared[0].contact_radius_ratio:.2f} of the visible circles' radius: nothing further "
         f"out trains, and errors are counted up to there.{alike if one_size else ''}",
+    )
+
+
+def _scale_notes(presses: Presses) -> tuple[str, ...]:
+    """A note where mm_per_px is far from that of the make that the sensor's name starts with."""
+    off = scale_off_make(presses.sensor_name, presses.image_shape, presses.mm_per_px)
+    if off is None or off < UNUSUAL_SCALE:
+        return ()
+    return (
+        f"{presses.mm_per_px:g} mm/px was stated, which is {100 * off:.0f} % off that of the make's images: check it, or "
+        "measure it with gelform scale. Depth is off in the same proportion.",
     )
 
 

@@ -21,6 +21,8 @@ _ball_center = Kernel(
 STEEPEST_FRACTION = 0.97
 # Of the radius, where the visible circle is as wide as the ball: 0.8 of it has slopes up to 0.75.
 FOLLOWED_FRACTION = 0.75
+HUBER_NORMAL = 0.05  # about the usual error of a normal's component: from there on a pixel counts less
+RADIUS_ROUNDS = 8  # of weights: later ones move the radius by less than 0.1 %
 
 
 def followed_radius(contact_radius_px: float, ball_radius_px: float) -> float:
@@ -74,6 +76,24 @@ def ball_center(
     slopes, x, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (gradients, x_px, y_px))
     _ball_center(slopes, x, y, center, radius_px, scale, rounds)
     return float(center[0]), float(center[1])
+
+
+def radius_from_gradients(gradients: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]) -> float:
+    """Radius, px, of the ball whose slopes agree best with gradients (N, 2) at pixel positions (N,); centre free.
+
+    The first two components of a ball's normals are `((x - cx)/R, (y - cy)/R)`: 1/R is the slope of a line through them, by
+    least squares with Huber weights. Infinite or negative where they do not show a ball.
+    """
+    slopes = np.asarray(gradients, dtype=np.float64)
+    normals = -slopes / np.sqrt(1 + np.sum(slopes**2, axis=1, keepdims=True))
+    place = np.stack([x_px, y_px], axis=1).astype(np.float64)
+    weight = np.ones(len(place))
+    for _ in range(RADIUS_ROUNDS):
+        away, turned = (v - np.average(v, axis=0, weights=weight) for v in (place, normals))
+        curvature = np.sum(weight[:, None] * away * turned) / np.sum(weight[:, None] * away**2)
+        error = np.linalg.norm(turned - curvature * away, axis=1)
+        weight = np.minimum(1, HUBER_NORMAL / np.maximum(error, 1e-12))
+    return float(1 / curvature) if curvature else float("inf")
 
 
 def center_jacobian(ball: NDArray[np.float64], radius_px: float | NDArray[np.float64]) -> NDArray[np.float64]:

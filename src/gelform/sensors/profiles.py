@@ -7,6 +7,7 @@ lists the names in it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log
 from typing import TYPE_CHECKING
 
 from gelform.errors import SensorError
@@ -171,6 +172,18 @@ def profile_named(name: str) -> SensorProfile:
             "For another sensor give the scale (mm_per_px), or a folder with a sensor.toml."
         )
     return PROFILES[name]
+
+
+def scale_off_make(sensor_name: str, image_shape: tuple[int, int], mm_per_px: float) -> float | None:
+    """How far mm_per_px is from that of the make which a name starts with, |logarithm|, of images of its size (H, W).
+
+    Of the profile's crop or of the whole frame, whichever is nearer; None for an unknown make or another size of images.
+    """
+    for profile in PROFILES.values():
+        if sensor_name.startswith(profile.name) and tuple(image_shape) == profile.image_shape:
+            usual = profile.mm_per_px, profile.mm_per_px / (1 - 2 * profile.border)
+            return min(abs(log(mm_per_px / one)) for one in usual)
+    return None
 
 
 def light_order_of(sensor_name: str) -> str | None:

@@ -48,7 +48,7 @@ class MadeUpPresses:
 
 
 def chosen(error, candidates=(STIFF, FREE)):
-    return select(candidates, MadeUpPresses(error)).chosen
+    return select([candidates], MadeUpPresses(error)).chosen
 
 
 def test_the_mean_is_of_logarithms():
@@ -93,7 +93,7 @@ def test_steps_are_tried_of_what_leads_alone():
     held_out = MadeUpPresses(
         lambda c, i: 0.05 if c.settings == STIFF.settings else 0.02 if c.step_ridge else 0.06
     )
-    found = select((STIFF, FREE), held_out)
+    found = select([(STIFF, FREE)], held_out)
     assert found.chosen == STIFF
     assert held_out.tried == [[STIFF, FREE], [replace(STIFF, step_ridge=ridge) for ridge in RIDGES]]
     assert [one.candidate for one in found.trials] == [*held_out.tried[0], *held_out.tried[1]]
@@ -112,7 +112,7 @@ def test_folds_choose_without_their_own_presses():
 
     said = []
     held_out = MadeUpPresses(error)
-    found = select((STIFF, FREE), held_out, progress=lambda done, total, what: said.append((done, total)))
+    found = select([(STIFF, FREE)], held_out, progress=lambda done, total, what: said.append((done, total)))
     wanted = replace(FREE, step_ridge=RIDGES[1])
     assert found.chosen == wanted
     assert found.by_fold == (STIFF, *[wanted] * 4)

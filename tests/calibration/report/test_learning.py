@@ -103,13 +103,13 @@ def test_too_few_presses_have_no_curve(presses, calibration):
 @pytest.mark.slow
 def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     """A curve of models that began with another unit's says nothing if its own begin with nothing."""
-    start = Start(calibration.color_model, "digest")
+    start = Start(calibration.color_model, "digest", 0.1, "another")
     settings = {**calibration.settings, "ridge": START_RIDGES[1]}
     rows = calibration.report.presses[:8]
     started = replace(
         calibration, settings=settings, report=replace(calibration.report, start=start, presses=rows)
     )
-    assert [c.start for c in candidates_of(started, 5)] == [start, start]
+    assert [c.start for c in candidates_of(started, 5, start)] == [start, start]
     began = []
 
     def refined(*args, start=None):
@@ -123,8 +123,20 @@ def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     assert "start" not in started.report.to_dict()
 
 
+@pytest.mark.slow
+def test_a_curve_beside_an_offered_starter_shows_both(presses, calibration):
+    start = Start(calibration.color_model, "digest", 0.1, "the starter of a test", offered=True)
+    beside = replace(calibration, report=replace(calibration.report, offered=start))
+    curve = learning_curve(presses, beside, rng=np.random.default_rng(0))
+    assert curve["other"] == "from the starter of a test"
+    assert [p["presses"] for p in curve["other_points"]] == [p["presses"] for p in curve["points"]]
+    assert all("the starter of a test" in p["model"] for p in curve["other_points"])
+    first, other = (curve[name][0]["mean_deg"] for name in ("points", "other_points"))
+    assert other < first, "it has seen these presses"
+
+
 def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
-    (chosen,) = candidates_of(calibration, 10_000)
+    (chosen,) = candidates_of(calibration, 10_000, None)
     assert chosen.settings
     assert dict(chosen.settings).items() <= calibration.settings.items()
     polynomial = replace(
@@ -132,12 +144,15 @@ def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
         color_model=PolynomialModel(np.zeros((9, 2)), (2, 1), (8, 8)),
         settings={"contact_radius_ratio": 0.8, "position_degrees": (2, 1)},
     )
-    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20)] == [(1,), (2, 1)]
-    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40)] == [(2, 1)]
-    assert {c.step_ridge for c in candidates_of(polynomial, 20)} == {None}, "as it was chosen"
+    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20, None)] == [
+        (1,),
+        (2, 1),
+    ]
+    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40, None)] == [(2, 1)]
+    assert {c.step_ridge for c in candidates_of(polynomial, 20, None)} == {None}, "as it was chosen"
     assert calibration.settings["step_ridge"] > 0
     for size in (6, 40):
-        assert {c.step_ridge for c in candidates_of(calibration, size)} == {
+        assert {c.step_ridge for c in candidates_of(calibration, size, None)} == {
             calibration.settings["step_ridge"]
         }
 

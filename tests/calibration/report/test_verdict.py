@@ -1,5 +1,6 @@
 """The verdict: levels at their limits, the worst of normals and radius in front, the first thing to mend."""
 
+import numpy as np
 import pytest
 
 from gelform.calibration.report.verdict import LIMITS, checks_of, level_of, verdict_of
@@ -12,8 +13,9 @@ def test_levels_change_at_their_limits(limit):
     worse = -1 if limit.rising else 1
     assert level_of(limit, limit.good) == "good"
     assert level_of(limit, limit.good + 0.01 * worse) == "fair"
-    assert level_of(limit, limit.fair) == "fair"
-    assert level_of(limit, limit.fair + 0.01 * worse) == "poor"
+    if np.isfinite(limit.fair):
+        assert level_of(limit, limit.fair) == "fair"
+        assert level_of(limit, limit.fair + 0.01 * worse) == "poor"
     assert level_of(limit, None) == level_of(limit, float("nan")) == "fair"
 
 
@@ -51,6 +53,20 @@ def test_the_largest_fault_comes_next(figures, because):
     assert verdict["because"] == because
     named = because.split(":")[0]
     assert verdict["next"] == next(limit.action for limit in LIMITS if limit.label == named)
+
+
+def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
+    refuted = verdict_of(checks_of({**GOOD, "ball_sigmas": 9.0, "presses_used": 1.0}))
+    assert refuted["level"] == "poor"
+    assert refuted["headline"].startswith(
+        "Poor: the diameter of the ball or mm_per_px is wrong; by them normals 3.0°"
+    )
+    assert refuted["next"].startswith("Check the ball's diameter")
+    assert verdict_of(checks_of({**GOOD, "ball_sigmas": None}))["headline"].endswith(
+        "; diameter of the ball unchecked"
+    )
+    unusual = verdict_of(checks_of({**GOOD, "scale_off_percent": 25.0}))
+    assert unusual["headline"].endswith("; unusual mm_per_px for this sensor")
 
 
 def test_what_is_not_known_is_said():

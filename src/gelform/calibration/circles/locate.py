@@ -78,7 +78,8 @@ class Located:
     prepared : with their color changes and the measured edge of their contacts
     found : the circle found in each image by itself
     refined : circles that agree with each other, and reasons
-    start : another unit's model that they were refined with, or None
+    start : another unit's model that a fit may begin with, or None
+    refined_by : the model of it that circles were refined with, or None
     notes : what a user should check
     """
 
@@ -87,26 +88,32 @@ class Located:
     found: list[ContactCircle]
     refined: Refined
     start: Start | None = None
+    refined_by: StartableModel | None = None
     notes: tuple[str, ...] = ()
-
-    @property
-    def model(self) -> StartableModel | None:
-        """Of the other unit."""
-        return None if self.start is None else self.start.model
 
 
 def locate(presses: Presses, start: Start | None = None, *, progress: Progress = no_progress) -> Located:
-    """The contact circle of each press, refined with all others inside the measured edge of the contact."""
+    """The contact circle of each press, refined with all others inside the measured edge of the contact.
+
+    An offered start helps where presses are few: from 12 on they say by themselves where they are.
+    """
     prepared = prepare(presses, progress=progress)
     found = find_contacts(prepared, progress=progress)
     excluded, model = repeated_images(presses), None if start is None else start.model
+    if start is not None and start.offered and enough("edge", len(presses.presses)):
+        model = None
     refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
+    if start is not None and start.offered and model is not None:
+        alone = refine(prepared, found, excluded=excluded)
+        if len(alone.accepted) > len(refined.accepted):
+            refined, model = alone, None
     other_ball = other_ball_note(prepared, found, refined, excluded)
     ratio = contact_radius_ratio(*refined.of_accepted(prepared))
     if ratio != prepared[0].contact_radius_ratio:
         prepared = [replace(press, contact_radius_ratio=ratio) for press in prepared]
         refined = refine(prepared, found, excluded=excluded, start=model, progress=progress)
-    return Located(presses, prepared, found, refined, start, () if other_ball is None else (other_ball,))
+    notes = () if other_ball is None else (other_ball,)
+    return Located(presses, prepared, found, refined, start, model, notes)
 
 
 def refine(

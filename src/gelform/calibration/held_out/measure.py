@@ -128,7 +128,7 @@ def judge(fitted: Fitted, *, progress: Progress = no_progress) -> Judged:
         tuple(samples),
         solved_by_place(draft, sigma, fitted.located.presses, samples, fraction_trained(folds)),
         forward,
-        circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.model),
+        circle_sigmas(fitted.located.prepared, held_out.found, folds, fitted.located.refined_by),
     )
 
 

@@ -136,26 +136,36 @@ def score_of(press: PreparedPress, found: ContactCircle, frame: Step) -> SlopeSc
 
 
 def select(
-    candidates: Sequence[Candidate], held_out: HeldOutPresses, *, progress: Progress = no_progress
+    groups: Sequence[Sequence[Candidate]], held_out: HeldOutPresses, *, progress: Progress = no_progress
 ) -> Selection:
-    """Choose among candidates of one color model, and then its step: by all presses, and without each fold's."""
-    plain = held_out.try_candidates(candidates)
-    progress(1, 2, f"tried {candidates[0].model}")
-    leaders = dict.fromkeys(_best(plain, fold.held_out) for fold in held_out.folds)
-    leaders[_best(plain)] = None
-    stepped = {
-        leader: held_out.try_candidates([replace(leader, step_ridge=ridge) for ridge in RIDGES])
-        for leader in leaders
-    }
+    """Choose among candidates, in groups of one color model, and then the step: by all presses, and without each fold's.
+
+    Of groups that read held-out presses alike the first one's is chosen.
+    """
+    plain = [held_out.try_candidates(group) for group in groups]
+    progress(1, 2, f"tried {groups[0][0].model}")
+    stepped: dict[Candidate, list[Trial]] = {}
+    for trials in plain:
+        for leader in dict.fromkeys(_best(trials, without) for without in _left_out(held_out)):
+            steps = [replace(leader, step_ridge=ridge) for ridge in RIDGES]
+            stepped[leader] = held_out.try_candidates(steps)
     progress(2, 2, "tried the forward response")
 
     def chosen(without: Sequence[int] = ()) -> Candidate:
-        leader = _best(plain, without)
-        return _best([next(t for t in plain if t.candidate == leader), *stepped[leader]], without)
+        finalists = []
+        for trials in plain:
+            leader = _best(trials, without)
+            finalists += [next(t for t in trials if t.candidate == leader), *stepped[leader]]
+        return _best(finalists, without)
 
     by_fold = tuple(chosen(fold.held_out) for fold in held_out.folds)
-    trials = (*plain, *(trial for trials in stepped.values() for trial in trials))
-    return Selection(chosen(), by_fold, trials)
+    everything = (*plain, *stepped.values())
+    return Selection(chosen(), by_fold, tuple(trial for trials in everything for trial in trials))
+
+
+def _left_out(held_out: HeldOutPresses) -> list[Sequence[int]]:
+    """Each fold's presses in turn, then none."""
+    return [*(fold.held_out for fold in held_out.folds), ()]
 
 
 def _best(trials: Sequence[Trial], without: Sequence[int] = ()) -> Candidate:

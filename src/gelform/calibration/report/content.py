@@ -25,6 +25,7 @@ from gelform.calibration.report.statistics import (
 from gelform.calibration.report.verdict import checks_of, verdict_of
 from gelform.calibration_file import Calibration
 from gelform.reconstruct import Reconstructor
+from gelform.sensors.profiles import scale_off_make
 
 FORMAT, FORMAT_VERSION = "gelform calibration report", 2
 ERROR_COLUMNS, PLACE_COLUMNS = 16, 4  # tiles along the longer side, of errors and of fractions within sigma
@@ -192,6 +193,7 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     fractions = [b["share"] for b in content["sigma"]["by_slope"]]
     fractions += [one for one in content["sigma"]["by_place"] if one is not None]
     sigma = facts["mm_per_px_sigma"]
+    off = scale_off_make(facts["sensor_name"], tuple(facts["image_shape"]), facts["mm_per_px"])
     figures = {name: one["value"] for name, one in content["figures"].items()}
     return {
         **figures,
@@ -201,6 +203,8 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
         "covered_percent": 100 * content["coverage"]["covered"],
         "gain_percent": 100 * max(gains) if gains else None,
         "sigma_percent": 100 * max(abs(one - 0.68) for one in fractions) if fractions else None,
+        **({} if off is None else {"scale_off_percent": 100 * off}),
+        "ball_sigmas": max((one["sigmas"] for one in content["balls"]), default=None),
         "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],
     }
 

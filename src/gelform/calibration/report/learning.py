@@ -14,6 +14,7 @@ from gelform.calibration.candidates import (
     Candidate,
     FittedSlopes,
     SlopeReader,
+    Start,
     candidates_for,
     candidates_from,
     fitted_responses,
@@ -61,7 +62,8 @@ def learning_curve(
     Returns
     -------
     curve : dict or None
-        `points` (presses, model, draws_deg, mean_deg), `expected` (what more presses would bring) and `sentence`.
+        `points` (presses, model, draws_deg, mean_deg), `expected` (what more presses would bring) and `sentence`; where a
+        starter was offered, `other_points` of models without it, or from it where it was not used, and `other`, which.
         None with fewer than 8 accepted presses: there is nothing to hold out.
     """
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
@@ -76,23 +78,29 @@ def learning_curve(
     sizes = sizes_for(len(own.presses))
     groups = near_duplicates(to_refine, found, range(len(own.presses)))
     orders = [rng.permutation(len(own.presses)) for _ in range(DRAWS)]
-    points = []
+    begun, offered = calibration.report.start, calibration.report.offered
+    other_start = offered if begun is None else None
+    points, others = [], []
     for done, size in enumerate(sizes):
-        candidates = candidates_of(calibration, size)
-        draws = [
-            _one_draw(
-                candidates,
-                *parted(order, size, groups),
-                to_refine,
-                to_fit,
-                found,
-                calibration.untouched_change,
-            )
-            for order in orders
-        ]
-        points += _best_point(candidates, size, [draw for draw in draws if draw is not None])
+
+        def point_of(candidates: list[Candidate], size: int = size) -> list[dict[str, Any]]:
+            parts = [parted(order, size, groups) for order in orders]
+            untouched = calibration.untouched_change
+            draws = [_one_draw(candidates, *part, to_refine, to_fit, found, untouched) for part in parts]
+            return _best_point(candidates, size, [draw for draw in draws if draw is not None])
+
+        points += point_of(candidates_of(calibration, size, begun))
+        if offered is not None:
+            others += point_of(candidates_of(calibration, size, other_start))
         progress(done + 1, len(sizes), "measuring the learning curve")
-    return _with_expectation(points, len(own.presses))
+    curve = _with_expectation(points, len(own.presses))
+    if curve is None or offered is None:
+        return curve
+    return {
+        **curve,
+        "other_points": others,
+        "other": "without the starter" if begun else f"from {offered.by}",
+    }
 
 
 def parted(
@@ -118,12 +126,14 @@ def sizes_for(accepted: int) -> list[int]:
     return [size for size in SIZES if size < 0.9 * most] + [most]
 
 
-def candidates_of(calibration: Calibration, presses: int) -> list[Candidate]:
+def candidates_of(calibration: Calibration, presses: int, start: Start | None) -> list[Candidate]:
     """The chosen color model with settings that so many presses can carry, and the chosen step."""
-    start, step = calibration.report.start, calibration.settings.step_ridge
+    step = calibration.settings.step_ridge
     options = (
         candidates_for(calibration.color_model.name, presses) if start is None else candidates_from(start)
     )
+    if start is not calibration.report.start:  # its settings are of the other kind of fit
+        return [replace(candidate, step_ridge=step) for candidate in options]
     options = [replace(candidate, step_ridge=step) for candidate in options]
     own = tuple((key, calibration.settings.others[key]) for key, _ in options[0].settings)
     chosen = Candidate(calibration.color_model.name, own, start, step)

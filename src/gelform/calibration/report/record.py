@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gelform.calibration.balls import BallReading
 from gelform.calibration.candidates import Start
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.fitted import Fitted
@@ -59,7 +60,9 @@ class CalibrationReport:
     held_out_saved : the same of the saved model's kind and settings, fitted without each press; a little
         flattered, since those were chosen on the same presses; empty in reports from before it was measured
     samples : of each press that was held out, some pixels with their slopes; not in `to_dict`, not saved
-    start : another unit's model that the run began with, or None; not in `to_dict`, not saved
+    balls : each stated diameter and what it is read as, by what; empty where nothing could check it
+    start : another unit's model that the fit began with, or None; not in `to_dict`, not saved
+    offered : the starter's that it might have begun with, or None; not in `to_dict`, not saved
     """
 
     presses: tuple[PressReport, ...]
@@ -69,20 +72,23 @@ class CalibrationReport:
     notes: tuple[str, ...] = ()
     held_out_saved: dict[str, float] = field(default_factory=dict)
     samples: tuple[HeldOutSample, ...] = field(default=(), repr=False)
+    balls: tuple[BallReading, ...] = ()
     start: Start | None = field(default=None, repr=False)
+    offered: Start | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The report as JSON can hold it, without the samples and the start."""
-        content = asdict(replace(self, samples=(), start=None))
-        del content["samples"], content["start"]
-        return content
+        content = asdict(replace(self, samples=(), start=None, offered=None))
+        del content["samples"], content["start"], content["offered"]
+        return {**content, "balls": [one.to_dict() for one in self.balls]}
 
 
 def report_of_run(
-    fitted: Fitted, judged: Judged, *, notes: Sequence[str], seconds: float
+    fitted: Fitted, judged: Judged, balls: Sequence[BallReading], *, notes: Sequence[str], seconds: float
 ) -> CalibrationReport:
     """The report of a calibration run, from what its steps gave; `notes` follow its own."""
-    presses = fitted.located.presses
+    presses, begun = fitted.located.presses, fitted.located.start
+    offered = begun if begun is not None and begun.offered else None
     return CalibrationReport(
         presses=_press_rows(fitted.located, judged),
         candidates=_candidate_rows(fitted.selection),
@@ -90,6 +96,7 @@ def report_of_run(
         seconds=seconds,
         notes=(
             _how_held_out(len(judged.errors), fitted.selection),
+            *_of_starter(fitted, offered),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
             *fitted.located.notes,
             *fitted.notes,
@@ -97,7 +104,24 @@ def report_of_run(
         ),
         held_out_saved=summary(list(judged.saved_errors.values())),
         samples=judged.samples,
-        start=fitted.located.start,
+        balls=tuple(balls),
+        start=fitted.selection.chosen.start,
+        offered=offered,
+    )
+
+
+def _of_starter(fitted: Fitted, offered: Start | None) -> tuple[str, ...]:
+    """Whether the fit began with the starter, and the held-out slope errors that say why."""
+    if offered is None:
+        return ()
+    selection, errors = fitted.selection, {}
+    for begun in (True, False):
+        own = [one.mean_log() for one in selection.trials if (one.candidate.start is not None) == begun]
+        errors[begun] = float(np.exp(min(own))) if own else float("nan")
+    used = "was used" if selection.chosen.start is not None else "was not used"
+    return (
+        f"{offered.by[0].upper()}{offered.by[1:]} {used}: slopes of held-out presses are off by {errors[True]:.3f} with it, "
+        f"{errors[False]:.3f} without.",
     )
 
 

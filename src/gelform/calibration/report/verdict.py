@@ -40,6 +40,10 @@ LIMITS = (
           f"Press the ball at more places: {NEEDED['good'].presses} presses or more, the places marked 1, 2, 3 first."),
     Limit("normal_free_deg", "normals, held out", "°", 3, 5, False,
           "Press at the places marked 1, 2, 3; check that exposure and light did not change, and look for cast shadows."),
+    Limit("ball_sigmas", "stated diameter off what is read", "σ", 1.5, 2, False,
+          "Check the ball's diameter, and mm_per_px: no other unit's presses, nor another ball's, agree with them."),
+    Limit("scale_off_percent", "mm_per_px off the make's", "%", 10, math.inf, False,
+          "Check mm_per_px: images of this make have another, unless they are cropped in a way of their own."),
     Limit("radius_percent", "ball's radius, held out", "%", 3, 6, False,
           "Check the ball's diameter and the mm per pixel that you gave, and add presses of a second ball of another size."),
     Limit("covered_percent", "places and slope directions seen", "%", 80, 60, True,
@@ -58,6 +62,7 @@ LIMITS = (
           "Measure mm_per_px on an object of known size and write it with mm_per_px_sigma into sensor.toml."),
 )  # fmt: skip
 HEADLINE = ("normal_free_deg", "radius_percent")
+REFUTING = ("ball_sigmas",)  # poor, they make the headline poor: the other figures believe the labels
 
 
 def level_of(limit: Limit, value: float | None) -> str:
@@ -71,14 +76,18 @@ def level_of(limit: Limit, value: float | None) -> str:
 
 
 def checks_of(figures: Mapping[str, float | None]) -> list[dict[str, Any]]:
-    """Every check with its figure (None where it is not known), its level and its limits, causes before their effects."""
+    """Every check with its figure (None where it is not known), its level and its limits, causes before their effects.
+
+    A check without a figure, which the sensor does not need, is left out.
+    """
     return [
         {
             **asdict(limit),
-            "value": figures.get(limit.name),
-            "level": level_of(limit, figures.get(limit.name)),
+            "value": figures[limit.name],
+            "level": level_of(limit, figures[limit.name]),
         }
         for limit in LIMITS
+        if limit.name in figures
     ]
 
 
@@ -91,19 +100,38 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
-    first = max((check for check in checks if check["level"] != "good"), key=_severity, default=None)
+    refuted = [named[name] for name in REFUTING if named[name]["level"] == "poor"]
+    first_of = refuted or [check for check in checks if check["level"] != "good"]
+    first = max(first_of, key=_severity, default=None)
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
     figures = (
         f"normals {named['normal_free_deg']['value']:.1f}°, radius {named['radius_percent']['value']:.1f} %"
     )
     return {
-        "level": level,
-        "headline": f"{level.capitalize()}: {figures}, held out",
+        "level": "poor" if refuted else level,
+        "headline": _headline(
+            "poor" if refuted else level,
+            figures,
+            named["ball_sigmas"],
+            named.get("scale_off_percent"),
+            bool(refuted),
+        ),
         "next": first["action"] if first else done,
         "because": f"{first['label']}: {shown(first)}, {first['level']}" if first else None,
         "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
         "learning": learning_sentence,
     }
+
+
+def _headline(
+    level: str, figures: str, ball: Mapping[str, Any], scale: Mapping[str, Any] | None, refuted: bool
+) -> str:
+    if refuted:
+        return f"Poor: the diameter of the ball or mm_per_px is wrong; by them {figures}, held out"
+    unchecked = "; diameter of the ball unchecked" if ball["value"] is None else ""
+    usual = scale is None or scale["level"] == "good"
+    unusual = "" if usual else "; unusual mm_per_px for this sensor"
+    return f"{level.capitalize()}: {figures}, held out{unchecked}{unusual}"
 
 
 def _severity(check: Mapping[str, Any]) -> tuple[int, float]:

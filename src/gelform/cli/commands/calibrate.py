@@ -34,11 +34,12 @@ def calibrate(
     output: NewCalibration,
     model: Annotated[str, Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
-        Path | None,
+        str,
         Option(
-            metavar="CAL.npz", help="Calibration of another unit of this sensor to begin with: 5 presses do."
+            metavar="CAL.npz",
+            help="Calibration of another unit to begin with: 5 presses do. auto: a known make's starter; none.",
         ),
-    ] = None,
+    ] = "auto",
     given: PressOptions,
     crop: Annotated[
         str | None,
@@ -72,6 +73,7 @@ def calibrate(
       gelform calibrate presses.avi -o cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
       gelform calibrate frames/ -o cal.npz --mm-per-px 0.05 --ball-diameter-mm 4 --crop 20,10,600,450
       gelform calibrate five_presses/ -o second.npz --start first.npz
+      gelform calibrate presses/ -o alone.npz --start none
     """
     one_of(model, MODELS, "--model")
     box = None if crop is None else numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
@@ -89,7 +91,9 @@ def calibrate(
             crop=box,  # type: ignore[arg-type]
             progress=progress,
         )
-        first = None if start is None else load_calibration(start)
+        first = (
+            {"auto": "auto", "none": None}[start] if start in ("auto", "none") else load_calibration(start)
+        )
         calibration = calibrate_presses(
             found, color_model=model, start=first, compare=compare, progress=progress
         )

@@ -137,6 +137,7 @@ def learning_chart(learning: dict[str, Any]) -> str:
     points, expected = learning["points"], learning["expected"]
     now = expected["presses_now"]
     end = now + expected["presses_more"]
+    others = learning.get("other_points") or []
     highest = max(max(p["draws_deg"]) for p in points)
     top = float(np.ceil(min(highest, 3 * points[-1]["mean_deg"] + 4)))
     axes = Axes((0, end * 1.04), (0, top))
@@ -153,6 +154,9 @@ def learning_chart(learning: dict[str, Any]) -> str:
     sizes, means = [p["presses"] for p in points], [min(p["mean_deg"], top) for p in points]
     parts.append(axes.line(sizes, means, "line-first"))
     parts.append(axes.dots(sizes, means, "dot-first", 3.5))
+    if others:
+        means = [min(p["mean_deg"], top) for p in others]
+        parts.append(axes.line([p["presses"] for p in others], means, "line-second"))
     parts.append(_line("now", axes.x(now), axes.x(now), TOP, axes.y(0)))
     parts.append(_text("tick", axes.x(now) - 4, TOP + 10, f"now: {now}", "end"))
     parts.append(axes.dots([now, end], [expected["now_deg"], expected["more_deg"]], "expected", 4))

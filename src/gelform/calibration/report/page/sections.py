@@ -258,6 +258,9 @@ def learning_section(content: dict[str, Any]) -> str:
         f'{max(p["draws_deg"]):.2f}°</td><td class="text">{escape(p["model"])}</td></tr>'
         for p in learning["points"]
     )
+    other = (
+        f" The dashed line is the mean {escape(learning['other'])}." if learning.get("other_points") else ""
+    )
     return section(
         "learning",
         title,
@@ -267,7 +270,7 @@ def learning_section(content: dict[str, Any]) -> str:
         "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
         "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
         f"other: {low:.2f} – {high:.2f}°). “May” is said where a single draw would change the answer. The figures at "
-        "the top are of models that trained on four fifths of the presses.</p>",
+        f"the top are of models that trained on four fifths of the presses.{other}</p>",
         table('<th>presses</th><th>normals</th><th>draws</th><th class="text">model</th>', points),
         "</div></div>",
     )
