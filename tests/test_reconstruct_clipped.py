@@ -48,6 +48,10 @@ def slope_error(result, where):
     return float(np.sqrt(np.mean(np.square(result.observed_gradients - SLOPES)[where])))
 
 
+def depth_error_um(result):
+    return 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2))
+
+
 def test_a_channel_that_clips_in_use_is_left_out():
     """Each pixel here lacks one channel at most: the other two say the slope nearly as well."""
     for channels in [(0,), (1,), (2,), (0, 1, 2)]:
@@ -62,7 +66,7 @@ def test_a_channel_that_clips_in_use_is_left_out():
         assert (off > 3 * why.gradients_sigma)[clips].mean() < 0.01
         assert np.median(result.confidence[clips]) == 1
         assert (why.maps["saturated"][clips] > 0).all()
-        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 3
+        assert depth_error_um(result) < 3
 
 
 def test_what_is_left_out_is_missed():
@@ -104,7 +108,7 @@ def test_of_two_clipped_channels_nothing_is_known():
         assert result.gradients_sigma[BOX].min() > 0.2
         name = "dark" if level < 100 else "saturated"
         assert [finding.name for finding in why.findings] == [name]
-        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 8
+        assert depth_error_um(result) < 8
 
 
 def test_a_dead_channel_beside_the_ball_does_no_harm():
@@ -116,52 +120,32 @@ def test_a_dead_channel_beside_the_ball_does_no_harm():
         off = np.linalg.norm(result.observed_gradients - SLOPES, axis=-1)
         assert (off[BOX] < 4 * why.gradients_sigma[BOX]).all()
         assert (why.maps["dark" if level == 0 else "saturated"][BOX] > 0).all()
-        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 12
+        assert depth_error_um(result) < 12
 
 
 def test_without_a_step_a_clipped_channel_costs_the_pixel_its_weight():
     """As in calibrations that were imported, and older ones; the rest gives its result."""
-    for known in [
-        calibration,
-        lambda: replace(stepping(), forward=replace(stepping().forward, step_sigma=None)),
-    ]:
-        image = image_of(TOUCH)
-        image[BOX[0], BOX[1], 1] = 255
-        known = replace(known(), slope_sigma=calibration().slope_sigma)
-        result = gelform.Reconstructor(known)(image)
+    image, own = image_of(TOUCH), calibration().slope_sigma
+    image[BOX[0], BOX[1], 1] = 255
+    stepless = replace(stepping(), forward=replace(stepping().forward, step_sigma=None))
+    for known, sigma in product([calibration(), stepless], [own, None]):
+        result = gelform.Reconstructor(replace(known, slope_sigma=sigma))(image)
         assert result.confidence[BOX].max() < 1e-5
-        assert 1e3 * np.sqrt(np.mean((result.depth_mm - DEPTH) ** 2)) < 10
-        nobody_knows = gelform.Reconstructor(replace(known, slope_sigma=None))(image)
-        assert nobody_knows.confidence[BOX].max() < 1e-5
-        assert nobody_knows.gradients_sigma is None
-        assert 1e3 * np.sqrt(np.mean((nobody_knows.depth_mm - DEPTH) ** 2)) < 10
-
-
-def test_where_crosstalk_is_undone_a_clipped_channel_is_in_all_three():
+        assert (result.gradients_sigma is None) == (sigma is None)
+        assert depth_error_um(result) < 10
     mixed = ((0.9, 0.08, 0.02), (0.1, 0.85, 0.05), (0.0, 0.1, 0.9))
     undone = replace(stepping(), change=replace(stepping().change, crosstalk=mixed))
-    image = image_of(TOUCH)
-    image[BOX[0], BOX[1], 1] = 255
-    assert gelform.Reconstructor(undone)(image).confidence[BOX].max() < 1e-5
+    in_all_three = gelform.Reconstructor(undone)(image)
+    assert in_all_three.confidence[BOX].max() < 1e-5
 
 
-def test_black_dots_of_a_marked_gel_clip_nothing_around_them():
-    rest, image = background().copy(), image_of(TOUCH)
-    for y in range(6, SHAPE[0], 10):
-        for x in range(6, SHAPE[1], 10):
-            for one in (rest, image):
-                one[y - 2 : y + 2, x - 2 : x + 2] = 1
-    reconstruct = gelform.Reconstructor(replace(stepping(), background=rest))
-    why = reconstruct.explain(image)
-    assert why.maps["marker"].any()
-    assert not why.maps["dark"].any()
-    assert {finding.name for finding in why.findings} == {"marker"}
-
-
-def test_a_corner_that_is_never_lit_is_outside_and_not_dark():
-    rest, image = background().copy(), image_of(TOUCH)
-    rest[:10, :12], image[:10, :12] = 1, 0
-    reconstruct = gelform.Reconstructor(replace(stepping(), background=rest))
-    why = reconstruct.explain(image)
-    assert {finding.name for finding in why.findings} == {"outside"}
-    assert not why.maps["dark"].any()
+def test_black_dots_and_a_corner_that_is_never_lit_clip_nothing_around_them():
+    y, x = np.indices(SHAPE)
+    dots, corner = ((y - 4) % 10 < 4) & ((x - 4) % 10 < 4) & (y > 3) & (x > 3), (y < 10) & (x < 12)
+    for name, black in (("marker", dots), ("outside", corner)):
+        rest, image = background().copy(), image_of(TOUCH)
+        rest[black], image[black] = 1, 1 if name == "marker" else 0
+        why = gelform.Reconstructor(replace(stepping(), background=rest)).explain(image)
+        assert {finding.name for finding in why.findings} == {name}
+        assert why.maps[name].any()
+        assert not why.maps["dark"].any()
