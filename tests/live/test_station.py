@@ -3,8 +3,10 @@
 import contextlib
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.frames import Frame
@@ -128,6 +130,38 @@ def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(t
         until(lambda: np.diff(times_s[-4:]).min() >= 0.9 * UNWATCHED_S)
         station.taps.append(lambda shown: None)  # a guide, or frames that are averaged
         until(lambda: np.diff(times_s[-4:]).max() < UNWATCHED_S / 2)
+    finally:
+        station.close()
+
+
+class Counted(Scripted):
+    """Its own count has a gap after every second frame; the reconstruction of each takes as long as four frames."""
+
+    def __iter__(self):
+        for frame in super().__iter__():
+            yield replace(frame, index=frame.index + frame.index // 2)
+
+
+def test_frames_that_never_came_are_lost_and_those_passed_over_are_skipped():
+    station = Station(0, "scripted", lambda: Counted(lambda index: None), lambda: None)
+    indices = []
+    station.taps.append(lambda shown: indices.append(shown.frame.index) or time.sleep(0.001))
+    reconstructed = station.reconstructed
+    station.reconstructed = lambda frame, timed: time.sleep(0.008) or reconstructed(frame, timed)
+    station.start()
+    try:
+        until(lambda: len(indices) > 30)
+        station.pause(True)
+        seen, counted = station.grabber.stats, station.facts()
+        assert seen.drops / 3 <= counted["lost"] / 2 < seen.frames / 3
+        passed_over = indices[-1] - indices[0] + 1 - len(indices)
+        assert counted["skipped"] + counted["lost"] == pytest.approx(passed_over, abs=12)
+        assert counted["skipped"] > counted["lost"]
+        time.sleep(0.3)  # what is not wanted is not skipped
+        station.pause(False)
+        until(lambda: len(indices) > 40)
+        more = indices[-1] - indices[0] + 1 - len(indices)
+        assert station.skipped + counted["lost"] < more - 50
     finally:
         station.close()
 

@@ -172,13 +172,13 @@ def _row_of_station(station: Station) -> dict[str, Any]:
         return _row(key, station.spec, None, "missing", station=station.number)
     grabber, stats = station.grabber, station.grabber.stats
     age_ms = None if stats.age_s is None else 1e3 * stats.age_s
-    figures = {"rate_hz": stats.rate_hz, "age_ms": age_ms, "drops": stats.drops}
+    figures = {"rate_hz": stats.rate_hz, "age_ms": age_ms, "lost": station.lost, "skipped": station.skipped}
     return _row(key, grabber.name, grabber.serial, grabber.state, station=station.number, **figures)
 
 
 def _row(key: str, name: str, serial: str | None, state: str, **known: Any) -> dict[str, Any]:
     """A row of the list; `known` has its station or its camera, and figures of a station."""
-    unknown = dict.fromkeys(("station", "camera", "rate_hz", "age_ms", "drops"))
+    unknown = dict.fromkeys(("station", "camera", "rate_hz", "age_ms", "lost", "skipped"))
     there = state in ("running", NOT_SHOWN)
     return {**unknown, "key": key, "name": name, "serial": serial, "state": state, "there": there, **known}
 

@@ -17,7 +17,9 @@ from gelform.live.setup import Setup
 from gelform.live.shown import Shown, measures_of
 from gelform.sensors.cameras.camera import Camera
 from gelform.sensors.grabber import STALL_S, Grabber
+from gelform.sensors.playback import Playback
 from gelform.sensors.recordings.record import KEPT_FRAMES
+from gelform.sensors.simulated.source import SimulatedSource
 from gelform.sensors.source import Source
 from gelform.streams.feed import NewestFrames
 from gelform.streams.memory import Timed, Work
@@ -31,6 +33,10 @@ CLOSE_S = 10.0  # for the threads of the pipeline and of the device, which are w
 # Between frames that are reconstructed while nobody looks, s. What the memory learns are means over a second and more,
 # what it finds takes a quarter of a second at the least: eight frames a second are enough for it.
 UNWATCHED_S = 0.125
+MADE_HERE = (
+    SimulatedSource,
+    Playback,
+)  # they leave out what comes too late: no frame of theirs is lost on its way
 NEVER_S = float("inf")  # a recording that is held has not stalled
 STAGES = ("view", "reconstruct")  # whose times are told as that of the reconstruction
 
@@ -94,6 +100,7 @@ class Station:
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial, self._begun_s = 0, -NEVER_S
+        self._skipped, self._counted, self._waited = 0, (-1, 0), True
         self._times_s: deque[float] = deque(maxlen=RATE_OVER)
         self._numbers: deque[tuple[float, ...]] = deque(maxlen=KEPT_NUMBERS)
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
@@ -205,8 +212,18 @@ class Station:
         }
         if grabber is not None:
             stats = grabber.stats
-            facts |= {"drops": stats.drops, "camera_hz": stats.rate_hz, "reopened": stats.reopened}
-        return facts
+            facts |= {"camera_hz": stats.rate_hz, "reopened": stats.reopened}
+        return facts | {"lost": self.lost, "skipped": self.skipped}
+
+    @property
+    def lost(self) -> int:
+        """How many frames of a camera never reached us: by the gaps in its own count."""
+        return 0 if self._grabber is None or isinstance(self.source, MADE_HERE) else self._grabber.stats.drops
+
+    @property
+    def skipped(self) -> int:
+        """How many frames that were there, and wanted, were passed over for a newer one: not drawn, not in any figure."""
+        return max(0, self._skipped)
 
     @property
     def rate_hz(self) -> float:
@@ -239,7 +256,7 @@ class Station:
         feed = NewestFrames(grabber, owned=False, paused=self._waits)
         pipeline = self._pipeline = Pipeline(feed, self)
         pipeline.start()
-        after = -1
+        after, self._waited = -1, True
         try:
             while not self._switched.is_set():
                 shown = pipeline.results.newest(after, WAIT_S)
@@ -255,9 +272,20 @@ class Station:
 
     def _waits(self) -> bool:
         """Whether no frame is to be reconstructed now: the picture is held, or nobody looks and there was one just now."""
-        if self.paused or self._watched() or self.taps:
-            return self.paused
-        return time.monotonic() - self._begun_s < UNWATCHED_S
+        if self._watched() or self.taps:
+            waits = self.paused
+        else:
+            waits = self.paused or time.monotonic() - self._begun_s < UNWATCHED_S
+        self._waited |= waits
+        return waits
+
+    def _count_skipped(self, index: int) -> None:
+        """Count the frames between the last one that was reconstructed and this one; not those that nobody wanted."""
+        before, lost_before = self._counted
+        self._counted = index, self.lost
+        if not self._waited:
+            self._skipped += index - before - 1 - (self.lost - lost_before)
+        self._waited = False
 
     def _show(self, shown: Shown) -> None:
         self.newest = shown
@@ -275,6 +303,7 @@ class Station:
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
         """What the setup makes of a frame; where that cannot be reconstructed, the frame and the reason."""
         setup, self._serial, self._begun_s = self._setup, self._serial + 1, time.monotonic()
+        self._count_skipped(frame.index)
         image = frame.image
         try:
             with timed("view"):

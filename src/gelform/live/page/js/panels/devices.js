@@ -1,4 +1,4 @@
-// Cameras and sources with serial, rate, age and drops, each of which can be shown; which one it is that somebody unplugs; how a camera is set.
+// Cameras and sources with serial, rate, age, frames skipped and lost, each of which can be shown; which one it is that somebody unplugs; how a camera is set.
 
 import { byId, element, setText } from "../page/dom.js";
 
@@ -20,7 +20,7 @@ export function drawDevices({ rows, asking, gone, gone_name, back }, station, do
 }
 
 const named = (row) => [row.name, row.serial ?? "–", row.state];
-const numbers = (row) => [row.rate_hz === null ? "–" : row.rate_hz.toFixed(0), row.age_ms === null ? "–" : String(Math.round(row.age_ms / 10) * 10), String(row.drops ?? "–")];
+const numbers = (row) => [row.rate_hz === null ? "–" : row.rate_hz.toFixed(0), row.age_ms === null ? "–" : String(Math.round(row.age_ms / 10) * 10), row.lost ? `${row.skipped}, ${row.lost} lost` : String(row.skipped ?? "–")];
 
 function cells(row, does) {
   const [name, serial, state] = named(row);

@@ -13,7 +13,7 @@ const ADVICE = {
 export function drawStatus(station, online, look) {
   const held = station?.paused || station?.replay?.playing === false;
   const state = !online ? "offline" : held ? "paused" : (station?.state ?? "starting");
-  const line = byId("status"), numbers = online && station && state === "running" ? [["", `${station.rate_hz.toFixed(0)} Hz`], ["age", `${look.ageMs.toFixed(0)} ms`], ["lost", String(station.drops ?? 0)]] : [];
+  const line = byId("status"), numbers = online && station && state === "running" ? [["", `${station.rate_hz.toFixed(0)} Hz`], ["age", `${look.ageMs.toFixed(0)} ms`], ["skipped", String(station.skipped)], ...(station.lost ? [["lost", String(station.lost)]] : [])] : [];
   if (line.dataset.state !== state || line.children.length !== 1 + numbers.length) line.replaceChildren(element("span", {}, element("i", { class: `dot ${state === "paused" ? "starting" : state}` }), element("b", { text: WORDS[state] ?? state })), ...numbers.map(([name]) => fact(name, "")));
   numbers.forEach(([, value], k) => setText(line.children[k + 1].lastChild, value));
   line.dataset.state = state;
@@ -54,7 +54,7 @@ function emptyContent(frame, station, work) {
 export function drawFacts(station, look) {
   if (!station) return;
   const rows = [["sensor", station.name], ["serial", station.serial ?? "–"], ["camera", `${(station.camera_hz ?? 0).toFixed(1)} Hz`], ["reconstructed", `${station.rate_hz.toFixed(1)} Hz`],
-    ["drawn", `${look.drawnHz.toFixed(1)} Hz`], ["reconstruction", `${station.took_ms.toFixed(1)} ms`], ["capture to screen", `${look.ageMs.toFixed(0)} ms`], ["lost frames", String(station.drops ?? 0)], ["reopened", String(station.reopened ?? 0)],
+    ["drawn", `${look.drawnHz.toFixed(1)} Hz`], ["reconstruction", `${station.took_ms.toFixed(1)} ms`], ["capture to screen", `${look.ageMs.toFixed(0)} ms`], ["skipped frames", String(station.skipped)], ["lost frames", String(station.lost)], ["reopened", String(station.reopened ?? 0)],
     ["sent as", look.encoding === "raw" ? "depth 16 bit, image as it is" : "depth 16 bit at half size, image JPEG"], ["traffic", `${(look.bytesPerS / 1e6).toFixed(2)} MB/s`], ["surface", look.renderer],
     ["background", station.background], ...Object.entries(station.settings).map(([name, value]) => [name.replace("_", " "), String(value)])];
   byId("facts").replaceChildren(...rows.flatMap(([name, value]) => [element("dt", { text: name }), element("dd", { text: value })]));
