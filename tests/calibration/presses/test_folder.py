@@ -64,12 +64,17 @@ def test_gs_sdk_folder_is_read_as_it_is(copy, presses, tmp_path):
 def test_plain_folder_needs_a_ball_and_a_scale(copy, presses):
     plain = copy.parent / "plain"
     plain.mkdir()
+    with pytest.raises(gelform.DataError, match=r"No scale|No background"):
+        gelform.read_presses(plain)
     shutil.copy(copy / "background.png", plain)
     shutil.copy(copy / presses.presses[0].name, plain / "a.png")
     with pytest.raises(gelform.DataError, match="No scale"):
         gelform.read_presses(plain, ball_diameter_mm=5.0)
     with pytest.raises(gelform.DataError, match="which ball pressed"):
         gelform.read_presses(plain, mm_per_px=0.1)
+    for ball in (float("nan"), 300.0, 0.0, True, "6"):
+        with pytest.raises((ValueError, TypeError), match="ball_diameter_mm"):
+            gelform.read_presses(plain, mm_per_px=0.1, ball_diameter_mm=ball)
     read = gelform.read_presses(plain, ball_diameter_mm=5.0, mm_per_px=0.1)
     assert [p.name for p in read.presses] == ["a.png"]
     np.testing.assert_array_equal(read.presses[0].image, presses.presses[0].image)
@@ -101,36 +106,22 @@ def test_crop_and_view_of_the_settings(copy):
     np.testing.assert_allclose(turned.background, whole.background[:, ::-1])
 
 
-def test_labels_and_other_indenters(copy, presses):
-    def label_the_first(header, rows):
-        names = ["center_x_px", "center_y_px", "contact_radius_px", "indenter"]
-        rows = [
-            [*row, "80.5", "60", "21", "ball"] if i == 0 else [*row, "", "", "", "cone"]
-            for i, row in enumerate(rows)
-        ]
-        return [*header, *names], rows
-
-    rewrite(copy, label_the_first)
-    read = gelform.read_presses(copy)
-    assert len(read.presses) == 1
-    assert read.presses[0].label == (80.5, 60.0, 21.0)
-
-
-def test_rows_of_another_indenter_are_named(copy):
+def test_labels_are_read_and_rows_of_other_indenters_are_named(copy):
     """Nothing is left out silently: Flat is not flat."""
 
-    def renamed(header, rows):
-        return [*header, "indenter", "height_mm"], [
-            [*row, kind, "0.2" if kind else ""]
-            for row, kind in zip(rows, ["Flat", "cube", *[""] * len(rows)])
+    def labelled(header, rows):
+        names = ["center_x_px", "center_y_px", "contact_radius_px", "indenter", "height_mm"]
+        kinds = ["ball", "Flat", *["cube"] * (len(rows) - 2)]
+        label = ["80.5", "60", "21"]
+        return [*header, *names], [
+            [*row, *(label if kind == "ball" else [""] * 3), kind, "0.2"] for row, kind in zip(rows, kinds)
         ]
 
-    rewrite(copy, renamed)
-    notes = gelform.read_presses(copy).notes
-    assert [("Flat were left out: 1" in note, "cube were left out: 1" in note) for note in notes] == [
-        (True, False),
-        (False, True),
-    ]
+    rewrite(copy, labelled)
+    read = gelform.read_presses(copy)
+    assert [press.label for press in read.presses] == [(80.5, 60.0, 21.0)]
+    assert ["Flat were left out: 1" in note for note in read.notes] == [True, False]
+    assert ["cube were left out: 12" in note for note in read.notes] == [False, True]
 
 
 def flat_rows(header, rows, *heights):
@@ -157,20 +148,6 @@ def test_flat_punches_of_known_height_are_read_beside_the_balls(copy):
     assert whole.notes == ()
 
 
-@pytest.mark.parametrize(
-    ("height", "message"),
-    [
-        ("35", "0.01 to 20 mm, got 35. Is it in mm"),
-        ("low", "height_mm as a number, got 'low'"),
-        ("-0.1", "got -0.1"),
-    ],
-)
-def test_a_height_that_cannot_be_is_refused(copy, height, message):
-    rewrite(copy, lambda header, rows: flat_rows(header, rows, height))
-    with pytest.raises(gelform.DataError, match=message):
-        gelform.read_presses(copy)
-
-
 SPOILT = {
     "missing column": (lambda h, r: (["image", "diameter"], r), "columns image, ball_diameter_mm .* missing"),
     "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball_diameter_mm > 0, got 0.* line 2"),
@@ -179,6 +156,9 @@ SPOILT = {
     "negative diameter": (lambda h, r: (h, [[r[0][0], "-5"], *r[1:]]), "> 0"),
     "missing image": (lambda h, r: (h, [["nowhere.png", "5"], *r[1:]]), r"No file .*nowhere\.png"),
     "no rows": (lambda h, r: (h, []), "No press in"),
+    "height in um": (lambda h, r: flat_rows(h, r, "35"), "0.01 to 20 mm, got 35. Is it in mm"),
+    "height in words": (lambda h, r: flat_rows(h, r, "low"), "height_mm as a number, got 'low'"),
+    "negative height": (lambda h, r: flat_rows(h, r, "-0.1"), "got -0.1"),
 }
 
 
@@ -190,7 +170,13 @@ def test_spoilt_table(copy, name):
         gelform.read_presses(copy)
 
 
-def test_no_folder_and_no_background(copy, tmp_path):
+def test_no_folder_no_background_no_whole_image_and_no_such_sensor(copy, presses, tmp_path):
+    with pytest.raises(gelform.SensorError, match="gelsight-mini, digit"):
+        gelform.read_presses(copy, sensor="gelsite")
+    path = copy / presses.presses[2].name
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(gelform.DataError, match="truncated"):
+        gelform.read_presses(copy)
     with pytest.raises(gelform.DataError, match="not there"):
         gelform.read_presses(tmp_path / "nothing")
     with pytest.raises(gelform.DataError, match="which is a file of another kind"):
@@ -200,55 +186,20 @@ def test_no_folder_and_no_background(copy, tmp_path):
         gelform.read_presses(copy)
 
 
-def test_empty_folder(tmp_path):
-    with pytest.raises(gelform.DataError, match=r"No scale|No background"):
-        gelform.read_presses(tmp_path)
-
-
-def test_images_of_two_sizes(copy, presses):
-    cv2.imwrite(str(copy / presses.presses[3].name), np.zeros((50, 60, 3), np.uint8))
-    with pytest.raises(
-        gelform.DataError, match=rf"one size: {presses.presses[3].name} is 50x60 px; .* 13 presses"
-    ):
+@pytest.mark.parametrize(
+    ("odd", "message"),
+    [
+        (["images/0003.png"], r"one size: images/0003\.png is 50x60 px; .* 13 presses"),
+        (["background.png"], "the background is 50x60 px, 14 of 14 presses are 132x176 px"),
+        ([f"images/000{k}.png" for k in range(6)], "and 1 more; the background and 8 presses"),
+    ],
+)
+def test_images_of_other_sizes_are_named_and_counted(copy, odd, message):
+    for name in odd:
+        assert (copy / name).exists()
+        cv2.imwrite(str(copy / name), np.zeros((50, 60, 3), np.uint8))
+    with pytest.raises(gelform.DataError, match=message):
         gelform.read_presses(copy)
-
-
-def test_background_of_another_size(copy):
-    cv2.imwrite(str(copy / "background.png"), np.zeros((50, 60, 3), np.uint8))
-    with pytest.raises(
-        gelform.DataError, match=r"the background is 50x60 px, 14 of 14 presses are 132x176 px"
-    ):
-        gelform.read_presses(copy)
-
-
-def test_many_odd_sizes_are_counted(copy, presses):
-    for press in presses.presses[:6]:
-        cv2.imwrite(str(copy / press.name), np.zeros((50, 60, 3), np.uint8))
-    with pytest.raises(gelform.DataError, match="and 1 more; the background and 8 presses"):
-        gelform.read_presses(copy)
-
-
-def test_truncated_image(copy, presses):
-    path = copy / presses.presses[2].name
-    path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(gelform.DataError, match="truncated"):
-        gelform.read_presses(copy)
-
-
-def test_unknown_sensor_lists_the_known(copy):
-    (copy / "sensor.toml").unlink()
-    with pytest.raises(gelform.SensorError, match="gelsight-mini, digit"):
-        gelform.read_presses(copy, sensor="gelsite")
-
-
-@pytest.mark.parametrize("ball", [float("nan"), 300.0, 0.0, True, "6"])
-def test_a_ball_that_cannot_be_is_refused(folder, tmp_path, ball):
-    plain = tmp_path / "plain"
-    plain.mkdir()
-    for path in (folder / "background.png", next((folder / "images").iterdir())):
-        (plain / path.name).write_bytes(path.read_bytes())
-    with pytest.raises((ValueError, TypeError), match="ball_diameter_mm"):
-        gelform.read_presses(plain, mm_per_px=0.1, ball_diameter_mm=ball)
 
 
 def test_a_scale_that_cannot_be_is_refused(folder):
@@ -305,38 +256,26 @@ def test_undoing_the_lens_is_better(sensor, tmp_path):
     bent = replace(sensor, optics=Optics(distortion=(-0.12, 0.0)))
     made, presses = presses_of(bent, tmp_path, count=9)
     straight = with_view(presses, View(sensor.shape, lens=lens_of(bent)), "a known lens")
-    errors = {}
-    for name, one in (("with", straight), ("without", presses)):
+    degrees = []
+    for one, said in ((straight, "a known lens"), (presses, "")):
         calibration = gelform.calibrate(one, color_model="polynomial")
         reconstruct = gelform.Reconstructor(calibration)
-        assert calibration.settings.get("lens", "") == ("a known lens" if name == "with" else "")
-        radius = []
+        assert calibration.settings.get("lens", "") == said
+        errors = []
         for press in made.presses:
-            result = reconstruct(press.image if name == "without" else frame_of(press, straight.view))
-            ball = (*place_of(press, calibration.view), press.contact_radius_px)
-            radius.append(
+            (center,) = image_px_from_frame_px([press.center_px], calibration.view)
+            result = reconstruct(press.image)
+            errors.append(
                 press_errors(
                     result.depth_mm,
                     result.gradients,
-                    circle_px=ball,
+                    circle_px=(*center, press.contact_radius_px),
                     ball_radius_mm=press.ball_diameter_mm / 2,
                     mm_per_px=sensor.mm_per_px,
                 )
             )
-        errors[name] = {
-            key: float(np.mean([getattr(error, key) for error in radius])) for key in ("normal_deg", "cap_um")
-        }
-    assert errors["with"]["normal_deg"] < 0.9 * errors["without"]["normal_deg"]
-
-
-def frame_of(press, view):
-    """The frame as the Reconstructor would get it; the view's frames and images have one size here."""
-    assert press.image.shape[:2] == view.frame_shape
-    return press.image
-
-
-def place_of(press, view):
-    return image_px_from_frame_px([press.center_px], view)[0]
+        degrees.append(np.mean([error.normal_deg for error in errors]))
+    assert degrees[0] < 0.9 * degrees[1]
 
 
 def test_labels_move_with_their_pixels(sensor, tmp_path):
@@ -366,10 +305,10 @@ def test_scale_and_crosstalk_are_recorded(presses):
 
 
 def test_a_path_is_read_and_nothing_else_is_taken(folder):
-    assert with_scale(str(folder), Scale(0.1, 0.001, "x")).mm_per_px == 0.1
-    with pytest.raises(TypeError, match="Expected presses"):
-        with_scale(None, Scale(0.1, 0.001, "x"))
-    with pytest.raises(TypeError, match="Expected presses"):
-        with_crosstalk([1], Crosstalk(((1.0,) * 3,) * 3, ((0.0,) * 3,) * 3))
+    scale, crosstalk = Scale(0.1, 0.001, "x"), Crosstalk(((1.0,) * 3,) * 3, ((0.0,) * 3,) * 3)
+    assert with_scale(str(folder), scale).mm_per_px == 0.1
+    for change in (lambda: with_scale(None, scale), lambda: with_crosstalk([1], crosstalk)):
+        with pytest.raises(TypeError, match="Expected presses"):
+            change()
     with pytest.raises(TypeError, match="Expected presses"):
         with_view(3, View(), "x")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.background.change import ChangeSettings, color_change_from_image
 from gelform.calibration.circles.find import find_contact
 from gelform.simulate import (
     Ball,
@@ -71,8 +72,13 @@ def filmed(sensor, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def read(filmed, sensor):
-    return gelform.read_presses(filmed.path, ball_diameter_mm=BALL_MM, mm_per_px=sensor.mm_per_px)
+def how(sensor):
+    return {"ball_diameter_mm": BALL_MM, "mm_per_px": sensor.mm_per_px}
+
+
+@pytest.fixture(scope="module")
+def read(filmed, how):
+    return gelform.read_presses(filmed.path, **how)
 
 
 def frame_of(press):
@@ -95,10 +101,8 @@ def test_slide_and_roll_are_left_out_and_named(filmed, read, sensor):
         assert "slid or rolled" in note
 
 
-def test_background_is_the_untouched_gel_and_its_noise(filmed, sensor):
-    read = gelform.presses_from_frames(
-        frames_of(filmed.images), ball_diameter_mm=BALL_MM, mm_per_px=sensor.mm_per_px
-    )
+def test_background_is_the_untouched_gel_and_its_noise(filmed, sensor, how):
+    read = gelform.presses_from_frames(frames_of(filmed.images), **how)
     still = np.mean([filmed.images[k] for k in range(15)], axis=0)
     assert np.abs(read.background - still).mean() < 0.4
     noise = np.sqrt(sensor.noise_sd**2 + sensor.noise_gain * still.mean(axis=(0, 1)) + 1 / 12)
@@ -109,27 +113,19 @@ def frames_of(images):
     return [gelform.Frame(image, k / 25, 0, k) for k, image in enumerate(images)]
 
 
-def test_a_list_and_an_iterator_of_frames_give_the_same(filmed, sensor):
+def test_a_list_and_an_iterator_of_frames_give_the_same_cropped_once(filmed, how):
     frames = frames_of(filmed.images)
-    how = {"ball_diameter_mm": BALL_MM, "mm_per_px": sensor.mm_per_px}
-    one = gelform.presses_from_frames(frames, **how)
-    other = gelform.presses_from_frames(iter(frames), **how)
+    one, other = (gelform.presses_from_frames(given, **how) for given in (frames, iter(frames)))
     assert [p.digest for p in one.presses] == [p.digest for p in other.presses]
     assert len(one.presses) == COUNT
-    for press in one.presses:
-        np.testing.assert_array_equal(press.image, filmed.images[frame_of(press)])
     np.testing.assert_array_equal(one.background, other.background)
-
-
-def test_crop_is_applied_once_to_an_iterator_too(filmed, sensor):
-    frames, crop = frames_of(filmed.images), (10, 6, 160, 120)
-    how = {"ball_diameter_mm": BALL_MM, "mm_per_px": sensor.mm_per_px, "crop": crop}
     for given in (frames, iter(frames)):
-        cropped = gelform.presses_from_frames(given, **how)
+        cropped = gelform.presses_from_frames(given, **how, crop=(10, 6, 160, 120))
         assert cropped.image_shape == (120, 160)
-        for press in cropped.presses:
+        assert cropped.view.crop == (10, 6, 160, 120)
+        for press, whole in zip(cropped.presses, one.presses, strict=True):
             np.testing.assert_array_equal(press.image, filmed.images[frame_of(press)][6:126, 10:170])
-    assert cropped.view.crop == crop
+            np.testing.assert_array_equal(whole.image, filmed.images[frame_of(whole)])
 
 
 @pytest.mark.slow
@@ -151,15 +147,11 @@ def test_a_video_calibrates_nearly_as_well_as_stills(filmed, read):
 
 
 def test_circles_of_the_stills_are_where_the_ball_was(filmed, read):
-    from gelform.background.change import ChangeSettings, color_change_from_image
-
     settings = ChangeSettings("divide", 10, 0.7)
     found = [find_contact(color_change_from_image(p.image, read.background, settings)) for p in read.presses]
-    errors = [
-        np.hypot(contact.x_px - true.center_px[0], contact.y_px - true.center_px[1])
-        for contact, true in zip(found, filmed.stills.presses)
-    ]
-    assert np.median(errors) < 1.0
+    places = np.array([(contact.x_px, contact.y_px) for contact in found])
+    off = places - [true.center_px for true in filmed.stills.presses]
+    assert np.median(np.linalg.norm(off, axis=1)) < 1.0
 
 
 def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
@@ -174,24 +166,20 @@ def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
     assert len(read.presses) == 3
 
 
-def test_a_video_without_contact(filmed, tmp_path):
-    write(tmp_path / "rest.avi", filmed.images[:15])
-    with pytest.raises(gelform.DataError, match=r"No contact in .*15 frames.* grey levels"):
-        gelform.read_presses(tmp_path / "rest.avi", ball_diameter_mm=5, mm_per_px=0.1)
-
-
-def test_a_video_that_never_rests(filmed, tmp_path):
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (["rest"], r"No contact in .*15 frames.* grey levels"),
+        (["slide"], r"No untouched stretch in .*two seconds"),
+        (["rest", "slide", "rest"], r"No press in .*1 contacts, none of them rests"),
+    ],
+)
+def test_a_video_without_a_press_is_refused_with_what_it_shows(filmed, tmp_path, parts, message):
     first, last = filmed.slides[0]
-    write(tmp_path / "slide.avi", filmed.images[first:last])
-    with pytest.raises(gelform.DataError, match=r"No untouched stretch in .*two seconds"):
-        gelform.read_presses(tmp_path / "slide.avi", ball_diameter_mm=5, mm_per_px=0.1)
-
-
-def test_a_video_with_nothing_but_a_slide(filmed, tmp_path):
-    first, last = filmed.slides[0]
-    write(tmp_path / "slide.avi", [*filmed.images[:15], *filmed.images[first : last + REST]])
-    with pytest.raises(gelform.DataError, match=r"No press in .*1 contacts, none of them rests"):
-        gelform.read_presses(tmp_path / "slide.avi", ball_diameter_mm=5, mm_per_px=0.1)
+    shown = {"rest": filmed.images[:15], "slide": filmed.images[first:last]}
+    write(tmp_path / "a.avi", [image for part in parts for image in shown[part]])
+    with pytest.raises(gelform.DataError, match=message):
+        gelform.read_presses(tmp_path / "a.avi", ball_diameter_mm=5, mm_per_px=0.1)
 
 
 def test_a_video_needs_a_ball_and_a_scale(filmed):
@@ -201,28 +189,22 @@ def test_a_video_needs_a_ball_and_a_scale(filmed):
         gelform.read_presses(filmed.path, ball_diameter_mm=5)
 
 
-def test_frames_that_change_their_size_and_no_frames(filmed, sensor):
-    frames = frames_of(filmed.images[:30])
-    frames[20] = replace(frames[20], image=frames[20].image[:100])
+def test_frames_that_change_their_size_none_and_too_many(filmed, how, monkeypatch):
+    frames = frames_of(filmed.images)
+    odd = [*frames[:20], replace(frames[20], image=frames[20].image[:100])]
     with pytest.raises(gelform.DataError, match="frames of one size, got 100x176 after 132x176"):
-        gelform.presses_from_frames(frames, ball_diameter_mm=5, mm_per_px=0.1)
+        gelform.presses_from_frames(odd, **how)
     with pytest.raises(gelform.DataError, match="No frame in"):
-        gelform.presses_from_frames([], ball_diameter_mm=5, mm_per_px=0.1)
-
-
-def test_an_iterator_is_not_kept_without_limit(filmed, sensor, monkeypatch):
-    monkeypatch.setattr("gelform.calibration.presses.video.MAX_KEPT_BYTES", 20 * filmed.images[0].nbytes)
+        gelform.presses_from_frames([], **how)
+    monkeypatch.setattr("gelform.calibration.presses.video.MAX_KEPT_BYTES", 20 * frames[0].image.nbytes)
     with pytest.raises(gelform.DataError, match=r"more after 20 frames\. Record a video"):
-        gelform.presses_from_frames(iter(frames_of(filmed.images)), ball_diameter_mm=5, mm_per_px=0.1)
+        gelform.presses_from_frames(iter(frames), **how)
 
 
-def test_light_that_drifts_is_noted(filmed, sensor):
+def test_light_that_drifts_is_noted(filmed, how):
     fading = np.linspace(1, 0.92, len(filmed.images))
-    frames = [
-        replace(frame, image=(frame.image * gain).astype(np.uint8))
-        for frame, gain in zip(frames_of(filmed.images), fading)
-    ]
-    read = gelform.presses_from_frames(frames, ball_diameter_mm=BALL_MM, mm_per_px=sensor.mm_per_px)
+    images = [(image * gain).astype(np.uint8) for image, gain in zip(filmed.images, fading)]
+    read = gelform.presses_from_frames(frames_of(images), **how)
     assert len(read.presses) == COUNT
     assert any("light drifted" in note and "R 0.9" in note for note in read.notes)
 
