@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.color_models.stepped import COARSER
 from gelform.foundations.pool import Pool
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
@@ -20,7 +21,6 @@ REST_SIGMA_MM = 0.08  # how close to 0 gel of untouched colour is, far from what
 PRESSED_MM = 0.05  # gel of untouched colour that is deeper was more likely pressed flat than has drifted
 FACE_MM = 0.02  # an enclosed region off rest by more is a face; errors of slopes tilt one of a few mm by less
 REACH_MM = 1.0  # how far beside touched gel it is drawn down, by exp(-(distance/reach)^2)
-COARSER = 4  # times fewer rows and columns: depth is smooth
 # Fractions of a coarse pixel that is untouched, from which it is at rest, and under which it is touched.
 UNTOUCHED_FRACTION, TOUCHED_FRACTION = 0.9, 0.5
 # Mean confidence of coarse pixels: from which on all slopes count alike, and up to which they count for nothing.

@@ -14,7 +14,7 @@ from gelform._native import Kernel
 from gelform.background.change import PreparedBackground
 from gelform.color_models.seam import PreparedColorModel
 from gelform.foundations.checks import as_array, check_map, check_mm_per_px, check_number, check_positive
-from gelform.foundations.filters import LANES, blur_taps, medians_where
+from gelform.foundations.filters import LANES, SIGMA_OF_MEDIAN, blur_taps, medians_where
 
 MOST_CONTACTS = 65_535  # labels are uint16
 RUN_WORDS = 6  # of native/contact/runs.h
@@ -159,8 +159,8 @@ SMOOTHINGS_PX, QUIET = {0.7: 0.65, 1.5: 0.7, 2.5: 0.8}, 0.06
 FINER_HALF, FINER_SIGMAS = 0.6, 8.0
 NOISE_SAMPLES = 10_000  # pixels: enough for a quantile
 FRACTION_AT_REST = 0.3  # of the frame that is taken to be untouched at least
-# Standard deviation of a normal distribution over the magnitude that 30 % of it are below, and that its half is.
-SIGMA_OF_FRACTION, SIGMA_OF_HALF = 2.595, 1.4826
+# Standard deviation of a normal distribution over the magnitude that 30 % of it are below.
+SIGMA_OF_FRACTION = 2.595
 SIGMAS_OF_DEPTH = 2.0  # that depth has to exceed its own standard deviation by, to say anything
 STIFFEST = 25.0  # 1/mm^2: no gel relaxes within less than 0.2 mm
 LEAST_FALLING = 50  # pixels beside a contact, from which the gel's relaxation is estimated
@@ -342,7 +342,7 @@ def _noise_mm(depth: NDArray[np.float32]) -> float:
     work = np.empty(2 * -(-depth.size // step), dtype=np.float32)
     found = np.empty(1, dtype=np.float32)
     _median_below(depth, work, found, step)
-    return SIGMA_OF_HALF * float(found[0])
+    return SIGMA_OF_MEDIAN * float(found[0])
 
 
 def _regions(found: _Pressure, limit: float, noise: NDArray[np.float32], min_px: float) -> NDArray[np.bool_]:

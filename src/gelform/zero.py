@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.foundations.checks import check_mask
-from gelform.foundations.filters import medians_where
-
-MEDIAN_SAMPLES = 5_000  # pixels on a lattice, fine enough for a median
+from gelform.foundations.filters import MEDIAN_SAMPLES, lattice_step, medians_where
 
 Zero = Literal["mean", "border"]
 Level = Literal["slope", "plane", "quadratic"]
@@ -61,7 +59,7 @@ def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray
     """Median (...) of maps (..., H, W) over a region; of a large one on a lattice, which is plenty."""
     if maps.ndim > 2:
         return np.stack([median_over(one, region) for one in maps])
-    step = max(1, round((region.size / MEDIAN_SAMPLES) ** 0.5))
+    step = lattice_step(region.size)
     values = np.ascontiguousarray(maps, dtype=np.float32)[..., None]
     median, count = medians_where(values, region, step)
     if count < MEDIAN_SAMPLES / 20 and step > 1:

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.background.registration import PreparedRegistration, _logs, registration_from_image
+from gelform.background.registration import PreparedRegistration, registration_from_image
+from gelform.foundations.filters import log_levels
 
 SHAPE = (144, 192)
 
@@ -103,7 +104,7 @@ def test_sizes_are_checked():
 
 def test_light_is_the_logarithm_of_the_channels_mean():
     image = np.full((4, 5, 3), [10.0, 20.0, 60.0])
-    np.testing.assert_allclose(_logs(image), np.log(30 + 10), rtol=1e-5)
+    np.testing.assert_allclose(log_levels(image), np.log(30 + 10), rtol=1e-5)
 
 
 @pytest.mark.parametrize("touched", [np.zeros((0, 80), bool), np.zeros((64, 0), bool), np.zeros((64, 80))])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelform.foundations import filters
-from gelform.foundations.filters import medians_where
+from gelform.foundations.filters import MEDIAN_SAMPLES, lattice_step, medians_where
 from kernel_agreement import assert_kernel_agrees
 
 
@@ -41,3 +41,10 @@ def test_the_kernel_agrees_with_numpy():
     assert_kernel_agrees(
         filters._medians_where, lambda v, c, s, *_: by_numpy(v, c, s), values, chosen, 1, work, out
     )
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (720, 960), (2000, 3000)])
+def test_a_lattice_has_about_as_many_pixels_as_medians_need(shape):
+    step = lattice_step(shape[0] * shape[1])
+    assert 0.7 * MEDIAN_SAMPLES < np.zeros(shape)[::step, ::step].size < 1.5 * MEDIAN_SAMPLES
+    assert lattice_step(12) == 1

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.background.exposure import block_means
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image
+from gelform.foundations.filters import SIGMA_OF_MEDIAN
 
 # Of frames that are held, and of rows that are sorted at once.
 MAX_BYTES, ROWS_BYTES = 192 * 2**20, 32 * 2**20
@@ -89,7 +90,7 @@ def noise_from_image(image: NDArray[Any]) -> NDArray[np.float64]:
     pixels = np.asarray(image, dtype=np.float32)
     second = pixels[:, 2:] - 2 * pixels[:, 1:-1] + pixels[:, :-2]
     middle = np.median(np.abs(second), axis=(0, 1)).astype(np.float64)
-    return np.asarray(1.4826 * middle / np.sqrt(6), dtype=np.float64)
+    return np.asarray(SIGMA_OF_MEDIAN * middle / np.sqrt(6), dtype=np.float64)
 
 
 def _kept(
@@ -118,7 +119,7 @@ def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
     for (name, _), own in zip(kept, blocks):
         gain = np.median((own + 1) / (middle + 1), axis=(0, 1))
         off = np.abs(own - gain * middle)
-        noise = 1.4826 * np.median(off, axis=(0, 1))
+        noise = SIGMA_OF_MEDIAN * np.median(off, axis=(0, 1))
         touched = (off > BLOCK_FRACTION * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
         brighter = float(gain[np.argmax(np.abs(gain - 1))] - 1)
         if touched > TOUCHED_BLOCKS:

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from gelform._native import Kernel
 from gelform.background.check import compared
 from gelform.background.exposure import Exposure, block_means
-from gelform.foundations.checks import check_image, check_is, check_values, check_within
-from gelform.foundations.filters import LANES, blur_taps
+from gelform.foundations.checks import check_image, check_is, check_response, check_values, check_within
+from gelform.foundations.filters import CHANGE_OFFSET, LANES, blur_taps
 from gelform.foundations.findings import Finding
 
 MAX_CONDITION = 30.0  # of a crosstalk matrix, from which two channels count as one
-MAX_OFFSET, MAX_BLUR_PX, POSSIBLE_RESPONSES = 1e4, 100.0, (0.05, 20.0)  # that a file may say
+MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # that a file may say
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(
     "color_change",
@@ -42,7 +42,7 @@ class ChangeSettings:
     """
 
     method: Literal["divide", "subtract"] = "divide"
-    offset: float = 10.0
+    offset: float = CHANGE_OFFSET
     blur_px: float = 0.0
     crosstalk: Matrix | None = None
     response: float = 1.0
@@ -52,7 +52,7 @@ class ChangeSettings:
             raise ValueError(f"Expected method 'divide' or 'subtract', got {self.method!r}.")
         check_within(self.offset, "offset", 0, MAX_OFFSET)
         check_within(self.blur_px, "blur_px", 0, MAX_BLUR_PX)
-        check_within(self.response, "response", *POSSIBLE_RESPONSES)
+        check_response(self.response)
         if self.crosstalk is not None:
             object.__setattr__(self, "crosstalk", _checked_crosstalk(self.crosstalk))
 

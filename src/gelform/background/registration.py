@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.foundations.checks import check_image, check_mask
+from gelform.foundations.filters import log_levels
 
-OFFSET = 10.0  # grey levels, as where the color change divides
 # Standard deviations, coarse to fine; with the first a shift of about 8 px is still found.
 BLURS_PX = (6.0, 3.0, 1.5, 1.5)
 PRIOR_PX = 5.0  # standard deviation of the motion at the image's corners, where nothing is known of it
@@ -92,7 +92,7 @@ class PreparedRegistration:
     """A background prepared for many images. Parameters as `registration_from_image`."""
 
     def __init__(self, background: NDArray[Any]) -> None:
-        self._logs = _logs(background)
+        self._logs = log_levels(background)
         height, width = self._logs.shape
         self._half = np.hypot(height, width) / 2
         self._y, self._x = np.mgrid[:height, :width].astype(np.float32)
@@ -105,7 +105,7 @@ class PreparedRegistration:
 
     def __call__(self, image: NDArray[Any], touched: NDArray[np.bool_] | None = None) -> Registration:
         """Register an image (H, W, 3), 0-255, of the background's size."""
-        logs = _logs(image)
+        logs = log_levels(image)
         motion, covariance, fraction = self._start(logs, touched), PRIOR_PX**2 * np.eye(4), 0.0
         for blur in BLURS_PX:
             motion[:2] = np.round(motion[:2] / STEP) * STEP
@@ -214,10 +214,3 @@ def _registration(
         stretch_sigma=float(sigma[3] / half),
         untouched=fraction,
     )
-
-
-def _logs(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Logarithm (H, W) of the mean of the channels."""
-    third = np.full((1, 3), 1 / 3, dtype=np.float32)
-    mean = cv2.transform(np.asarray(image, dtype=np.float32), third)
-    return np.asarray(cv2.log(np.maximum(mean, 0) + np.float32(OFFSET)))

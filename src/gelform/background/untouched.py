@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.foundations.filters import medians_where
+from gelform.foundations.filters import lattice_step, medians_where
 from gelform.foundations.findings import Finding
 
 MIN_UNTOUCHED = 0.02  # fraction of the frame: of fewer pixels the median slope is noise
-SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and fractions
 EXPOSURE_STEP_PX = 8  # of the lattice for the common change
 
 _near_common = Kernel(
@@ -54,7 +53,7 @@ def reference_from_color_change(
     """
     common = medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
     height, width = gradients.shape[:2]
-    step = max(1, round((height * width / SAMPLES) ** 0.5))
+    step = lattice_step(height * width)
     near = np.zeros((height, width), dtype=bool)
     count = _near_common(color_change, hidden, common, near, threshold**2, step)
     fraction = count / (-(-height // step) * -(-width // step))

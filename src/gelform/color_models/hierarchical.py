@@ -29,6 +29,7 @@ from gelform.color_models._shared.least_squares import (
     terms_of_orders,
 )
 from gelform.color_models.seam import PendingChange, Samples, check_image_shape
+from gelform.foundations.filters import CHANGE_OFFSET
 
 RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
 
@@ -59,7 +60,7 @@ class HierarchicalModel:
     shape: tuple[int, int]
 
     name: ClassVar[str] = "hierarchical"
-    change_offset: ClassVar[float] = 10.0
+    change_offset: ClassVar[float] = CHANGE_OFFSET
 
     @classmethod
     def fit(

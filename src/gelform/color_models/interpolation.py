@@ -16,7 +16,8 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge, unit_position
-from gelform.color_models.seam import Samples, check_image_shape
+from gelform.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.view.resample import pixel_positions
 
 NEIGHBOURS = 16  # of a pixel: five times the unknowns of its line
@@ -27,7 +28,7 @@ ARRAYS, SCALES = ("color", "x_px", "y_px", "gradients", "line"), ("color_scale",
 
 
 @dataclass(frozen=True, eq=False)
-class InterpolationModel:
+class InterpolationModel(Untuned):
     """Thinned samples and the line of all of them.
 
     Attributes
@@ -53,7 +54,7 @@ class InterpolationModel:
     shape: tuple[int, int]
 
     name: ClassVar[str] = "interpolation"
-    change_offset: ClassVar[float] = 10.0
+    change_offset: ClassVar[float] = CHANGE_OFFSET
 
     @classmethod
     def fit(cls, samples: Samples, *, points: int = POINTS, place_scale: float = 0.5) -> InterpolationModel:
@@ -73,11 +74,6 @@ class InterpolationModel:
             raise ValueError(f"Expected at least {NEIGHBOURS} samples, got {len(kept[0])}.")
         apart = draft._tree.query(draft._tree.data, k=[NEIGHBOURS // 4])[0]
         return replace(draft, spacing=float(np.median(apart)) + 1e-9)
-
-    @classmethod
-    def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Itself: all the samples it keeps."""
-        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

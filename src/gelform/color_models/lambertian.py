@@ -16,14 +16,13 @@ import scipy  # its parts load at first use
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.color_models._shared.least_squares import HUBER_SLOPE, robust_ridge
-from gelform.color_models.seam import Samples
-from gelform.foundations.checks import LARGEST, check_values, check_within
+from gelform.color_models.seam import Samples, Untuned
+from gelform.foundations.checks import LARGEST, check_response, check_values
 
 MAX_CONDITION = 1e4  # of a light matrix, from which lights count as coplanar
 MAX_SLOPE = 5.0  # mm/mm, that pixels in shadow get at most
 DARKEST_RATIO = 0.02  # of the light at rest: a darker channel is in shadow, where the law does not hold
 RESPONSES = (0.3, 1.6)  # exponents that a fit looks for
-POSSIBLE_RESPONSES = (0.05, 20.0)  # that a file may say
 
 
 def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
@@ -45,7 +44,7 @@ def inverse_lights(lights: ArrayLike) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class LambertianModel:
+class LambertianModel(Untuned):
     """Three fixed lights, each scaled to l_z = 1.
 
     Attributes
@@ -58,7 +57,7 @@ class LambertianModel:
     response: float = 1.0
 
     def __post_init__(self) -> None:
-        check_within(self.response, "response", *POSSIBLE_RESPONSES)
+        check_response(self.response)
 
     name: ClassVar[str] = "lambertian"
     change_offset: ClassVar[float] = 0.0
@@ -80,11 +79,6 @@ class LambertianModel:
         lights = _fitted_lights(samples, response)
         inverse_lights(lights)
         return cls(lights, response)
-
-    @classmethod
-    def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Itself: six numbers of the lights and the exponent, for both slopes."""
-        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

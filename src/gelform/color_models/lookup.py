@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.layers import blocks_of
 from gelform.color_models._shared.least_squares import HUBER_SLOPE
-from gelform.color_models.seam import Samples, check_image_shape
+from gelform.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.foundations.filters import CHANGE_OFFSET
 
 HUBER_ROUNDS = 2  # of reweighting by Huber's loss
 FOLDS, STRETCHES = 2, 24  # stretches of the samples, about a press or two each, are dealt into folds
@@ -125,7 +126,7 @@ PRIOR_SAMPLES = 20.0  # that count for the typical deviation: fewer at a node do
 
 
 @dataclass(frozen=True)
-class LookupModel:
+class LookupModel(Untuned):
     """Slopes at the nodes of a grid over (y, x, R, G, B).
 
     Attributes
@@ -146,7 +147,7 @@ class LookupModel:
     background: NDArray[np.float32] | None = None
 
     name: ClassVar[str] = "lookup"
-    change_offset: ClassVar[float] = 10.0
+    change_offset: ClassVar[float] = CHANGE_OFFSET
 
     @classmethod
     def fit(
@@ -180,11 +181,6 @@ class LookupModel:
         sigma = _deviation(corners, residual, weight, sizes)
         table = np.concatenate([slopes, sigma[:, None]], axis=1).reshape(*sizes, 3)
         return cls(table.astype(np.float32), low, step, samples.shape)
-
-    @classmethod
-    def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Itself: a number for each node of its table over colour."""
-        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from gelform.color_models._shared.layers import Layers, RestedNetwork
 from gelform.color_models._shared.least_squares import unit_position
-from gelform.color_models.seam import Samples, check_image_shape
+from gelform.color_models.seam import Samples, Untuned, check_image_shape
+from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.view.resample import pixel_positions
 
 
 @dataclass(frozen=True)
-class MlpModel:
+class MlpModel(Untuned):
     """A network of five inputs (colour change R, G, B in units of its size; x, y) and two slopes.
 
     Attributes
@@ -34,13 +35,10 @@ class MlpModel:
     shape: tuple[int, int]
 
     name: ClassVar[str] = "mlp"
-    change_offset: ClassVar[float] = 10.0
+    change_offset: ClassVar[float] = CHANGE_OFFSET
 
     def __post_init__(self) -> None:
-        if (self.layers.inputs, self.layers.outputs) != (5, 2):
-            raise ValueError(
-                f"Expected a network of 5 inputs and 2 outputs, got {self.layers.inputs} and {self.layers.outputs}."
-            )
+        self.layers.check_reads_slopes()
 
     @classmethod
     def fit(
@@ -73,11 +71,6 @@ class MlpModel:
         }
         layers = train(change / scale, place, samples.gradients, samples.weight, **settings)
         return cls(layers, scale, samples.shape)
-
-    @classmethod
-    def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Itself: 1313 weights and biases give both slopes."""
-        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

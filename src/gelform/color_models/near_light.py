@@ -27,7 +27,7 @@ from gelform.color_models.lambertian import (
     gradients_from_scaled,
     linear_change,
 )
-from gelform.color_models.seam import Samples, check_image_shape
+from gelform.color_models.seam import Samples, Untuned, check_image_shape
 from gelform.view.resample import pixel_positions
 
 LEAST_RATIO = 1e-3  # of the light at rest: a channel with less is held there
@@ -124,7 +124,7 @@ _near_light_gradients = Kernel(
 
 
 @dataclass(frozen=True)
-class NearLightModel:
+class NearLightModel(Untuned):
     """Three near lights, the mixture that each channel sees, and the camera's response.
 
     Attributes
@@ -182,11 +182,6 @@ class NearLightModel:
         toward = Toward.of(x, y, 2 * self.positions_px / max(self.shape), self.falloff)
         lights = np.einsum("cl,nlk->nck", self.mixture, toward.light)
         return np.asarray(lights / lights[..., 2:], dtype=np.float64)
-
-    @classmethod
-    def variants(cls, presses: int) -> list[dict[str, Any]]:
-        """Itself; `auto` tries it where presses are enough to tell whether it is right."""
-        return [{}]
 
     def gradients_at(
         self, color_change: NDArray[Any], x_px: NDArray[Any], y_px: NDArray[Any]

@@ -42,10 +42,7 @@ class NetworkModel:
     change_offset: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
-        if (self.layers.inputs, self.layers.outputs) != (5, 2):
-            raise ValueError(
-                f"Expected a network of 5 inputs and 2 outputs, got {self.layers.inputs} and {self.layers.outputs}."
-            )
+        self.layers.check_reads_slopes()
         if self.position not in ("xy", "yx", "zeros") or self.answer not in ("angles", "normals"):
             raise ValueError(
                 f"Expected position as xy, yx or zeros and answer as angles or normals, got {self.position!r} "

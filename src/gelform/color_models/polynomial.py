@@ -24,6 +24,7 @@ from gelform.color_models._shared.least_squares import (
     unit_position,
 )
 from gelform.color_models.seam import Samples, check_image_shape
+from gelform.foundations.filters import CHANGE_OFFSET
 
 MAX_POSITION_DEGREE = 5  # 21 functions of the place
 # Position degrees that calibration tries, and the accepted presses that each needs.
@@ -53,7 +54,7 @@ class PolynomialModel:
     shape: tuple[int, int]
 
     name: ClassVar[str] = "polynomial"
-    change_offset: ClassVar[float] = 10.0
+    change_offset: ClassVar[float] = CHANGE_OFFSET
 
     @classmethod
     def fit(

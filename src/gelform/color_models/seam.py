@@ -149,6 +149,15 @@ class FittableColorModel(ColorModel, Protocol):
         ...
 
 
+class Untuned:
+    """A color model without settings to try, whatever the number of presses."""
+
+    @classmethod
+    def variants(cls, presses: int) -> list[dict[str, Any]]:
+        """Itself."""
+        return [{}]
+
+
 @runtime_checkable
 class StartableModel(ColorModel, Protocol):
     """Beyond `ColorModel`: the fit of another unit may begin at it; its class's `fit` takes it as `start`, and a `ridge`."""

@@ -17,6 +17,7 @@ from gelform._native import Kernel
 
 _range = Kernel("range_f32", "f32[...] values, out f32[2] range")
 
+POSSIBLE_RESPONSES = (0.05, 20.0)  # exponents of a camera's response, levels = light^response
 LARGEST = 1e18  # squares of it, and sums of those, fit into float32
 
 
@@ -320,3 +321,8 @@ def check_within(value: float, name: str, low: float, high: float) -> float:
     if not low <= number <= high:
         raise ValueError(f"Expected {name} between {low:g} and {high:g}, got {value}.")
     return number
+
+
+def check_response(response: float) -> float:
+    """Return the exponent of a camera's response, as a file may say it, as float."""
+    return check_within(response, "response", *POSSIBLE_RESPONSES)

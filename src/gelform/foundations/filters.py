@@ -1,8 +1,9 @@
-"""Filters of maps that several rooms share: medians over chosen pixels, and the weights of Gaussian blurs in kernels."""
+"""Filters of maps that several rooms share: medians over chosen pixels, logarithms, the weights of Gaussian blurs."""
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 
+CHANGE_OFFSET = 10.0  # grey levels added where a color change divides, and to logarithms: noise of dark pixels is no color
+SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal noise over its median magnitude
+MEDIAN_SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and fractions
 LANES = 16  # floats, of native/common.h: rows of work arrays are as long as a whole number of them
 _medians_where = Kernel(
     "medians_where",
@@ -28,6 +32,18 @@ def medians_where(
     medians = np.empty(channels, dtype=np.float32)
     work = np.empty(2 * -(-height // step) * -(-width // step), dtype=np.float32)
     return medians, _medians_where(values, chosen, step, work, medians)
+
+
+def lattice_step(pixels: int) -> int:
+    """Of how many rows and columns one has to be looked at, for about `MEDIAN_SAMPLES` of so many pixels."""
+    return max(1, round((pixels / MEDIAN_SAMPLES) ** 0.5))
+
+
+def log_levels(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Logarithm (H, W) of the mean of an image's channels (H, W, 3), `CHANGE_OFFSET` above 0."""
+    third = np.full((1, 3), 1 / 3, dtype=np.float32)
+    mean = cv2.transform(np.asarray(image, dtype=np.float32), third)
+    return np.asarray(cv2.log(np.maximum(mean, 0) + np.float32(CHANGE_OFFSET)))
 
 
 @lru_cache(maxsize=16)

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.foundations.filters import CHANGE_OFFSET, log_levels
 from gelform.frames import as_levels
 
-OFFSET = 10.0  # grey levels added before the logarithm: noise of dark pixels is no darkness
 STEPS, STRETCHED_STEPS = 8, 15  # of the fit at most, for a shift and for an affine map
 SIDE_RADII = 1.35  # half a patch, in radii of a dot
 MOST_SIDE, BASIS = 63, 9  # of native/markers/follow.c
@@ -43,7 +43,7 @@ STRETCH = (0.35, 2.2)  # singular values of 1 + A that rubber reaches
 LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
 
 _MEAN = np.full((1, 3), 1 / 3, dtype=np.float32)  # of the channels
-_LOGS = np.log(np.arange(256, dtype=np.float32) + np.float32(OFFSET))
+_LOGS = np.log(np.arange(256, dtype=np.float32) + np.float32(CHANGE_OFFSET))
 _follow_patches = Kernel(
     "follow_patches",
     "f32[h,w] image, i32[n,2] corners, f32[n,pixels] weight, f32[n,9,pixels] basis, f32[n,3,3] triangle, "
@@ -143,8 +143,7 @@ def logs_from_image(image: NDArray[Any]) -> NDArray[np.float32]:
     """Logarithm (H, W) of the mean of an image's channels (H, W, 3)."""
     if image.dtype == np.uint8:
         return np.asarray(cv2.LUT(level_from_image(image), _LOGS))
-    mean = cv2.transform(np.asarray(image, dtype=np.float32), _MEAN)
-    return np.asarray(cv2.log(np.maximum(mean, 0) + np.float32(OFFSET)))
+    return log_levels(image)
 
 
 def level_from_image(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import needed
-from gelform.exporters.surface import points_from_result
+from gelform.exporters.surface import M_PER_MM, points_from_result
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
 from gelform.robots.topics import TOPICS
 
-M_PER_MM = np.float32(1e-3)
 FLOAT32 = 7  # sensor_msgs/PointField
 DIAGNOSTICS_NS = 10**9  # at least one message a second, as ROS's own diagnostics
 OK, WARN, ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
 from gelform.solvers.system import FLOOR, edges_from_gradients
@@ -109,7 +110,7 @@ def _usual(circulation: NDArray[np.float32], trusted: NDArray[np.bool_] | None) 
     else:
         sample = circulation[trusted[1:, 1:] & trusted[1:, :-1] & trusted[:-1, 1:] & trusted[:-1, :-1]]
     sample = sample[:: EVERY_LOOP if sample.size > 10_000 else 1]
-    return max(1.4826 * float(np.median(np.abs(sample))), LEAST_CURL) if sample.size else LEAST_CURL
+    return max(SIGMA_OF_MEDIAN * float(np.median(np.abs(sample))), LEAST_CURL) if sample.size else LEAST_CURL
 
 
 def _around(loops: NDArray[np.float32]) -> NDArray[np.float32]:

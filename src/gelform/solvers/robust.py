@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.foundations.pool import Pool
 from gelform.solvers.dct import DctSolver
 from gelform.solvers.multigrid import Grid
@@ -134,4 +135,4 @@ def _usual(residual: Pair, weights: Pair) -> np.float32:
     """Median size of the residuals that count, as a standard deviation; tiny where all are 0."""
     sample = [(r.ravel()[::EVERY_EDGE], w.ravel()[::EVERY_EDGE]) for r, w in zip(residual, weights)]
     sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
-    return np.float32(max(1.4826 * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))
+    return np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))

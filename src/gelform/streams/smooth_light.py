@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.foundations.filters import SIGMA_OF_MEDIAN
+
 DEGREE = 3  # of the polynomial
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x and y
 FIT_ROUNDS = 3  # of reweighting
 TUKEY_SIGMAS = 4.0  # deviations of noise from which on a value no longer counts (Tukey's biweight)
-SIGMA_OF_MEDIAN = 1.4826  # normal deviation over the median magnitude
 # By how much the mean light, and its other coefficients, may change from fit to fit; matters where no block is untouched.
 MEAN_STEP, STEP = 0.1, 3e-3
 LEAST_NOISE = 0.02  # grey levels of a block's mean

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.background.untouched import EXPOSURE_STEP_PX, MIN_UNTOUCHED, SAMPLES
+from gelform.background.untouched import EXPOSURE_STEP_PX, MIN_UNTOUCHED
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError, GelformError
 from gelform.foundations.checks import check_image
+from gelform.foundations.filters import lattice_step
 from gelform.markers import markers_from_image
-from gelform.zero import MEDIAN_SAMPLES
 
 try:
     import torch
@@ -116,11 +116,11 @@ class Reconstruct(nn.Module):
         if self.step is not None:
             gradients = self.step(change, gradients)
         untouched = self._untouched(change)
-        step = _step(self.shape, SAMPLES)
+        step = lattice_step(self.shape[0] * self.shape[1])
         bias = medians_where(gradients[..., ::step, ::step], untouched[..., ::step, ::step])
         gradients = gradients - bias
         depth = self.solver(gradients)[:, None]
-        step = _step(self.shape, MEDIAN_SAMPLES)
+        step = lattice_step(self.shape[0] * self.shape[1])
         zero = medians_where(depth[..., ::step, ::step], untouched[..., ::step, ::step])
         return BatchReconstruction(depth - zero, gradients)
 
@@ -129,7 +129,7 @@ class Reconstruct(nn.Module):
         """Pixels (N, 1, H, W) whose colour did not change; where they are too few, those that changed least."""
         coarse = change[..., ::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
         near = ((change - medians_where(coarse)) ** 2).sum(1, keepdim=True) < self.threshold**2
-        step = _step(self.shape, SAMPLES)
+        step = lattice_step(self.shape[0] * self.shape[1])
         few = near[..., ::step, ::step].float().mean((1, 2, 3)) < MIN_UNTOUCHED
         if bool(few.any()):
             size = change[few].norm(dim=1, keepdim=True)
@@ -137,8 +137,3 @@ class Reconstruct(nn.Module):
             limit = ordered[:, round(MIN_UNTOUCHED * (ordered.shape[1] - 1))]
             near[few] = size <= limit[:, None, None, None]
         return near
-
-
-def _step(shape: tuple[int, int], samples: int) -> int:
-    """Of a lattice with about so many pixels."""
-    return max(1, round((shape[0] * shape[1] / samples) ** 0.5))

@@ -14,10 +14,10 @@ from gelform.batch.outputs.files import FlushedLater, OutputFile, PartTarget, Pa
 from gelform.errors import DataError
 from gelform.foundations.npz_files import npz_bytes
 from gelform.reconstruction import Reconstruction, save_result
+from gelform.sensors.recordings.facts import PNG_SETTINGS
 
 KIND, VERSION = "gelform maps", 1
 # A tenth quicker and 5 % smaller than without: the low bits of depth are noise, in which nothing longer than a run is found.
-PNG_SETTINGS = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 
 
 class FrameFiles(PartWriter):

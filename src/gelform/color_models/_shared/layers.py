@@ -64,6 +64,13 @@ class Layers:
         """How many come out."""
         return int(self.weights[-1].shape[0])
 
+    def check_reads_slopes(self) -> None:
+        """Raise a ValueError where it does not make two numbers of three colours and a place."""
+        if (self.inputs, self.outputs) != (5, 2):
+            raise ValueError(
+                f"Expected a network of 5 inputs and 2 outputs, got {self.inputs} and {self.outputs}."
+            )
+
     def outputs_from(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """What comes out (outputs, N) for inputs (inputs, N)."""
         last = len(self.weights) - 1
