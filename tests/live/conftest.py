@@ -36,7 +36,7 @@ def shown(press, result):
 
 
 @pytest.fixture
-def hub(sensor, calibration):
+def hub(sensor, calibration, library):
     """A hub whose one station shows the simulated sensor at rest."""
     made = Hub(calibrations=Calibrations())
 

@@ -1,12 +1,19 @@
 """From arguments to running stations."""
 
+import json
+import signal
 import subprocess
 import sys
-from contextlib import closing
+import time
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from websockets.sync.client import connect
 
+from gelform.calibration_file import load_calibration
+from gelform.calibrations.library import add_calibration
 from gelform.errors import CalibrationError, DataError
 from gelform.live.start import Options, start
 from gelform.plots.canvas import save_picture
@@ -109,3 +116,68 @@ def test_what_calibrates_is_imported_when_it_is_needed():
     assert not [
         name for name in run.stdout.split() if name.startswith(("gelform.calibration.", "scipy.optimize"))
     ]
+
+
+def test_the_newest_calibration_of_the_camera_is_taken_from_the_library(library, calibration, monkeypatch):
+    """A camera that is not there yet is known by the serial that it is called by."""
+    for serial, gel in (("D1", "1"), ("D1", "2"), ("D2", "3")):
+        made = replace(calibration, serial=serial, gel_id=gel, created_utc=f"2026-11-0{gel}T00:00:00+00:00")
+        add_calibration(made)
+    (library / "damaged.npz").write_text("none")
+    hub = start(Options(["D1"]))
+    try:
+        assert hub.stations[0].setup.calibration.gel_id == "2"
+        assert "(gel 2, of 2026-11-02 00:00)" in hub.notices[-1][2]
+        assert len(hub.calibrations.names) == 3
+    finally:
+        hub.close()
+
+
+def words_until(socket, wanted, timeout_s=120):
+    """The first facts of the page of which something is wanted."""
+    stop = time.monotonic() + timeout_s
+    while time.monotonic() < stop:
+        data = socket.recv(timeout=timeout_s)
+        facts = json.loads(data) if isinstance(data, str) else {}
+        if found := wanted(facts):
+            return found
+    raise AssertionError("it did not come")
+
+
+@contextmanager
+def live_running(folder):
+    """`gelform live` in a process of its own, spoken to as the page does."""
+    command = [sys.executable, "-m", "gelform", "live", "simulated", "--folder", folder, "--rate", "30"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            url = running.stdout.readline().strip()
+            address = url.replace("http", "ws") + "ws"
+            with connect(
+                address, origin=url.rstrip("/"), compression=None, max_size=None, proxy=None
+            ) as socket:
+                yield socket
+        finally:
+            running.send_signal(signal.SIGINT)
+            running.communicate(timeout=20)
+
+
+@pytest.mark.slow
+def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, tmp_path):
+    def used(facts):
+        """The name of the calibration, once there are pictures."""
+        (station,) = facts.get("stations") or [{}]
+        return station.get("rate_hz") and station["calibration"]
+
+    with live_running(tmp_path / "first") as socket:
+        assert words_until(socket, used) == "simulated sensor three-edges"
+        ask = {"do": "guide_start", "station": 0, "ball_diameter_mm": 5.0, "profile": "", "mm_per_px": 0.0}
+        socket.send(json.dumps(ask))
+        words_until(socket, lambda facts: (facts.get("guides") or {}).get("0", {}).get("can_fit"))
+        socket.send(json.dumps({"do": "guide_fit", "station": 0}))
+        words_until(socket, lambda facts: (facts.get("guides") or {}).get("0", {}).get("step") == "report")
+        socket.send(json.dumps({"do": "guide_use", "station": 0}))
+        kept = words_until(socket, lambda facts: (name := used(facts)) and name.endswith(".npz") and name)
+    assert [path.name for path in library.iterdir()] == [kept]
+    with live_running(tmp_path / "second") as socket:
+        assert words_until(socket, used) == kept
+    assert load_calibration(library / kept).serial == "simulated-three-edges"

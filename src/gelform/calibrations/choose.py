@@ -51,13 +51,13 @@ class Unit:
     gel_id: str = ""
     carries: Path | None = None
 
-    def is_calibrated_by(self, entry: Entry) -> bool:
-        """Whether the entry is of this unit, and of no other gel."""
+    def is_calibrated_by(self, entry: Entry | Calibration) -> bool:
+        """Whether the calibration is of this unit, and of no other gel."""
         if self.gel_id and entry.gel_id not in (None, self.gel_id):
             return False
         if self.serial:
             return entry.serial == self.serial
-        return not entry.serial and bool(entry.sensor) and entry.sensor in self.names
+        return not entry.serial and entry.sensor_name in self.names
 
 
 @dataclass(frozen=True)

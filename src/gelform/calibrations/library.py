@@ -66,12 +66,12 @@ class Entry:
     ----------
     path : of the file
     problem : why it cannot be read; empty where it can
-    sensor, serial, gel_id, created_utc, digest, held_out : as of the `Calibration`; empty where it cannot be read
+    sensor_name, serial, gel_id, created_utc, digest, held_out : as of the `Calibration`; empty where it cannot be read
     """
 
     path: Path
     problem: str = ""
-    sensor: str = ""
+    sensor_name: str = ""
     serial: str | None = None
     gel_id: str | None = None
     created_utc: str = ""
@@ -216,7 +216,7 @@ def facts_of(entry: Entry) -> dict[str, Any]:
     """An entry as JSON has it."""
     return {
         "file": str(entry.path),
-        "sensor": entry.sensor or None,
+        "sensor": entry.sensor_name or None,
         "serial": entry.serial,
         "gel_id": entry.gel_id,
         "created_utc": entry.created_utc or None,

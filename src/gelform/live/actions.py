@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelform.background.average import background_from_frames
+from gelform.calibrations.choose import unit_of_camera
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.progress import Progress
@@ -114,10 +115,11 @@ def set_camera(hub: Hub, station: int, name: str, value: float) -> None:
 
 
 def show_camera(hub: Hub, station: int, camera: int) -> None:
-    """Show a camera of the list in place of what a station shows, with the calibration of its serial if there is one."""
+    """Show a camera of the list in place of what a station shows, with its newest calibration if there is one."""
     chosen, found = hub.station(station), hub.devices.camera(camera)
     hub.check_idle(station)
-    setup, name = Setup(solver=chosen.setup.solver), hub.calibrations.of_serial(found.serial)
+    setup = Setup(solver=chosen.setup.solver)
+    name = hub.calibrations.of_unit(unit_of_camera(found, hub.devices.cameras()))
     if name is not None:
         setup = setup.with_calibration(hub.calibrations[name], name)
     hub.devices.show(chosen, found, setup)
@@ -310,7 +312,7 @@ def guide_use(hub: Hub, station: int) -> None:
     name = hub.calibrations.add_file(session.path)
     use_calibration(hub, station, name)
     hub.end_guide(station)
-    hub.notice(f"In use, and saved: {session.name}/calibration.npz")
+    hub.notice(f"In use, and saved: {session.name}/calibration.npz. {session.kept}")
 
 
 def _session(hub: Hub, station: int) -> GuideSession:
@@ -329,7 +331,7 @@ def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: f
     try:
         diameter = check_ball_diameter(ball_diameter_mm)
         if hasattr(source, "press_at"):
-            return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name)
+            return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
         if profile:
             known = profile_named(profile)
             view = known.view((shape[0], shape[1]))

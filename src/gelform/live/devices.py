@@ -55,6 +55,10 @@ class Devices:
         self._before: dict[str, str] | None = None
         self._gone = ""
 
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras that are plugged in."""
+        return self._plugged_in()
+
     def camera(self, number: int) -> Camera:
         """The camera of a number of the list; GelformError where it is not plugged in."""
         for camera in self._plugged_in():

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gelform.calibration_file import KIND, Calibration, load_calibration
+from gelform.calibrations.choose import Unit
+from gelform.calibrations.library import date_of
 from gelform.errors import GelformError
 from gelform.foundations.npz_files import kind_of_npz
 from gelform.sensors.recordings.image_folder import is_recorded_folder
@@ -37,18 +39,21 @@ class Calibrations:
     Parameters
     ----------
     given : paths from the command line
-    folder : whose calibrations are offered too, or None
+    folder, library : whose calibrations are offered too, or None
     """
 
-    def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
+    def __init__(
+        self, given: Iterable[Path] = (), folder: Path | None = None, library: Path | None = None
+    ) -> None:
         self._lock = threading.Lock()
         self._origins: dict[str, Origin] = {}
         self._loaded: dict[str, Calibration] = {}
         for path in given:
             self.add_file(path)
-        for path in sorted(folder.glob("*.npz")) if folder is not None else ():
-            if kind_of_npz(path) == KIND:
-                self.add_file(path)
+        for place in (folder, library):
+            for path in sorted(place.glob("*.npz")) if place is not None else ():
+                if kind_of_npz(path) == KIND:
+                    self.add_file(path)
 
     @property
     def names(self) -> list[str]:
@@ -85,15 +90,23 @@ class Calibrations:
             known = self._loaded.get(name)
         return name if known and known.digest == calibration.digest else self.add(name, calibration, origin)
 
-    def of_serial(self, serial: str | None) -> str | None:
-        """The name of the last one on the list that was made with the camera of a serial number; None where none was."""
-        for name in reversed(self.names if serial else []):
+    def of_unit(self, unit: Unit) -> str | None:
+        """The name of the newest one on the list that is of a unit, or of the one that was in use; None where none is."""
+        found: list[tuple[bool, str, str]] = []
+        for name in self.names:
             try:
-                if self[name].serial == serial:
-                    return name
+                calibration = self[name]
             except GelformError:
                 continue  # what is wrong with its file is said when it is chosen
-        return None
+            if unit.is_calibrated_by(calibration):
+                in_use = bool(unit.digest) and calibration.digest == unit.digest
+                found.append((in_use, calibration.created_utc, name))
+        return max(found)[2] if found else None
+
+    def described(self, name: str) -> str:
+        """For a sentence: the name of a calibration, its gel and date."""
+        calibration = self[name]
+        return f"{name} (gel {calibration.gel_id or 'not named'}, of {date_of(calibration.created_utc)})"
 
     def __getitem__(self, name: str) -> Calibration:
         """The calibration of a name.

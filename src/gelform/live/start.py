@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelform.errors import DataError, SensorError
+from gelform.calibrations.choose import Unit, unit_of
+from gelform.calibrations.library import library_folder
+from gelform.errors import DataError, GelformError, SensorError
 from gelform.foundations.progress import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub
@@ -62,7 +64,7 @@ def start(options: Options) -> Hub:
     _check_named_once(options.sources)
     given = [Path(spec) for spec in options.sources if is_recording(spec)]
     hub = Hub(
-        calibrations=Calibrations(options.calibrations, options.folder),
+        calibrations=Calibrations(options.calibrations, options.folder, library_folder()),
         recordings=Recordings(given, options.folder),
         folder=options.folder or Path("."),
     )
@@ -80,10 +82,24 @@ def start(options: Options) -> Hub:
             station.setup = station.setup.with_calibration(hub.calibrations[name], name)
         elif recording is not None:
             station.setup = actions.attached_setup(hub, station.setup, recording.path)
+        if not names and station.setup.calibration is None:
+            _take_known(hub, station, spec)
         station.start()
-        if sensor is not None and not names:
+        if sensor is not None and station.setup.calibration is None:
             hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")
     return hub
+
+
+def _take_known(hub: Hub, station: Station, spec: str) -> None:
+    """Use the newest calibration on the list that is of the source's unit; without one the station shows images alone."""
+    try:
+        unit = unit_of(spec)
+    except GelformError:  # not there yet: its serial may be what it is called by
+        unit = Unit(f"camera {spec}", spec)
+    name = hub.calibrations.of_unit(unit)
+    if name is not None:
+        station.setup = station.setup.with_calibration(hub.calibrations[name], name)
+        hub.notice(f"Calibration of {unit.said}: {hub.calibrations.described(name)}.")
 
 
 def _simulated_sensor(spec: str) -> SimulatedSensor | None:

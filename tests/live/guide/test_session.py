@@ -22,7 +22,7 @@ def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
     assert not hub.stations[0].taps
 
 
-def test_it_fits_writes_reports_and_is_used(hub, tmp_path, presses, calibration, monkeypatch):
+def test_it_fits_writes_reports_and_is_used(hub, tmp_path, library, presses, calibration, monkeypatch):
     hub.folder = tmp_path
     actions.guide_start(hub, 0, 5.0, "", 0.0)
     session = hub.guides[0]
@@ -45,7 +45,24 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, presses, calibration,
     actions.guide_use(hub, 0)
     used = hub.stations[0].setup.calibration
     assert used.digest == gelform.load_calibration(folder / "calibration.npz").digest
+    (kept,) = library.iterdir()
+    assert gelform.load_calibration(kept).digest == used.digest
+    assert hub.stations[0].setup.name == kept.name
+    assert "in the library too" in hub.notices[-1][2]
     assert np.isfinite(used.held_out["normal_free_deg"])
+
+
+def test_a_library_that_cannot_be_written_is_said(hub, tmp_path, library, presses, calibration, monkeypatch):
+    library.write_text("a file where the folder should be")
+    hub.folder = tmp_path
+    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    session = hub.guides[0]
+    monkeypatch.setattr(session.guide, "presses", lambda: presses)
+    monkeypatch.setattr("gelform.live.guide.session.calibrate", lambda *_, **__: calibration)
+    session.fit(lambda *_: None)
+    actions.guide_use(hub, 0)
+    assert hub.stations[0].setup.name == "calibration.npz"
+    assert "The library does not have it: Cannot make the folder" in hub.notices[-1][2]
 
 
 def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):

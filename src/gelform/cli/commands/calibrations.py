@@ -63,7 +63,7 @@ def list_(
         return
     rows = [
         (
-            one.sensor,
+            one.sensor_name,
             one.serial or "-",
             one.gel_id or "-",
             date_of(one.created_utc),

@@ -25,7 +25,10 @@ def live(
     calibration: Annotated[
         list[Path] | None,
         Option(
-            "--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration; one for each sensor."
+            "--calibration",
+            "-c",
+            metavar="CAL.npz",
+            help="The sensor's; one for each; else the newest of its serial.",
         ),
     ] = None,
     folder: Annotated[
@@ -70,8 +73,8 @@ def live(
     except GelformError:
         hub.close()
         raise
-    for _, _, text in hub.notices:
-        say(f"warning: {text}")
+    for _, level, text in hub.notices:
+        say(f"warning: {text}" if level != "info" else text, quiet and level == "info")
     typer.echo(server.url)
     say("Open this address. Ctrl-C ends it.", quiet)
     for one in said:

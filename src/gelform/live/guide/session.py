@@ -15,6 +15,7 @@ from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report.content import report_content, report_coverage
 from gelform.calibration.report.page.page import report_page
 from gelform.calibration_file import Calibration
+from gelform.calibrations.library import add_calibration
 from gelform.errors import GelformError
 from gelform.exporters.press_folder import save_press_folder
 from gelform.foundations.npz_files import written_file
@@ -44,8 +45,9 @@ class GuideSession:
 
     def __init__(self, station: Station, asked: Asked, folder: Path, on_changed: Any) -> None:
         self.guide = Guide(asked, on_changed)
-        self.name = ""
+        self.name, self.kept = "", ""
         self.calibration: Calibration | None = None
+        self._in_library: Path | None = None
         self._station, self._folder, self._on_changed = station, folder, on_changed
         self._pressed_s, self._pressed = 0.0, -1
         self._forecasting = False
@@ -80,6 +82,7 @@ class GuideSession:
         except GelformError as problem:
             guide.step, guide.hint = before, f"The fit did not succeed. {problem}"
             raise
+        self._keep(calibration)
         self.calibration = calibration
         guide.report = report_facts(calibration, content, self.name)
         if calibration.report is not None:
@@ -88,6 +91,14 @@ class GuideSession:
             )
         guide.step, guide.hint = "report", "Done. Look at the report, then use it."
         self._on_changed()
+
+    def _keep(self, calibration: Calibration) -> None:
+        """Put it into the library; where that cannot be, it is in the folder all the same."""
+        try:
+            self._in_library, _ = add_calibration(calibration)
+            self.kept = "It is in the library too: this sensor takes it from now on."
+        except GelformError as problem:
+            self.kept = f"The library does not have it: {problem} Take it with -c."
 
     def _tap(self, shown: Shown) -> None:
         self.guide.look_at(shown.frame)
@@ -147,8 +158,8 @@ class GuideSession:
 
     @property
     def path(self) -> Path:
-        """Of the calibration that was written."""
-        return self._folder / self.name / "calibration.npz"
+        """Of the calibration that was written: in the library, else in the folder."""
+        return self._in_library or self._folder / self.name / "calibration.npz"
 
 
 def report_facts(calibration: Calibration, content: dict[str, Any], name: str) -> dict[str, Any]:
