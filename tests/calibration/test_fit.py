@@ -46,9 +46,11 @@ def test_forward_response_renders_what_the_sensor_shows(calibration, simulated):
     assert error < 0.35 * np.sqrt(np.mean(seen[inside] ** 2))
 
 
-def test_one_model_can_be_asked_for(lambertian_calibration):
+def test_one_model_can_be_asked_for(presses, lambertian_calibration):
     assert lambertian_calibration.color_model.name == "lambertian"
     assert lambertian_calibration.held_out["normal_free_deg"] < 6
+    with pytest.raises(ValueError, match=r"auto, lambertian, .*polynomial, .*got 'magic'"):
+        gelform.calibrate(presses, color_model="magic")
 
 
 def test_same_folder_same_calibration_and_progress_in_words(presses):
@@ -67,22 +69,10 @@ def test_what_is_no_presses_is_said(wrong):
         gelform.calibrate(wrong)
 
 
-def test_unknown_model_fails_before_any_work(presses):
-    with pytest.raises(ValueError, match=r"auto, lambertian, .*polynomial, .*got 'magic'"):
-        gelform.calibrate(presses, color_model="magic")
-
-
 def test_folder_without_a_ball_is_refused_with_counts(presses):
-    noise = np.random.default_rng(0)
-    blank = tuple(
-        replace(
-            press,
-            image=np.clip(presses.background + noise.normal(0, 1, presses.background.shape), 0, 255).astype(
-                np.uint8
-            ),
-        )
-        for press in presses.presses[:4]
-    )
+    rng, rest = np.random.default_rng(0), presses.background
+    images = [np.clip(rest + rng.normal(0, 1, rest.shape), 0, 255).astype(np.uint8) for _ in range(4)]
+    blank = tuple(replace(press, image=image) for press, image in zip(presses.presses, images))
     with pytest.raises(gelform.CalibrationError, match=r"at least 3 presses .* got 0 of 4 .* found"):
         gelform.calibrate(replace(presses, presses=blank))
 
@@ -93,16 +83,13 @@ def test_reasons_are_counted_together_and_the_first_is_given_in_full(presses):
     reasons = [f"contact radius {k}.5 px is too wide: ball diameter is wrong" for k in range(len(names) - 1)]
     contact = ContactCircle(60, 50, 20, 1, 1)
     refined = Refined((contact,) * len(names), (*reasons, "no ball found"), None)
-    with pytest.raises(
-        gelform.CalibrationError,
-        match=rf"{len(reasons)} like {names[0]}: contact radius 0.5 px is too wide: ball diameter is wrong; 1 like",
-    ):
-        check_places(Located(presses, [], [], refined), 0)
-    with pytest.raises(
-        gelform.CalibrationError,
-        match=r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball",
-    ):
-        check_places(Located(presses, [], [], refined, notes=("The ball is twice as large.",)), 0)
+    first = (
+        rf"{len(reasons)} like {names[0]}: contact radius 0.5 px is too wide: ball diameter is wrong; 1 like"
+    )
+    noted = r"; 1 like .* no ball found\. The ball is twice as large\. Press a ball"
+    for notes, message in (((), first), (("The ball is twice as large.",), noted)):
+        with pytest.raises(gelform.CalibrationError, match=message):
+            check_places(Located(presses, [], [], refined, notes=notes), 0)
 
 
 @pytest.mark.slow
@@ -159,23 +146,17 @@ def test_pixels_that_the_untouched_image_shows_black_do_not_train(presses, lambe
     assert np.isfinite(result.depth_mm).all()
 
 
-def half_size(presses):
-    """Images of half as many rows and columns: a quarter of the time."""
+@pytest.mark.slow
+def test_ten_real_presses_are_enough_to_start(data):
+    """Every sixth press of a real sensor, at half its size: the held-out errors stay within what ten presses can give."""
 
     def halved(image):
         return cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
-    smaller = tuple(replace(press, image=halved(press.image)) for press in presses.presses)
-    return replace(
-        presses, presses=smaller, background=halved(presses.background), mm_per_px=2 * presses.mm_per_px
-    )
-
-
-@pytest.mark.slow
-def test_ten_real_presses_are_enough_to_start(data):
-    """Every sixth press of a real sensor, at half its size: the held-out errors stay within what ten presses can give."""
-    presses = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 6))
-    calibration = gelform.calibrate(half_size(presses), color_model="hierarchical")
+    few = gelform.read_presses(data / "mini-ball").subset(range(0, 67, 6))
+    images = tuple(replace(press, image=halved(press.image)) for press in few.presses)
+    small = replace(few, presses=images, background=halved(few.background), mm_per_px=2 * few.mm_per_px)
+    calibration = gelform.calibrate(small, color_model="hierarchical")
     assert calibration.held_out["normal_free_deg"] < 2.3  # recorded: 1.89
     assert calibration.held_out["normal_rim_deg"] < 3.3  # recorded: 2.72
     assert all(row.accepted for row in calibration.report.presses)
@@ -185,15 +166,13 @@ def test_ten_real_presses_are_enough_to_start(data):
 def second_unit(sensor):
     """Another unit: its lights stand up to 3 mm elsewhere and are up to 30 % brighter or dimmer."""
     rng = np.random.default_rng(5)
-    leds = tuple(
-        replace(
-            led,
-            position_mm=tuple(np.array(led.position_mm) + rng.normal(0, 2, 3) * (1, 1, 0.5)),
-            color=tuple(np.array(led.color) * rng.uniform(0.7, 1.3)),
-        )
-        for led in sensor.leds
-    )
-    return replace(sensor, leds=leds, name="second unit")
+
+    def moved(led):
+        place = np.array(led.position_mm) + rng.normal(0, 2, 3) * (1, 1, 0.5)
+        color = np.array(led.color) * rng.uniform(0.7, 1.3)
+        return replace(led, position_mm=tuple(place), color=tuple(color))
+
+    return replace(sensor, leds=tuple(moved(led) for led in sensor.leds), name="second unit")
 
 
 @pytest.mark.slow

@@ -10,6 +10,8 @@ import pytest
 import gelform
 from gelform.calibration.presses.folder import kind_of_presses
 
+HOW = {"mm_per_px": 0.1, "ball_diameter_mm": 5}
+
 
 @pytest.fixture
 def py3dcal(folder, simulated, tmp_path):
@@ -67,10 +69,8 @@ def test_py3dcal_metadata_beside_the_folders_and_what_is_given_goes_first(py3dca
 
 def test_spoilt_py3dcal(py3dcal):
     facts = py3dcal / "annotations" / "metadata.json"
-    facts.write_text('{"px_per_mm": 0, "probe_radius_mm": 2}')
-    with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
-        gelform.read_presses(py3dcal)
-    for text in ("{not json", "[" * 100_000, '{"px_per_mm": 1' + "0" * 400 + ', "probe_radius_mm": 2}'):
+    spoilt = ['{"px_per_mm": 0, "probe_radius_mm": 2}', "{not json", "[" * 100_000]
+    for text in (*spoilt, '{"px_per_mm": 1' + "0" * 400 + ', "probe_radius_mm": 2}'):
         facts.write_text(text)
         with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
             gelform.read_presses(py3dcal)
@@ -103,8 +103,7 @@ def test_taxim_pack_is_turned_to_rgb(pack, simulated, where):
 
 
 def test_what_counts_as_a_taxim_pack(pack, tmp_path):
-    arrays, _ = pack
-    np.savez(tmp_path / "renamed.npz", **arrays)
+    np.savez(tmp_path / "renamed.npz", **pack[0])
     assert kind_of_presses(tmp_path / "renamed.npz") == "Taxim dataPack"
     np.savez(tmp_path / "else.npz", depth=np.zeros(3))
     assert kind_of_presses(tmp_path / "else.npz") is None
@@ -113,38 +112,29 @@ def test_what_counts_as_a_taxim_pack(pack, tmp_path):
         gelform.read_presses(tmp_path / "text.npz")
 
 
-def test_taxim_pack_needs_a_ball_and_a_scale(pack):
+class Trap:
+    def __reduce__(self):
+        return (pytest.fail, ("unpickled",))
+
+
+@pytest.mark.parametrize(
+    ("changed", "how", "message"),
+    [
+        ({}, {"mm_per_px": 0.1}, "which ball pressed"),
+        ({}, {"ball_diameter_mm": 5}, "No scale"),
+        ({"imgs": np.array([Trap()], dtype=object)}, HOW, r"Python objects.*refused"),
+        ({"touch_radius": np.ones(3)}, HOW, r"touch_radius \(N,\)"),
+        ({"f0": None}, HOW, "f0 missing"),
+    ],
+)
+def test_spoilt_taxim_packs_are_refused_and_never_unpickled(pack, changed, how, message):
     arrays, path = pack
-    np.savez(path, **arrays)
-    with pytest.raises(gelform.DataError, match="which ball pressed"):
-        gelform.read_presses(path, mm_per_px=0.1)
-    with pytest.raises(gelform.DataError, match="No scale"):
-        gelform.read_presses(path, ball_diameter_mm=5)
-
-
-def test_taxim_pack_is_never_unpickled(pack):
-    class Trap:
-        def __reduce__(self):
-            return (pytest.fail, ("unpickled",))
-
-    arrays, path = pack
-    np.savez(path, **{**arrays, "imgs": np.array([Trap()], dtype=object)})
-    with pytest.raises(gelform.DataError, match=r"Python objects.*refused"):
-        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
-
-
-def test_spoilt_taxim_pack(pack):
-    arrays, path = pack
-    np.savez(path, **{**arrays, "touch_radius": arrays["touch_radius"][:3]})
-    with pytest.raises(gelform.DataError, match=r"touch_radius \(N,\)"):
-        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
-    del arrays["f0"]
-    np.savez(path, **arrays)
-    with pytest.raises(gelform.DataError, match="f0 missing"):
-        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
+    np.savez(path, **{name: one for name, one in {**arrays, **changed}.items() if one is not None})
+    with pytest.raises(gelform.DataError, match=message):
+        gelform.read_presses(path, **how)
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(gelform.DataError, match="truncated or damaged"):
-        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5)
+        gelform.read_presses(path, **HOW)
 
 
 def test_real_taxim_pack(data):
