@@ -11,12 +11,12 @@ import gelform
 from gelform.errors import GelformError
 from gelform.frames import Frame
 from gelform.live import actions
-from gelform.live.indexed import indexed
 from gelform.live.setup import Setup
 from gelform.live.start import Options, start
 from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.indexed import indexed
 from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until
 

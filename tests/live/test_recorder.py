@@ -8,9 +8,9 @@ import pytest
 import gelform
 from gelform.errors import DataError
 from gelform.live import actions
-from gelform.live.indexed import indexed
 from gelform.live.recorder import Recorder, share
 from gelform.sensors.recordings import attached_background, attached_calibration
+from gelform.sensors.recordings.indexed import indexed
 from live_waiting import until
 
 

@@ -17,7 +17,6 @@ from gelform.foundations.progress import Progress
 from gelform.live import devices
 from gelform.live.code import Situation, code_of
 from gelform.live.hub import Hub, wait_for_frames
-from gelform.live.indexed import indexed
 from gelform.live.lists import Origin
 from gelform.live.player import Player, ReplayedFrame
 from gelform.live.recorder import Recorder, named_by_time
@@ -26,6 +25,7 @@ from gelform.live.setup import BACKGROUND_FRAMES, Setup
 from gelform.live.shown import Shown
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.profiles import profile_named
+from gelform.sensors.recordings.indexed import indexed
 from gelform.sensors.recordings.record import attached_background, attached_calibration
 from gelform.solvers import SOLVERS
 from gelform.view import View

@@ -11,7 +11,7 @@ from typing import Any
 
 from gelform.errors import DataError, GelformError
 from gelform.frames import Frame
-from gelform.live.indexed import Indexed
+from gelform.sensors.recordings.indexed import Indexed
 
 SLOWEST, FASTEST = 1 / 16, 16.0  # times the pace at which it was taken
 

@@ -20,9 +20,9 @@ from gelform.errors import GelformError
 from gelform.foundations.npz_files import check_free
 from gelform.foundations.progress import Progress, no_progress
 from gelform.frames import Frame
-from gelform.live.indexed import Indexed
 from gelform.live.setup import Setup
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.recordings.indexed import Indexed
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.record import RecordStats, attachments_of, new_recording, record_frames
 

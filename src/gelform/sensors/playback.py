@@ -121,13 +121,14 @@ def folder_playback(path: Path, *, rate_hz: float | None = None, paced: bool = F
     DataError
         The folder holds no image; in a loop: one cannot be read.
     """
+    rate = check_positive(rate_hz or USUAL_RATE_HZ, "rate_hz")
+    frame, count = images_by_number(path, rate)
+    return Playback(lambda: map(frame, range(count)), name=path.resolve().name, rate_hz=rate, paced=paced)
+
+
+def images_by_number(path: Path, rate_hz: float) -> tuple[Callable[[int], Frame], int]:
+    """number -> frame of a folder's images in the order of their names, and how many there are; DataError for none."""
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
         raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")
-    rate = check_positive(rate_hz or USUAL_RATE_HZ, "rate_hz")
-
-    def frames() -> Iterator[Frame]:
-        for index, file in enumerate(files):
-            yield Frame(read_image(file), index / rate, 0, index)
-
-    return Playback(frames, name=path.resolve().name, rate_hz=rate, paced=paced)
+    return lambda number: Frame(read_image(files[number]), number / rate_hz, 0, number), len(files)

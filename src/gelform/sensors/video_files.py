@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path
@@ -86,10 +88,7 @@ class Video:
         time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
         if index and not time_s > 0:  # no time stamps: by the frame rate
             time_s = index / (self.facts.frame_rate_hz or USUAL_RATE_HZ)
-        decoded, pixels = capture.retrieve()
-        if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
-            raise DataError(f"Frame {index} of {self.path} is damaged or no colour. Record the video again.")
-        return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), float(time_s), 0, index)
+        return Frame(grabbed_image(capture, f"Frame {index} of {self.path}"), float(time_s), 0, index)
 
     def _opened(self) -> cv2.VideoCapture:
         if not self.path.is_file():
@@ -103,6 +102,14 @@ class Video:
                 "Record it as AVI (MJPG) or MP4."
             )
         return capture
+
+
+def grabbed_image(capture: cv2.VideoCapture, where: str) -> NDArray[Any]:
+    """The frame that was grabbed, (H, W, 3) RGB; DataError, naming `where`, if it is damaged or no colour."""
+    decoded, pixels = capture.retrieve()
+    if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
+        raise DataError(f"{where} is damaged or no colour. Record the video again.")
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB))
 
 
 def is_video(path: str | Path) -> bool:

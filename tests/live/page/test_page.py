@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.live.indexed import indexed
 from gelform.live.player import Player
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.plots.canvas import save_picture
+from gelform.sensors.recordings.indexed import indexed
 from live_waiting import until
 
 pytestmark = pytest.mark.slow

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.live.indexed import indexed
 from gelform.sensors.recordings import attached_calibration
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.indexed import indexed
 from live_waiting import until
 
 pytestmark = pytest.mark.slow

@@ -113,8 +113,14 @@ def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
     DataError
         Its tables are damaged; in a loop: an image is missing or damaged.
     """
-    facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
-    return playback_of(facts, lambda: _frames(path, reduction_in(facts.settings)), paced)
+    facts = facts_of_folder(path)
+    reduction = reduction_in(facts.settings)
+    return playback_of(facts, lambda: (frame_of_row(path, row, reduction) for row in rows_of(path)), paced)
+
+
+def facts_of_folder(path: Path) -> RecordingFacts:
+    """What a recorded folder says of the camera; DataError where it is damaged."""
+    return RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
 
 
 def folder_summary(path: Path) -> RecordingSummary:
@@ -164,8 +170,3 @@ def frame_of_row(path: Path, row: tuple[float, int, int, str], reduction: int) -
         raise DataError(f"Cannot read {problem.filename}: {problem.strerror}.") from problem
     image = image_from_encoded(content, reduction, str(file))
     return Frame(image, time_s, wall_time_ns, index, content if file.suffix == ".jpg" else None)
-
-
-def _frames(path: Path, reduction: int) -> Iterator[Frame]:
-    for row in rows_of(path):
-        yield frame_of_row(path, row, reduction)

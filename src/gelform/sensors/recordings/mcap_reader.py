@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -102,7 +103,6 @@ def mcap_records(path: Path) -> Iterator[Any]:
         The file is missing, none of MCAP or damaged, or the extra `mcap` is not installed.
     """
     try:
-        from mcap.exceptions import EndOfFile, McapError
         from mcap.stream_reader import StreamReader
     except ImportError as problem:
         raise DataError("MCAP files need the extra mcap: pip install 'gelform[mcap]'.") from problem
@@ -110,25 +110,33 @@ def mcap_records(path: Path) -> Iterator[Any]:
         raise DataError(f"No recording {path}. Check the path.")
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
-    with path.open("rb") as file:
+    with path.open("rb") as file, faults_named(path):
         reader = StreamReader(_WholeReads(file), validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
-        try:
-            for record in reader.records:
-                kind = type(record).__name__
-                if kind == "Schema":
-                    schemas[record.id] = record.name
-                elif kind == "Channel" and record.id not in topics:
-                    topics[record.id] = record.topic
-                    schema = schemas.get(record.schema_id, "")
-                    yield Channel(record.topic, schema, record.message_encoding)
-                elif kind == "Message":
-                    yield Placed(topics.get(record.channel_id, ""), record)
-                elif kind != "Channel":
-                    yield record
-        except EndOfFile:
-            return  # not finished: the recorder was killed
-        except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
-            raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
+        for record in reader.records:
+            kind = type(record).__name__
+            if kind == "Schema":
+                schemas[record.id] = record.name
+            elif kind == "Channel" and record.id not in topics:
+                topics[record.id] = record.topic
+                schema = schemas.get(record.schema_id, "")
+                yield Channel(record.topic, schema, record.message_encoding)
+            elif kind == "Message":
+                yield Placed(topics.get(record.channel_id, ""), record)
+            elif kind != "Channel":
+                yield record
+
+
+@contextmanager
+def faults_named(path: Path) -> Iterator[None]:
+    """Of a block that reads records: DataError for damage, the end for a file whose recorder was killed."""
+    from mcap.exceptions import EndOfFile, McapError
+
+    try:
+        yield
+    except EndOfFile:
+        return  # not finished: the recorder was killed
+    except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
+        raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
 
 
 class _WholeReads:

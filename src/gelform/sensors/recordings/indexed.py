@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,17 +13,18 @@ import numpy as np
 
 from gelform.errors import DataError
 from gelform.frames import Frame
-from gelform.sensors.files import IMAGE_SUFFIXES, read_image
+from gelform.sensors.playback import images_by_number
 from gelform.sensors.recordings.facts import RecordingFacts, reduction_in
-from gelform.sensors.recordings.image_folder import FACTS, frame_of_row, is_recorded_folder, rows_of
+from gelform.sensors.recordings.image_folder import facts_of_folder, frame_of_row, is_recorded_folder, rows_of
 from gelform.sensors.recordings.mcap_reader import (
     MAX_RECORD_BYTES,
+    faults_named,
     frame_from_message,
     is_bag_folder,
     mcap_file_in,
     picture_topic_of,
 )
-from gelform.sensors.video_files import USUAL_RATE_HZ, Video, is_video
+from gelform.sensors.video_files import USUAL_RATE_HZ, Video, grabbed_image, is_video
 
 MAGIC_BYTES = 8  # at the start of an MCAP file
 KEPT_CHUNKS = 2  # those that were last looked at
@@ -82,21 +82,15 @@ def indexed(path: Path) -> Indexed:
 
 
 def _of_recorded_folder(path: Path) -> Indexed:
-    facts = RecordingFacts.from_json((path / FACTS).read_text(encoding="utf-8"), str(path / FACTS))
+    facts = facts_of_folder(path)
     rows, reduction = sorted(rows_of(path)), reduction_in(facts.settings)
     times_s = tuple(row[0] - rows[0][0] for row in rows)
     return Indexed(path, facts, times_s, lambda number: frame_of_row(path, rows[number], reduction))
 
 
 def _of_images(path: Path) -> Indexed:
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-    if not files:
-        raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")
-
-    def frame(number: int) -> Frame:
-        return Frame(read_image(files[number]), number / USUAL_RATE_HZ, 0, number)
-
-    times_s = tuple(number / USUAL_RATE_HZ for number in range(len(files)))
+    frame, count = images_by_number(path, USUAL_RATE_HZ)
+    times_s = tuple(number / USUAL_RATE_HZ for number in range(count))
     return Indexed(path, RecordingFacts(path.resolve().name, rate_hz=USUAL_RATE_HZ), times_s, frame)
 
 
@@ -132,10 +126,9 @@ class _Reel:
     def frame(self, number: int) -> Frame:
         if not self._grabbed(number):
             raise DataError(f"Frame {number} of {self._path} cannot be read again.")
-        decoded, pixels = self._capture.retrieve()
-        if not decoded or pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
-            raise DataError(f"Frame {number} of {self._path} is damaged or no colour.")
-        return Frame(np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)), self.times_s[number], 0, number)
+        return Frame(
+            grabbed_image(self._capture, f"Frame {number} of {self._path}"), self.times_s[number], 0, number
+        )
 
     def _grabbed(self, number: int) -> bool:
         """Whether the frame was reached: as the next one, by a seek, or from the start."""
@@ -236,21 +229,15 @@ class McapIndex:
 
 def _records(path: Path, offset: int) -> Iterator[tuple[int, list[Any]]]:
     """(where it begins, what is inside: itself, or a chunk's records) from an offset on: 0, or one given before."""
-    from mcap.exceptions import EndOfFile, McapError
     from mcap.stream_reader import StreamReader, breakup_chunk
 
-    with path.open("rb") as file:
+    with path.open("rb") as file, faults_named(path):
         file.seek(offset)
         reader = StreamReader(
             file, skip_magic=offset > 0, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
         )
         begins = offset or MAGIC_BYTES
-        try:
-            for record in reader.records:
-                is_chunk = type(record).__name__ == "Chunk"
-                yield begins, breakup_chunk(record, validate_crc=True) if is_chunk else [record]
-                begins = file.tell()
-        except EndOfFile:
-            return  # not finished: the recorder was killed
-        except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
-            raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
+        for record in reader.records:
+            is_chunk = type(record).__name__ == "Chunk"
+            yield begins, breakup_chunk(record, validate_crc=True) if is_chunk else [record]
+            begins = file.tell()

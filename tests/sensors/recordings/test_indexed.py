@@ -9,8 +9,8 @@ import pytest
 
 import gelform
 from gelform.errors import DataError
-from gelform.live.indexed import McapIndex, indexed, is_recording
 from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.indexed import McapIndex, indexed, is_recording
 from gelform.sensors.recordings.mcap_writer import McapRecording
 
 ORDER = (0, 4, 3, 6, 1, 1, 5, 2)
