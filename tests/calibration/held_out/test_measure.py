@@ -33,7 +33,8 @@ def off_deg(sample):
 def test_samples_carry_the_errors_of_the_report(calibration):
     """Those up to the visible rim; inside the contact's edge they are the figures that the report counts first."""
     report, ratio = calibration.report, calibration.settings["contact_radius_ratio"]
-    assert [one.index for one in report.samples] != []
+    assert len(report.samples) > 3
+    assert "samples" not in report.to_dict()
     assert {one.index for one in report.samples} == {i for i, row in enumerate(report.presses) if row.errors}
     for one in report.samples:
         errors = report.presses[one.index].errors
@@ -116,30 +117,28 @@ def test_what_is_an_outlier_is_told_as_the_calibration_will_tell_it(
     assert len({id(own.forward.nodes) for own in used[:folds]}) == folds, "each fitted without its fold"
 
 
-def test_samples_are_not_in_the_json_record(calibration):
-    assert "samples" not in calibration.report.to_dict()
-    assert len(calibration.report.samples) > 3
-
-
-def test_thinning_keeps_the_press(calibration, presses):
-    report = calibration.report
-    one = report.samples[0]
-    row, press = report.presses[one.index], presses.presses[one.index]
+@pytest.fixture
+def first(calibration, presses):
+    """The first press, its circle and its result."""
+    row, press = calibration.report.presses[0], presses.presses[0]
     circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
-    result = Reconstructor(calibration).from_image(press.image)
-    full = sample_of(0, press, circle, result, calibration.mm_per_px, 0.85, max_pixels=10**6)
-    thin = sample_of(0, press, circle, result, calibration.mm_per_px, 0.85, max_pixels=150)
+    return press, circle, Reconstructor(calibration).from_image(press.image)
+
+
+def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, presses, first):
+    full, thin = (sample_of(0, *first, calibration.mm_per_px, 0.85, max_pixels=n) for n in (10**6, 150))
     assert 75 <= len(thin.x_px) <= 160 < len(full.x_px)
     assert thin.circle_px == full.circle_px
     assert off_deg(thin) == pytest.approx(off_deg(full), rel=0.15)
     assert {*zip(thin.x_px, thin.y_px)} <= {*zip(full.x_px, full.y_px)}
+    blank = replace(first[0], image=presses.background.astype(np.uint8))
+    result = Reconstructor(calibration).from_image(blank.image)
+    assert sample_of(0, blank, first[1], result, calibration.mm_per_px, 0.85).cap_error_um.ndim == 2
 
 
-def test_errors_are_counted_inside_the_edge(calibration, presses):
+def test_errors_are_counted_inside_the_edge(calibration, first):
     """The figures that do not say otherwise; a rim that is read wrong changes the rim's alone."""
-    row, press = calibration.report.presses[0], presses.presses[0]
-    circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
-    result = Reconstructor(calibration).from_image(press.image)
+    press, circle, result = first
     y, x = np.mgrid[: result.shape[0], : result.shape[1]]
     beyond = np.hypot(x - circle[0], y - circle[1]) > 0.75 * circle[2]
     spoilt = replace(result, gradients=np.where(beyond[..., None], 0, result.gradients).astype(np.float32))
@@ -153,17 +152,6 @@ def test_within_keeps_the_middle(sample):
     half = one.within(0.5)
     assert 0 < len(half.x_px) < len(one.x_px)
     assert np.hypot(half.x_px - 40, half.y_px - 30).max() < 12.5
-
-
-def test_a_ball_outside_the_frame_has_no_cap(calibration, presses):
-    """A circle whose pixels lead the fit away is an empty picture, not a crash."""
-    report = calibration.report
-    blank = replace(presses.presses[0], image=presses.background.astype(np.uint8))
-    row = report.presses[0]
-    circle = (row.center_x_px, row.center_y_px, row.contact_radius_px)
-    result = Reconstructor(calibration).from_image(blank.image)
-    one = sample_of(0, blank, circle, result, calibration.mm_per_px, 0.85)
-    assert one.cap_error_um.ndim == 2
 
 
 @pytest.fixture

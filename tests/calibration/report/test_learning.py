@@ -75,10 +75,7 @@ def test_the_range_is_what_two_draws_of_three_say():
     expected = _with_expectation(points(*((n, [3.0, 2.0, 3.0]) for n in (10, 15, 20))), 25)["expected"]
     assert expected["more_deg_range"] == pytest.approx([2.5, 3.0])
     assert expected["more_deg"] == pytest.approx(8 / 3)
-
-
-def test_one_point_tells_nothing():
-    assert _with_expectation(points((5, [3.0, 3.0, 3.0])), 8) is None
+    assert _with_expectation(points((5, [3.0, 3.0, 3.0])), 8) is None, "one point tells nothing"
 
 
 @pytest.mark.slow
@@ -87,28 +84,26 @@ def test_the_same_presses_give_the_same_curve(presses, calibration, learning):
     assert again == learning
 
 
-def test_progress_is_told(presses, calibration):
-    calls = []
-    few = replace(calibration, report=replace(calibration.report, presses=calibration.report.presses[:8]))
-    learning_curve(presses, few, rng=np.random.default_rng(0), progress=lambda *call: calls.append(call))
+def of_first(calibration, count, **settings):
+    """A calibration by its first presses alone."""
+    report = replace(calibration.report, presses=calibration.report.presses[:count])
+    return replace(calibration, report=report, settings={**calibration.settings, **settings})
+
+
+def test_progress_is_told_and_too_few_presses_have_no_curve(presses, calibration):
+    calls, rng = [], np.random.default_rng(0)
+    learning_curve(presses, of_first(calibration, 8), rng=rng, progress=lambda *call: calls.append(call))
     assert {what for _, _, what in calls} == {"measuring the learning curve"}
     assert calls[-1][0] == calls[-1][1]
-
-
-def test_too_few_presses_have_no_curve(presses, calibration):
-    few = replace(calibration, report=replace(calibration.report, presses=calibration.report.presses[:7]))
-    assert learning_curve(presses, few, rng=np.random.default_rng(0)) is None
+    assert learning_curve(presses, of_first(calibration, 7), rng=rng) is None
 
 
 @pytest.mark.slow
 def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     """A curve of models that began with another unit's says nothing if its own begin with nothing."""
     start = Start(calibration.color_model, "digest", 0.1, "another")
-    settings = {**calibration.settings, "ridge": START_RIDGES[1]}
-    rows = calibration.report.presses[:8]
-    started = replace(
-        calibration, settings=settings, report=replace(calibration.report, start=start, presses=rows)
-    )
+    few = of_first(calibration, 8, ridge=START_RIDGES[1])
+    started = replace(few, report=replace(few.report, start=start))
     assert [c.start for c in candidates_of(started, 5, start)] == [start, start]
     began = []
 
@@ -139,22 +134,17 @@ def test_candidates_grow_no_larger_than_the_chosen_one(calibration):
     (chosen,) = candidates_of(calibration, 10_000, None)
     assert chosen.settings
     assert dict(chosen.settings).items() <= calibration.settings.items()
-    polynomial = replace(
-        calibration,
-        color_model=PolynomialModel(np.zeros((9, 2)), (2, 1), (8, 8)),
-        settings={"contact_radius_ratio": 0.8, "position_degrees": (2, 1)},
-    )
-    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 20, None)] == [
-        (1,),
-        (2, 1),
-    ]
-    assert [dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, 40, None)] == [(2, 1)]
+    model = PolynomialModel(np.zeros((9, 2)), (2, 1), (8, 8))
+    settings = {"contact_radius_ratio": 0.8, "position_degrees": (2, 1)}
+    polynomial = replace(calibration, color_model=model, settings=settings)
+    for size, degrees in ((20, [(1,), (2, 1)]), (40, [(2, 1)])):
+        assert [
+            dict(c.settings)["position_degrees"] for c in candidates_of(polynomial, size, None)
+        ] == degrees
     assert {c.step_ridge for c in candidates_of(polynomial, 20, None)} == {None}, "as it was chosen"
-    assert calibration.settings["step_ridge"] > 0
-    for size in (6, 40):
-        assert {c.step_ridge for c in candidates_of(calibration, size, None)} == {
-            calibration.settings["step_ridge"]
-        }
+    step = calibration.settings["step_ridge"]
+    assert step > 0
+    assert {c.step_ridge for size in (6, 40) for c in candidates_of(calibration, size, None)} == {step}
 
 
 def test_the_curve_ends_where_the_report_is(learning, calibration):
@@ -166,23 +156,20 @@ def test_the_curve_ends_where_the_report_is(learning, calibration):
 def test_presses_train_and_are_scored_inside_the_edge_of_the_calibration(presses, calibration, monkeypatch):
     """Few presses would not measure it themselves."""
     edges = []
-    plain = {name: getattr(learning_module, name) for name in ("training_samples", "score_of")}
 
-    def trained(used, *others, **more):
-        edges.extend(press.contact_radius_ratio for press in used)
-        return plain["training_samples"](used, *others, **more)
+    def noted(name, presses_of):
+        plain = getattr(learning_module, name)
 
-    def scored(press, *others):
-        edges.append(press.contact_radius_ratio)
-        return plain["score_of"](press, *others)
+        def call(first, *others, **more):
+            edges.extend(press.contact_radius_ratio for press in presses_of(first))
+            return plain(first, *others, **more)
 
-    monkeypatch.setattr(learning_module, "training_samples", trained)
-    monkeypatch.setattr(learning_module, "score_of", scored)
-    report = replace(calibration.report, presses=calibration.report.presses[:8])
-    settings = {**calibration.settings, "contact_radius_ratio": 0.6}
-    learning_curve(
-        presses, replace(calibration, report=report, settings=settings), rng=np.random.default_rng(0)
-    )
+        monkeypatch.setattr(learning_module, name, call)
+
+    noted("training_samples", lambda used: used)
+    noted("score_of", lambda press: [press])
+    few = of_first(calibration, 8, contact_radius_ratio=0.6)
+    learning_curve(presses, few, rng=np.random.default_rng(0))
     assert len(edges) > 10
     assert set(edges) == {0.6}
 
