@@ -8,6 +8,7 @@ import pytest
 
 import gelform
 from gelform.background.change import ChangeSettings, PreparedBackground, color_change_from_image
+from gelform.calibration.circles.find import ContactCircle
 from gelform.calibration.circles.prepare import (
     USUAL_OFFSET,
     ColorChanges,
@@ -51,19 +52,16 @@ def test_the_blur_grows_with_the_image(few):
     assert change_settings(taller).blur_px == pytest.approx(2 * change_settings(few).blur_px)
 
 
-def test_each_offset_is_prepared_once(few):
-    usual = prepare(few, USUAL_OFFSET)
+def test_each_offset_is_prepared_once_with_the_edge_of_the_contacts(few):
+    """It is measured once, in what circles are found in."""
+    usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few, USUAL_OFFSET)]
     found = prepared_by_offset(few, usual, [USUAL_OFFSET, 0.0, 0.0])
     assert found.keys() == {USUAL_OFFSET, 0.0}
     assert found[USUAL_OFFSET] is usual
-    assert [press.name for press in found[0.0]] == [press.name for press in usual]
+    assert [(press.name, press.contact_radius_ratio) for press in found[0.0]] == [
+        (press.name, 0.7) for press in usual
+    ]
     assert not np.array_equal(found[0.0][0].color_change, usual[0].color_change)
-
-
-def test_the_edge_of_the_contacts_goes_with_the_presses(few):
-    """It is measured once, in what circles are found in."""
-    usual = [replace(press, contact_radius_ratio=0.7) for press in prepare(few)]
-    assert {press.contact_radius_ratio for press in prepared_by_offset(few, usual, [0.0])[0.0]} == {0.7}
 
 
 def test_a_circle_for_each_press_and_progress_for_each(few):
@@ -74,17 +72,16 @@ def test_a_circle_for_each_press_and_progress_for_each(few):
 
 
 @pytest.mark.parametrize("marked", [False, True])
-def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked):
+def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked, monkeypatch):
     """Of the offset 0 those pixels are not usable, beside those on markers; of others all are."""
     black = few.background.copy()
     black[5, 7, 1] = 0
-    spotted, free = replace(few, background=black), np.ones(few.image_shape, dtype=bool)
+    free = np.ones(few.image_shape, dtype=bool)
     free[20, 30] = not marked
-    usual = prepare(few)
-    with pytest.MonkeyPatch.context() as patch:
-        if marked:
-            patch.setattr(ColorChanges, "__call__", _marked(free))
-        found = prepared_by_offset(spotted, usual, [0.0, 0.5])
+    usual, plain = prepare(few), ColorChanges.__call__
+    if marked:
+        monkeypatch.setattr(ColorChanges, "__call__", lambda self, image: (plain(self, image)[0], free))
+    found = prepared_by_offset(replace(few, background=black), usual, [0.0, 0.5])
     for press in found[0.0]:
         assert np.argwhere(~press.usable).tolist() == [[5, 7], *([[20, 30]] if marked else [])]
         assert np.isfinite(press.color_change).all()
@@ -94,28 +91,42 @@ def test_nothing_is_learnt_where_a_background_of_0_divides(few, marked):
     assert found[USUAL_OFFSET] is usual
 
 
-def _marked(free):
-    """What `ColorChanges` gives, with markers that hide some pixels."""
-    plain = ColorChanges.__call__
-    return lambda self, image: (plain(self, image)[0], free)
-
-
 def test_the_press_that_is_of_another_sensor_is_named(few):
     turned = replace(few.presses[1], image=np.ascontiguousarray(few.presses[1].image[::-1, ::-1]))
     with pytest.raises(gelform.CalibrationError, match=few.presses[1].name):
         prepare(replace(few, presses=(few.presses[0], turned)))
 
 
+SETTINGS = ChangeSettings("divide", 10, 0.7)
+
+
+def marked(sensor, pitch_mm):
+    """The sensor with dots at that pitch; 0: none."""
+    return replace(sensor, coating=replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25))
+
+
 def presses_of(sensor, pitch_mm):
-    coating = replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25)
+    gel = replace(sensor.gel, bulge=0.5)  # a bulge moves the dots
     made = simulate_ball_presses(
-        replace(sensor, coating=coating, gel=replace(sensor.gel, bulge=0.5)),  # a bulge moves the dots
+        replace(marked(sensor, pitch_mm), gel=gel),
         ball_diameters_mm=[5.0],
         count=20,
         rng=np.random.default_rng(3),
         oversample=1,
     )
     return made, presses_from_simulated(made)
+
+
+def unmarked(image, background, settings=SETTINGS):
+    """Its color change without markers, and which pixels are usable."""
+    rest = PreparedBackground(background, settings)
+    return change_without_markers(image, rest, None, MarkerFinder(background))
+
+
+def spoilt_by_dots(image, background, clean, clean_background):
+    """How far the color change is from that without dots."""
+    raw = color_change_from_image(image, background, SETTINGS)
+    return np.abs(raw - color_change_from_image(clean, clean_background, SETTINGS)).mean(axis=-1)
 
 
 @pytest.fixture(scope="module")
@@ -129,17 +140,12 @@ def dotted(sensor):
 
 
 def test_the_change_is_that_of_the_unmarked_gel(plain, dotted):
-    settings = ChangeSettings("divide", 10, 0.7)
-    background = dotted[1].background
-    finder = MarkerFinder(background)
+    background, rest = dotted[1].background, plain[1].background
     spoilt, errors, left_out = [], [], []
     for clean, press in zip(plain[0].presses, dotted[0].presses):
-        change, usable = change_without_markers(
-            press.image, PreparedBackground(background, settings), None, finder
-        )
-        wanted = color_change_from_image(clean.image, plain[1].background, settings)
-        raw = color_change_from_image(press.image, background, settings)
-        spoilt.append(np.abs(raw - wanted).mean(axis=-1))
+        change, usable = unmarked(press.image, background)
+        wanted = color_change_from_image(clean.image, rest, SETTINGS)
+        spoilt.append(spoilt_by_dots(press.image, background, clean.image, rest))
         errors.append(np.abs(change - wanted).mean(axis=-1))
         left_out.append(~usable)
     spoilt, errors, left_out = (np.stack(maps) for maps in (spoilt, errors, left_out))
@@ -152,43 +158,33 @@ def test_the_change_is_that_of_the_unmarked_gel(plain, dotted):
 def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(sensor):
     images = []
     for pitch_mm in (0.0, 2.2):
-        coating = replace(sensor.coating, marker_pitch_mm=pitch_mm, marker_radius_mm=0.25)
-        gel = replace(sensor, coating=coating, noise_sd=0, noise_gain=0)
+        gel = replace(marked(sensor, pitch_mm), noise_sd=0, noise_gain=0)
         poses = [Pose(0.8, (-3 + 0.25 * k, 0.0)) for k in range(8)]
         *_, last = simulate_sequence(gel, Ball(4), poses, rng=None)
         images.append((simulate_background(gel, None).astype(np.float32), last))
     (clean_rest, clean), (rest, press) = images
     assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
-    settings = ChangeSettings("divide", 10, 0.7)
-    finder = MarkerFinder(rest)
-    _, usable = change_without_markers(press.image, PreparedBackground(rest, settings), None, finder)
-    raw = color_change_from_image(press.image, rest, settings)
-    spoilt = np.abs(raw - color_change_from_image(clean.image, clean_rest, settings)).mean(axis=-1)
+    _, usable = unmarked(press.image, rest)
+    spoilt = spoilt_by_dots(press.image, rest, clean.image, clean_rest)
     assert np.count_nonzero(spoilt > 0.2) > 50
     assert np.mean(usable[spoilt > 0.2]) < 0.05
     assert np.mean(usable) > 0.6
-    assert np.mean(finder.mask(press.image, 2)[spoilt > 0.2]) > 0.95  # the fast way sees them too
+    assert np.mean(MarkerFinder(rest).mask(press.image, 2)[spoilt > 0.2]) > 0.95  # the fast way sees them too
 
 
 def test_an_unmarked_gel_is_left_as_it_is(plain):
-    made, presses = plain
-    settings = ChangeSettings("divide", 10, 0.7)
-    image = made.presses[0].image
-    change, usable = change_without_markers(
-        image, PreparedBackground(presses.background, settings), None, MarkerFinder(presses.background)
-    )
+    image, background = plain[0].presses[0].image, plain[1].background
+    change, usable = unmarked(image, background)
     assert usable is None
-    np.testing.assert_array_equal(change, color_change_from_image(image, presses.background, settings))
+    np.testing.assert_array_equal(change, color_change_from_image(image, background, SETTINGS))
 
 
 @pytest.mark.parametrize(("blur_px", "size"), [(0.0, 3), (0.7, 5), (2.0, 9)])
 def test_dots_and_twice_the_blur_around_are_left_out_and_the_rest_is_as_ever(blur_px, size):
-    background, press = (
-        image_of_dots(grid(), noise=1.0),
-        image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1),
-    )
+    background = image_of_dots(grid(), noise=1.0)
+    press = image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1)
     settings, finder = ChangeSettings("divide", 10, blur_px), MarkerFinder(background)
-    change, usable = change_without_markers(press, PreparedBackground(background, settings), None, finder)
+    change, usable = unmarked(press, background, settings)
     dark = finder.untouched.mask | finder(press).mask
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     np.testing.assert_array_equal(~usable, cv2.dilate(dark.view(np.uint8), disc) > 0)
@@ -201,8 +197,6 @@ def test_dots_and_twice_the_blur_around_are_left_out_and_the_rest_is_as_ever(blu
 def test_samples_leave_the_dots_out(dotted):
     made, presses = dotted
     for true, press in zip(made.presses, prepare(presses, 10.0)):
-        from gelform.calibration.circles.find import ContactCircle
-
         contact = ContactCircle(*true.center_px, true.contact_radius_px, 1.0, 9.0)
         rows, cols = press.pixels(contact, 0.8)
         assert len(rows) > 30
