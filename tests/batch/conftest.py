@@ -1,7 +1,6 @@
 """A small data set: two folders of images of a gel that is known exactly, one of them with what is no frame."""
 
 import json
-import shutil
 
 import cv2
 import numpy as np
@@ -68,14 +67,6 @@ def visible():
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
     return files
-
-
-@pytest.fixture
-def copy_of(tmp_path):
-    def copy(folder, name):
-        return shutil.copytree(folder, tmp_path / name)
-
-    return copy
 
 
 @pytest.fixture

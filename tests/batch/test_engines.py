@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 
@@ -46,18 +47,12 @@ def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     os.kill(workers[0], signal.SIGKILL)
     with pytest.raises(WorkerLostError, match="What is done is kept, and not done again"):
         list(done)
-    kept = [
-        part
-        for part in parts
-        if (tmp_path / "two" / "parts").exists() and read_record(killed.output, part.number)
-    ]
-    assert kept
-    two = visible(tmp_path / "two")
-    one = visible(tmp_path / "one")
+    assert any(read_record(killed.output, part.number) for part in parts)
+    one, two = visible(tmp_path / "one"), visible(tmp_path / "two")
     assert {name: one[name] for name in two} == two
 
 
-def test_refused():
+def test_refused(tree, cal, tmp_path, monkeypatch):
     for wrong, said in (
         ({"name": "dask"}, "Expected an engine among pool, ray, got 'dask'"),
         ({"workers": 0}, "at least one worker"),
@@ -65,6 +60,9 @@ def test_refused():
     ):
         with pytest.raises(ValueError, match=said):
             Engine(**wrong)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(DataError, match=r"gelform\[ray\]"):
+        run_batch(tree, cal, tmp_path / "out", PARTS, engine=RAY)
 
 
 PARTS = BatchSettings(part_frames=2)
@@ -119,9 +117,3 @@ def test_an_output_that_cannot_be_written_is_our_error(ray, tree, cal, tmp_path)
     (tmp_path / "out/frames/frame1.npz").mkdir()
     with pytest.raises(DataError, match="got the folder"):
         run_batch(tree, cal, tmp_path / "out", **run)
-
-
-def test_without_ray_the_extra_is_named(tree, cal, tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    with pytest.raises(DataError, match=r"gelform\[ray\]"):
-        run_batch(tree, cal, tmp_path / "out", PARTS, engine=RAY)

@@ -1,9 +1,18 @@
-"""Records of parts: read as written, damage noticed; the table is all of them."""
+"""Settings, manifest and records of parts: read as written, what cannot be is refused, damage is found; the table and the
+contact sheet at the end show all of them."""
 
 import csv
+import dataclasses
+import json
+from contextlib import nullcontext
 
+import cv2
+import numpy as np
 import pytest
 
+from gelform.batch import KEPT, run_batch
+from gelform.batch.finish import LABEL_PX, TILE_PX, finish, problems_of_finish, write_sheet
+from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
     COLUMNS,
@@ -18,7 +27,116 @@ from gelform.batch.records import (
     write_record,
     write_table,
 )
+from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
+
+
+def test_refused():
+    for wrong, said in [
+        ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, ffv1, lerobot, got 'jpg'"),
+        ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
+        ({"keep": ()}, "Expected maps to keep"),
+        ({"keep": ("all", "depth")}, "Expected maps to keep"),
+        ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16 bits"),
+        ({"keep": ("depth_sigma",), "depth_sigma": False}, "Leave out --no-sigma"),
+        ({"solver": "fast"}, "Expected a solver among auto, dct"),
+        ({"background_frames": -1}, "Expected 0 to 200 frames"),
+        ({"part_frames": 0}, "at least one frame"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            BatchSettings(**wrong)
+
+
+def test_every_map_can_be_kept_and_said_in_json():
+    facts = BatchSettings(keep=KEPT).facts()
+    assert json.loads(json.dumps(facts)) == facts
+    assert facts["keep"] == list(KEPT)
+
+
+def test_sigma_of_slopes_where_it_is_used():
+    for asked, needed in [
+        ({}, True),
+        ({"solver": "dct"}, True),
+        ({"depth_sigma": False}, True),
+        ({"solver": "dct", "depth_sigma": False}, False),
+        ({"solver": "dct", "depth_sigma": False, "keep": ("depth", "confidence")}, True),
+        ({"solver": "dct", "depth_sigma": False, "keep": ("all",)}, True),
+    ]:
+        assert BatchSettings(**asked).slope_sigma is needed
+
+
+THERE = Manifest(BatchSettings().facts(), "c", "b", "l", 3, 700)
+
+
+@pytest.fixture
+def output(tmp_path):
+    begin(tmp_path, THERE, overwrite=False)
+    return tmp_path
+
+
+def test_the_same_goes_on(output):
+    begin(output, THERE, overwrite=False)
+    assert read_manifest(output) == THERE
+
+
+def test_anything_else_is_refused_by_name(output):
+    for field, value, said in [
+        ("calibration_digest", "other", "the calibration"),
+        ("background_digest", "other", "the background"),
+        ("listing_digest", "other", "the list of input files"),
+        ("gelform_version", "9.9", "the version of gelform"),
+        ("settings", BatchSettings(form="png").facts(), r"the setting form \(npz then, png now\)"),
+        ("settings", BatchSettings(keep=("depth",)).facts(), r"keep \(depth,known then, depth now\)"),
+    ]:
+        wanted = dataclasses.replace(THERE, **{field: value})
+        with pytest.raises(DataError, match=said):
+            begin(output, wanted, overwrite=False)
+        assert read_manifest(output) == THERE
+        (output / "frames").mkdir()
+        (output / "frames" / "0.npz").write_bytes(b"old")
+        begin(output, wanted, overwrite=True)
+        assert read_manifest(output) == wanted
+        assert not (output / "frames").exists()
+        begin(output, THERE, overwrite=True)
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("")
+    for overwrite in (False, True):
+        with pytest.raises(DataError, match=r"holds thesis\.tex, but no manifest"):
+            begin(tmp_path, THERE, overwrite=overwrite)
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def test_a_manifest_that_cannot_be_read_says_what_to_do(output):
+    for content, said in (
+        ("", "is damaged. Give another output folder, or begin anew with --overwrite"),
+        ('{"format": "gelform batch", "format_ver', "is damaged"),
+        ("[]", "is damaged"),
+        ('{"format": "gelform batch", "format_version": 1}', "is damaged"),
+        ('{"format": "a web app", "format_version": 1}', "is no manifest of a batch"),
+        ('{"format": "gelform batch", "format_version": 9, "gelform_version": "7"}', "of gelform 7. Install"),
+    ):
+        (output / "manifest.json").write_text(content)
+        with pytest.raises(DataError, match=said):
+            begin(output, THERE, overwrite=False)
+
+
+def test_who_may_run_together(tmp_path):
+    pytest.importorskip("fcntl")
+    whole = (1, 1)
+    for first, second, together in (
+        (whole, whole, False),
+        (whole, (1, 2), False),
+        ((1, 2), whole, False),
+        ((1, 2), (2, 2), True),
+        ((1, 2), (1, 2), False),
+    ):
+        refused = nullcontext() if together else pytest.raises(DataError, match=r"now\. Wait for it")
+        with only_run(tmp_path, first), refused, only_run(tmp_path, second):
+            pass
+        with only_run(tmp_path, second) as alone:  # the lock is let go
+            assert alone == (second == whole)
 
 
 def row(frame, error="", **more):
@@ -29,67 +147,58 @@ FILE = OutputFile("0.h5", 3, "abc")
 RECORD = PartRecord("digest", (row("0"), row("1", "it is empty, so")), (FILE,))
 
 
-def test_as_written(tmp_path):
+def test_as_written_and_outputs_that_went_or_shrank(tmp_path):
     assert read_record(tmp_path, 1234) is None
     write_record(tmp_path, 1234, RECORD)
     assert read_record(tmp_path, 1234) == RECORD
     assert RECORD.errors == 1
+    record = PartRecord("", (row("0", output="0.npz", bytes=3, sha256="a"), row("1", "no output")))
+    for content, there in ((None, False), (b"abc", True), (b"ab", False)):
+        if content is not None:
+            (tmp_path / "0.npz").write_bytes(content)
+        assert outputs_there(tmp_path, record) is there
 
 
-def test_damage_is_noticed(tmp_path):
-    for damage in [lambda text: text[:-9], lambda text: text.replace(b'"1"', b'"2"'), bytes]:
-        write_record(tmp_path, 0, RECORD)
-        path = record_path(tmp_path, 0)
-        path.write_bytes(damage(path.read_bytes()) if damage is not bytes else b"")
-        with pytest.raises(DataError, match="Delete it and run the same command"):
-            read_record(tmp_path, 0)
-
-
-def test_files_of_all_parts(tmp_path):
+def test_damage_and_parts_that_are_not_done_are_noticed(tmp_path):
     write_record(tmp_path, 0, RECORD)
     assert files_of(tmp_path, 1) == ["0.h5"]
     with pytest.raises(DataError, match=r"Part 1 .* is not done"):
         files_of(tmp_path, 2)
-
-
-def test_outputs_that_went_or_shrank(tmp_path):
-    record = PartRecord("", (row("0", output="0.npz", bytes=3, sha256="a"), row("1", "no output")))
-    assert not outputs_there(tmp_path, record)
-    (tmp_path / "0.npz").write_bytes(b"abc")
-    assert outputs_there(tmp_path, record)
-    (tmp_path / "0.npz").write_bytes(b"ab")
-    assert not outputs_there(tmp_path, record)
+    whole = record_path(tmp_path, 0).read_bytes()
+    for damaged in (whole[:-9], whole.replace(b'"1"', b'"2"'), b""):
+        record_path(tmp_path, 0).write_bytes(damaged)
+        with pytest.raises(DataError, match="Delete it and run the same command"):
+            read_record(tmp_path, 0)
 
 
 PARTS = 203
 
 
 @pytest.fixture
-def output(tmp_path):
-    def row(frame, **more):
-        return {**dict.fromkeys(COLUMNS, ""), "sequence": "a", "frame": frame, **more}
-
+def recorded(tmp_path):
+    empty = dict.fromkeys(COLUMNS, "")
     for number in range(PARTS):
-        good = row("0", index=2 * number, deepest_mm=0.25, contacts=1, wall_time_ns=1 << 60, output="x")
-        bad = row("\udcff", index=2 * number + 1, error="it is empty, so")
+        facts = {"deepest_mm": 0.25, "contacts": 1, "wall_time_ns": 1 << 60, "output": "x"}
+        good = empty | row("0", index=2 * number) | facts
+        bad = empty | row("\udcff", "it is empty, so", index=2 * number + 1)
         write_record(tmp_path, number, PartRecord("", (good, bad), (OutputFile("x", 1, ""),)))
     return tmp_path
 
 
-def test_csv(output):
-    write_table(output, PARTS, "csv")
-    with (output / "frames.csv").open(newline="", encoding="utf-8") as file:
+def test_csv(recorded):
+    write_table(recorded, PARTS, "csv")
+    with (recorded / "frames.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [int(one["index"]) for one in rows] == list(range(2 * PARTS))
     assert rows[1]["error"] == "it is empty, so"
     with pytest.raises(DataError, match=rf"Part {PARTS} .* is not done"):
-        write_table(output, PARTS + 1, "csv")
+        write_table(recorded, PARTS + 1, "csv")
 
 
-def test_parquet(output):
+def test_parquet(recorded):
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
-    write_table(output, PARTS, "parquet")
-    read = parquet.read_table(output / "frames.parquet")
+    write_table(recorded, PARTS, "parquet")
+    read = parquet.read_table(recorded / "frames.parquet")
     assert read.column_names == list(COLUMNS)
     assert read["index"].to_pylist() == list(range(2 * PARTS))
     first, second = read.slice(0, 2).to_pylist()
@@ -98,16 +207,16 @@ def test_parquet(output):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_a_table_that_says_something_else_is_found(output, form):
+def test_a_table_that_says_something_else_is_found(recorded, form):
     if form == "parquet":
         pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
-    write_table(output, PARTS, form)
-    assert tables_there(output) == [form]
-    assert table_is_whole(output, PARTS, form)
-    assert not table_is_whole(output, PARTS - 1, form)
-    path = output / f"frames.{form}"
+    write_table(recorded, PARTS, form)
+    assert tables_there(recorded) == [form]
+    assert table_is_whole(recorded, PARTS, form)
+    assert not table_is_whole(recorded, PARTS - 1, form)
+    path = recorded / f"frames.{form}"
     path.write_bytes(path.read_bytes()[:-9])
-    assert not table_is_whole(output, PARTS, form)
+    assert not table_is_whole(recorded, PARTS, form)
 
 
 def test_which_is_written(monkeypatch):
@@ -119,3 +228,43 @@ def test_which_is_written(monkeypatch):
     assert table_form() == "parquet"
     with pytest.raises(ValueError, match="Expected a table among"):
         table_form("xlsx")
+
+
+def test_what_went_is_written_again(tree, cal, tmp_path):
+    out = tmp_path / "out"
+    run_batch(tree, cal, out, table="csv")
+    manifest = read_manifest(out)
+    assert problems_of_finish(out, manifest) == []
+    for path in (out / "frames.csv", out / "sheet.png"):
+        whole = path.read_bytes()
+        path.write_bytes(whole[:-1])
+        assert problems_of_finish(out, manifest) == [path]
+        path.unlink()
+        assert problems_of_finish(out, manifest) == [path]
+        finish(out, manifest, "csv", tree, again=False)
+        assert path.read_bytes() == whole
+
+
+def test_where_the_touch_is_it_is_bright(tree, cal, tmp_path):
+    run_batch(tree, cal, tmp_path / "out", BatchSettings(part_frames=2))
+    sheet = cv2.imread(str(tmp_path / "out/sheet.png"))
+    height = TILE_PX * 64 // 80
+    assert sheet.shape == (2 * (height + LABEL_PX), 6 * TILE_PX, 3)  # eight frames
+    tile = sheet[:height, :TILE_PX].sum(axis=2)
+    assert tile[height * 30 // 64, TILE_PX // 2] > 2 * tile[5, 5]
+    before = (tmp_path / "out/sheet.png").read_bytes()
+    write_sheet(tmp_path / "out", read_manifest(tmp_path / "out"))
+    assert (tmp_path / "out/sheet.png").read_bytes() == before
+
+
+def test_none_where_no_depth_was_kept(tree, cal, tmp_path):
+    run_batch(tree, cal, tmp_path / "out", BatchSettings(keep=("contact",)))
+    assert not (tmp_path / "out/sheet.png").exists()
+
+
+def test_unknown_pixels_are_dark(tmp_path, monkeypatch):
+    depth = np.full((64, 80), np.nan, np.float32)
+    row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
+    monkeypatch.setattr("gelform.batch.finish._chosen", lambda *_: [(depth, row)])
+    write_sheet(tmp_path, None)
+    assert cv2.imread(str(tmp_path / "sheet.png"))[:100, :TILE_PX].max() < 90

@@ -1,12 +1,19 @@
-"""A batch goes on where it was left, with the same and nothing else; what cannot be is said before the work."""
+"""A batch goes on where it was left, with the same and nothing else; what cannot be is said before the work; a part is a
+pure function; whatever is done to an output is found."""
 
 import csv
 import os
+import shutil
 
 import numpy as np
 import pytest
 
-from gelform.batch import BatchSettings, RunOptions, run_batch
+import gelform
+from gelform.batch import BatchSettings, RunOptions, run_batch, verify_output
+from gelform.batch.inputs.listing import listing_of
+from gelform.batch.inputs.plan import plan_of
+from gelform.batch.records import read_record, record_path
+from gelform.batch.work import Job, Stopped, Worker
 from gelform.errors import DataError
 from made.small_gel import image_of, save
 
@@ -30,23 +37,23 @@ def test_the_whole_of_it(tree, cal, done):
 
 
 def test_shards_give_the_same_bytes_as_one_run(tree, cal, done, tmp_path, visible):
-    for number in (3, 1):
-        assert not run_batch(
-            tree, cal, tmp_path / "out", PARTS, options=RunOptions(shard=(number, 3)), table="csv"
-        ).complete
-    assert run_batch(
-        tree, cal, tmp_path / "out", PARTS, options=RunOptions(shard=(2, 3)), table="csv"
-    ).complete
+    for number in (3, 1, 2):
+        third = RunOptions(shard=(number, 3))
+        summary = run_batch(tree, cal, tmp_path / "out", PARTS, options=third, table="csv")
+        assert summary.complete == (number == 2)
     assert visible(tmp_path / "out") == visible(done)
 
 
-def test_only_what_is_missing_is_done(tree, cal, done, visible):
+def test_only_what_is_missing_is_done_and_temporary_files_of_a_killed_run_go(tree, cal, done, visible):
     before = visible(done)
     (done / "frames/day2/frame2.npz").unlink()
     (done / "frames/frame11.npz").write_bytes(b"torn")
+    left = done / "frames" / ".gelform-0123456789ab.tmp"
+    left.write_bytes(b"half")
     summary = run_batch(tree, cal, done, PARTS, table="csv")
     assert (summary.frames, summary.frames_before) == (4, 4)  # their two parts
     assert visible(done) == before
+    assert not left.exists()
 
 
 def test_a_file_that_was_replaced_is_done_again(broken_tree, cal, tmp_path, images):
@@ -55,26 +62,15 @@ def test_a_file_that_was_replaced_is_done_again(broken_tree, cal, tmp_path, imag
     save(broken_tree / "empty.png", images[0])
     again = run_batch(broken_tree, cal, tmp_path / "out", PARTS)
     assert (again.errors, again.frames) == (3, 2)
-    assert (
-        run_batch(broken_tree, cal, tmp_path / "out", PARTS, options=RunOptions(retry_errors=True)).frames
-        == 4
-    )
+    retried = run_batch(broken_tree, cal, tmp_path / "out", PARTS, options=RunOptions(retry_errors=True))
+    assert retried.frames == 4
 
 
 def test_too_many_errors_end_the_run(broken_tree, cal, tmp_path):
-    summary = run_batch(
-        broken_tree, cal, tmp_path / "out", BatchSettings(part_frames=1), options=RunOptions(max_errors=1)
-    )
+    single, options = BatchSettings(part_frames=1), RunOptions(max_errors=1)
+    summary = run_batch(broken_tree, cal, tmp_path / "out", single, options=options)
     assert (summary.stopped, summary.complete, summary.errors) == (True, False, 2)
     assert not (tmp_path / "out" / "frames.csv").exists()
-
-
-def test_temporary_files_of_a_killed_run_go(tree, cal, done):
-    (done / "frames/frame1.npz").unlink()
-    left = done / "frames" / ".gelform-0123456789ab.tmp"
-    left.write_bytes(b"half")
-    run_batch(tree, cal, done, PARTS)
-    assert not left.exists()
 
 
 def test_something_else_is_refused_unless_it_may_begin_anew(tree, cal, done, visible):
@@ -98,20 +94,19 @@ def test_the_background_given_is_used_and_is_no_frame(tree, cal, tmp_path):
         run_batch(tree, cal, tmp_path / "out", PARTS, background=tree / "frame1.png")
 
 
-def test_an_output_inside_the_input_is_refused(tree, cal):
+def test_what_cannot_be_an_output_is_refused(tree, cal, tmp_path):
     for inside in ["", "out", "day2/out"]:
         with pytest.raises(DataError, match="is inside the input"):
             run_batch(tree, cal, tree / inside)
         assert not (tree / "manifest.json").exists()
-
-
-def test_an_input_inside_the_output_is_refused(tree, cal):
     with pytest.raises(DataError, match="is inside the output"):
         run_batch(tree, cal, tree.parent)
-
-
-def test_a_file_may_have_its_output_beside_it(tree, cal):
-    assert run_batch(tree / "frame1.png", cal, tree / "out").complete
+    assert run_batch(tree / "frame1.png", cal, tree / "out").complete, "a file may have it beside it"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="Expected a folder to write to, got the file"):
+        run_batch(tree, cal, tmp_path / "file")
+    with pytest.raises(DataError, match="A shard cannot overwrite"):
+        run_batch(tree, cal, tmp_path / "out", options=RunOptions(shard=(1, 2), overwrite=True))
 
 
 def test_frames_all_of_another_size_are_refused_before_the_work(tmp_path, cal):
@@ -122,12 +117,6 @@ def test_frames_all_of_another_size_are_refused_before_the_work(tmp_path, cal):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_is_no_output(tree, cal, tmp_path):
-    (tmp_path / "out").write_text("")
-    with pytest.raises(DataError, match="Expected a folder to write to, got the file"):
-        run_batch(tree, cal, tmp_path / "out")
-
-
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_that_may_not_be_written_is_said(tree, cal, tmp_path):
     (tmp_path / "out").mkdir(mode=0o500)
@@ -135,6 +124,101 @@ def test_a_folder_that_may_not_be_written_is_said(tree, cal, tmp_path):
         run_batch(tree, cal, tmp_path / "out")
 
 
-def test_a_shard_may_not_overwrite(tree, cal, tmp_path):
-    with pytest.raises(DataError, match="A shard cannot overwrite"):
-        run_batch(tree, cal, tmp_path / "out", options=RunOptions(shard=(1, 2), overwrite=True))
+def job(cal, output, **settings):
+    return Job(cal, None, output, BatchSettings(**settings))
+
+
+def test_the_same_depth_as_by_hand(tree, cal, images, tmp_path):
+    out = tmp_path / "out"
+    parts = plan_of(listing_of(tree), 256)
+    record = Worker(job(cal, out)).do(parts[1])
+    assert read_record(out, 1) == record
+    assert [row["output"] for row in record.rows][2] == "frames/day2/frame10.npz"
+    wanted = gelform.Reconstructor(cal).from_image(images[2]).depth_mm
+    with np.load(out / "frames/day2/frame10.npz") as file:
+        np.testing.assert_array_equal(file["depth_mm"], wanted)
+
+
+def test_a_background_of_each_sequence(tmp_path, cal):
+    """The gel of the second sequence has a brighter red light: with its own background its rest is flat all the same."""
+    rest = image_of(None)
+    brighter = np.clip(rest * np.array([1.1, 1, 1]), 0, 255).astype(np.uint8)
+    for name, image in (("a", rest), ("b", brighter)):
+        (tmp_path / "in" / name).mkdir(parents=True)
+        for k in range(2):
+            save(tmp_path / "in" / name / f"{k}.png", image)
+    worker = Worker(job(cal, tmp_path / "out", background_frames=1))
+    for part in plan_of(listing_of(tmp_path / "in"), 1, 1):
+        (row,) = worker.do(part).rows
+        assert abs(row["deepest_mm"]) < 0.02, row
+
+
+def test_a_sequence_without_a_background_has_its_reason_in_every_row(tree, cal, tmp_path):
+    (tree / "frame1.png").write_bytes(b"")
+    parts = plan_of(listing_of(tree), 256, 1)
+    worker = Worker(job(cal, tmp_path / "out", background_frames=1))
+    rows = worker.do(parts[0]).rows
+    assert [row["error"].startswith("No background") for row in rows] == [False, True, True, True]
+    assert "none of the first 1 frames can be read" in rows[1]["error"]
+    assert all("is empty" in row["error"] for row in rows)
+
+
+def test_each_corrupt_frame_is_reported_with_its_reason_and_the_others_are_done(broken_tree, cal, tmp_path):
+    done = Worker(job(cal, tmp_path)).do(plan_of(listing_of(broken_tree), 99)[0])
+    rows = {row["frame"]: row for row in done.rows}
+    reasons = {name: row["error"] for name, row in rows.items() if row["error"]}
+    assert reasons.keys() == {"cut", "empty", "text", "wide"}
+    for name, said in {"cut": "truncated", "empty": "is empty", "text": "no image", "wide": "160"}.items():
+        assert said in reasons[name]
+        assert not rows[name]["output"]
+    assert all((tmp_path / row["output"]).exists() for name, row in rows.items() if name not in reasons)
+
+
+def test_stopped_between_two_frames(tree, cal, tmp_path):
+    with pytest.raises(Stopped):
+        Worker(job(cal, tmp_path / "out")).do(plan_of(listing_of(tree), 99)[0], lambda: True)
+    assert read_record(tmp_path / "out", 0) is None
+
+
+def test_a_video_keeps_its_times(film, cal, tmp_path):
+    rows = Worker(job(cal, tmp_path / "out", keep=("all",))).do(plan_of(listing_of(film), 99)[0]).rows
+    assert [row["time_s"] for row in rows] == pytest.approx([0, 0.04, 0.08, 0.12])
+    assert gelform.load_result(tmp_path / "out/frames/press.avi/000003.npz").time_s == pytest.approx(0.12)
+
+
+@pytest.fixture
+def output(broken_tree, cal, tmp_path):
+    run_batch(broken_tree, cal, tmp_path / "out", BatchSettings(part_frames=4), table="csv")
+    return tmp_path / "out"
+
+
+def flipped(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def test_one_thing_is_wrong(output, tmp_path):
+    for damage, said in [
+        (lambda out: (out / "frames/frame1.npz").unlink(), "is missing"),
+        (lambda out: (out / "frames/frame1.npz").write_bytes(b"12345"), "has 5 of"),
+        (lambda out: flipped(out / "frames/frame1.npz"), "was altered"),
+        (lambda out: (out / "frames/more.npz").write_bytes(b""), "no part knows of it"),
+        (lambda out: flipped(out / "frames.csv"), "not what the parts say"),
+        (lambda out: (out / "frames.csv").open("a").write("x"), "not what the parts say"),
+        (lambda out: (out / "frames.csv").unlink(), "is missing or"),
+        (lambda out: flipped(record_path(out, 0)), "is damaged. Delete it"),
+    ]:
+        shutil.copytree(output, damaged := tmp_path / "damaged")
+        damage(damaged)
+        _, _, problems = verify_output(damaged)
+        assert said in problems[0].what
+        shutil.rmtree(damaged)
+
+
+def test_a_whole_output_and_a_part_that_is_not_done(output, tmp_path):
+    assert verify_output(output) == (8, 4, [])
+    record_path(output, 2).unlink()
+    assert "1 of 3 parts are not done" in verify_output(output)[2][0].what
+    with pytest.raises(DataError, match="Expected the output folder of gelform batch"):
+        verify_output(tmp_path)

@@ -48,12 +48,9 @@ def test_refused():
             image_from_values(values)
 
 
-def test_a_star_stands_for_one_name(tmp_path):
+def test_a_star_stands_for_one_name_and_what_is_there_is_listed(tmp_path):
     assert matching(tmp_path, THERE, "data/*/obs/gelsight") == list(THERE)[:2]
     assert matching(tmp_path, THERE, "/data/demo_1/obs/gelsight") == ["data/demo_1/obs/gelsight"]
-
-
-def test_what_is_there_is_listed(tmp_path):
     said = r"data/demo_\*/obs/gelsight \(2 of uint8 9x6x8x3\), data/demo_0/obs/wrist \(one of uint8"
     for wanted in ("data/*", "obs/gelsight", ""):
         with pytest.raises(DataError, match=said):
@@ -134,16 +131,12 @@ def test_compressed_images_and_one_that_is_torn(h5py, tmp_path, cal, images):
     for k in range(2):
         with h5py.File(tmp_path / f"episode_{k}.hdf5", "w") as file:
             file["observations/images/gel"] = padded
-    background = BatchSettings(background_frames=1)
-    summary = run_batch(
-        tmp_path / "episode_*.hdf5", cal, tmp_path / "out", dataset="observations/images/gel", table="csv"
-    )
+    gel = "observations/images/gel"
+    summary = run_batch(tmp_path / "episode_*.hdf5", cal, tmp_path / "out", dataset=gel, table="csv")
     assert (summary.complete, summary.frames, summary.errors) == (True, 8, 2)
     assert "no image" in (tmp_path / "out/frames.csv").read_text()
-    summary = run_batch(
-        tmp_path / "episode_0.hdf5", cal, tmp_path / "b", background, dataset="observations/images/gel"
-    )
-    assert summary.frames == 4
+    background = BatchSettings(background_frames=1)
+    assert run_batch(tmp_path / "episode_0.hdf5", cal, tmp_path / "b", background, dataset=gel).frames == 4
 
 
 def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
@@ -205,12 +198,16 @@ def test_zarr_gives_the_same_depth_as_by_hand(zarr, replay, cal, images, tmp_pat
     np.testing.assert_array_equal(depth[0], gelform.Reconstructor(cal).from_image(images[3]).depth_mm)
 
 
-def test_zarr_that_cannot_be_is_said(zarr, replay):
+def test_zarr_that_cannot_be_is_said(zarr, replay, tmp_path):
     with pytest.raises(DataError, match=r"there are data/gel \(one of float32 5x64x80x3\)"):
         listing_of(replay, dataset="data/img")
     zarr.open_group(str(replay))["meta/episode_ends"][:] = [3, 4]
     with pytest.raises(DataError, match="to end at the 5 frames"):
         listing_of(replay, dataset="data/gel")
+    (tmp_path / "a.zarr").mkdir()
+    (tmp_path / "a.zarr/.zgroup").write_text("{")
+    with pytest.raises(DataError, match="as a Zarr group"):
+        listing_of(tmp_path / "a.zarr", dataset="data/gel")
 
 
 def test_a_chunk_that_is_damaged_costs_its_frames_alone(replay, cal, tmp_path):
@@ -220,10 +217,3 @@ def test_a_chunk_that_is_damaged_costs_its_frames_alone(replay, cal, tmp_path):
     chunk.write_bytes(chunk.read_bytes()[:50])
     summary = run_batch(replay, cal, tmp_path / "out", dataset="data/gel")
     assert (summary.complete, summary.frames, summary.errors) == (True, 5, 2)
-
-
-def test_a_folder_that_is_no_group(zarr, tmp_path):
-    (tmp_path / "a.zarr").mkdir()
-    (tmp_path / "a.zarr/.zgroup").write_text("{")
-    with pytest.raises(DataError, match="as a Zarr group"):
-        listing_of(tmp_path / "a.zarr", dataset="data/gel")

@@ -18,6 +18,9 @@ from gelform.batch.inputs.lerobot import (
 from gelform.batch.inputs.listing import listing_of
 from gelform.errors import DataError
 
+pyarrow = pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+parquet = pytest.importorskip("pyarrow.parquet", reason="the extra lerobot is not installed")
+
 KEY, STORED, FPS = "observation.images.gel", "observation.images.still", 30
 
 
@@ -26,25 +29,30 @@ def changed(root, **more):
     (root / "meta/info.json").write_text(json.dumps({**info, **more}))
 
 
-def test_episodes_are_sequences(lerobot):
+def test_episodes_are_sequences_of_a_video_and_of_tables(lerobot):
     root, _ = lerobot
     assert is_lerobot_set(root)
-    found = lerobot_sequences(root, KEY)
-    assert [(one.name, one.offset, one.count) for one in found] == [
-        (f"{KEY}/episode_000000", 0, 3),
-        (f"{KEY}/episode_000001", 3, 4),
-        (f"{KEY}/episode_000002", 7, 2),
-    ]
+    found = [(one.name, one.offset, one.count) for one in lerobot_sequences(root, KEY)]
+    assert found == [(f"{KEY}/episode_{k:06d}", *place) for k, place in enumerate(((0, 3), (3, 4), (7, 2)))]
+    listed = listing_of(root, dataset=STORED)
+    found = [(one.path.name, one.offset, one.count) for one in listed.sequences]
+    assert found == [("file-000.parquet", 0, 3), ("file-000.parquet", 3, 4), ("file-001.parquet", 0, 2)]
+    assert listed.warnings == ()  # PNG
 
 
 def test_the_frames_of_an_episode_from_anywhere_in_it(lerobot):
+    """Rows are in groups of two, which the episode's ends cut."""
     root, frames = lerobot
     (path,) = root.rglob("*.mp4")
-    for start in range(4):
-        found = list(video_frames(path, 3, start, 4 - start))
-        assert [time for time, _ in found] == pytest.approx([k / FPS for k in range(start, 4)], abs=1e-4)
-        for k, (_, image) in enumerate(found, 3 + start):
-            np.testing.assert_array_equal(image, frames[k])
+    for start, count in ((0, 4), (1, 2), (2, 2), (3, 1)):
+        times = pytest.approx([k / FPS for k in range(start, start + count)], abs=1e-4)
+        of_video = list(video_frames(path, 3, start, count))
+        of_table = list(stored_images(table(root), STORED, 3, start, count))
+        assert [time for time, _ in of_video] == times
+        assert [time for time, _ in of_table] == times
+        for k in range(count):
+            np.testing.assert_array_equal(of_video[k][1], frames[3 + start + k])
+            np.testing.assert_array_equal(image_from_values(of_table[k][1]), frames[3 + start + k])
 
 
 def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, encode):
@@ -70,9 +78,8 @@ def test_compression_in_words(lerobot):
 
 def test_what_cannot_be_is_said(lerobot):
     root, _ = lerobot
-    with pytest.raises(
-        DataError, match=rf"there are {KEY} \(one of video 64x80x3\), .*still \(one of image 64x80x3\)"
-    ):
+    there = rf"there are {KEY} \(one of video 64x80x3\), .*still \(one of image 64x80x3\)"
+    with pytest.raises(DataError, match=there):
         listing_of(root, dataset="observation.images.wrist")
     changed(root, codebase_version="v2.1")
     with pytest.raises(DataError, match=r"version v3.0, got v2.1 .* convert_dataset_v21_to_v30"):
@@ -86,49 +93,22 @@ def table(root, number=0):
     return root / f"data/chunk-000/file-{number:03d}.parquet"
 
 
-def test_episodes_in_tables_are_sequences(lerobot):
-    root, _ = lerobot
-    found = listing_of(root, dataset=STORED)
-    assert [(one.path.name, one.offset, one.count) for one in found.sequences] == [
-        ("file-000.parquet", 0, 3),
-        ("file-000.parquet", 3, 4),
-        ("file-001.parquet", 0, 2),
-    ]
-    assert found.warnings == ()  # PNG
-
-
-def test_the_images_of_an_episode_from_anywhere_in_it(lerobot):
-    """Rows are in groups of two, which the episode's ends cut."""
-    root, frames = lerobot
-    for start, count in ((0, 4), (1, 2), (3, 1)):
-        found = list(stored_images(table(root), STORED, 3, start, count))
-        times = [k / FPS for k in range(start, start + count)]
-        assert [seconds for seconds, _ in found] == pytest.approx(times)
-        for k, (_, content) in enumerate(found, 3 + start):
-            np.testing.assert_array_equal(image_from_values(content), frames[k])
-
-
 def test_a_batch_is_that_of_the_video(lerobot, cal, tmp_path):
     root, _ = lerobot
     for name, key in (("a", STORED), ("b", KEY)):
         done = run_batch(root, cal, tmp_path / name, dataset=key, table="csv")
         assert (done.complete, done.frames, done.errors) == (True, 9, 0)
-    for episode, frame in ((0, 0), (1, 3), (2, 1)):
-        name = f"episode_{episode:06d}/{frame:06d}.npz"
-        first, second = (
-            np.load(tmp_path / f"{a}/frames/{key}/{name}") for a, key in (("a", STORED), ("b", KEY))
-        )
-        np.testing.assert_array_equal(first["depth_mm"], second["depth_mm"])
+    for name in ("episode_000000/000000", "episode_000001/000003", "episode_000002/000001"):
+        kept = [np.load(tmp_path / f"{at}/{name}.npz") for at in (f"a/frames/{STORED}", f"b/frames/{KEY}")]
+        np.testing.assert_array_equal(kept[0]["depth_mm"], kept[1]["depth_mm"])
 
 
 def test_an_image_that_is_damaged_or_absent_is_a_row_with_its_error(lerobot, cal, tmp_path):
-    from pyarrow import Table, parquet
-
     root, _ = lerobot
     rows = parquet.read_table(table(root)).to_pylist()
     rows[1][STORED]["bytes"] = rows[1][STORED]["bytes"][:40]
     rows[4][STORED]["bytes"] = None
-    parquet.write_table(Table.from_pylist(rows), table(root))
+    parquet.write_table(pyarrow.Table.from_pylist(rows), table(root))
     done = run_batch(root, cal, tmp_path / "out", dataset=STORED, table="csv")
     assert (done.frames, done.errors) == (9, 2)
     said = (tmp_path / "out/frames.csv").read_text()

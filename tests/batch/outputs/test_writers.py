@@ -1,12 +1,149 @@
-"""Every form gives back the depth that was written; a whole run is complete and verified, in any order and shards the same
-bytes; damage is found."""
+"""What is recorded of a file is what is there; every form gives back the depth that was written, the same bytes in any order
+and shards; damage is found."""
 
+import errno
+import hashlib
+import io
+
+import cv2
 import numpy as np
 import pytest
 
-from gelform.batch import BatchSettings, RunOptions, run_batch, verify_output
+import gelform
+from gelform.batch import RunOptions, run_batch, verify_output
+from gelform.batch.inputs.plan import Part
+from gelform.batch.outputs import files as output_files
+from gelform.batch.outputs.files import (
+    FlushedLater,
+    OutputFile,
+    PartTarget,
+    RememberingFile,
+    attributes_of,
+    blank_maps,
+    check_names,
+    facts_of,
+    maps_of,
+    output_file,
+)
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
-from gelform.batch.settings import FORMATS
+from gelform.batch.settings import FORMATS, KEPT, BatchSettings
+from gelform.errors import DataError
+from gelform.exporters.quantised import depth_from_levels
+from made.small_gel import MM_PER_PX, SHAPE, Touch, depth_of
+
+
+def test_a_file_as_written(tmp_path):
+    target = PartTarget(tmp_path, Part(0, "a/b", tmp_path), BatchSettings(), (1, 1), {})
+    content = b"abc" * (1 << 20)
+    file = target.write(target.folder / "x", content)
+    assert file == OutputFile("frames/a/b/x", len(content), hashlib.sha256(content).hexdigest())
+    assert output_file(tmp_path, tmp_path / file.path) == file
+    (tmp_path / "frames/a/b/y").mkdir()
+    with pytest.raises(DataError, match="got the folder"):
+        target.write(target.folder / "y", b"")
+
+
+def test_files_that_are_flushed_later_and_a_disk_that_does_not_take_one(tmp_path):
+    with FlushedLater(tmp_path) as later:
+        files = [later.write(tmp_path / f"frames/{k}", bytes([k])) for k in range(20)]
+        assert (tmp_path / "frames/19").read_bytes() == bytes([19])
+    assert all(output_file(tmp_path, tmp_path / file.path) == file for file in files)
+    assert all(one.done() for one in later._files)
+    later = FlushedLater(tmp_path).__enter__()
+    later._files.append(later._flushing.submit(output_files._flush, tmp_path / "gone"))
+    with pytest.raises(DataError, match="No such file"):
+        later.__exit__(None, None, None)
+
+
+class FullDisk(io.BytesIO):
+    """Takes ten bytes."""
+
+    def write(self, content):
+        if self.tell() + len(content) > 10:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(content)
+
+
+def test_the_first_error_is_remembered():
+    file = RememberingFile(FullDisk())
+    assert file.write(b"12345678") == 8
+    file.check()
+    assert file.write(b"12345678") == 8
+    assert file.write(b"1") == 1
+    with pytest.raises(OSError, match="No space left"):
+        file.check()
+
+
+@pytest.fixture(scope="module")
+def result(cal, images):
+    return gelform.Reconstructor(cal).from_image(images[3])
+
+
+def test_blank_maps_are_of_the_same_kind(result):
+    for settings in [BatchSettings(keep=KEPT), BatchSettings("zarr", dtype="uint16")]:
+        maps, blank = maps_of(result, settings), blank_maps(settings, SHAPE)
+        kinds, blank_kinds = ([(n, m.shape, m.dtype) for n, m in one.items()] for one in (maps, blank))
+        assert kinds == blank_kinds
+
+
+def test_levels_turn_into_mm_by_their_attributes(result):
+    settings = BatchSettings("zarr", dtype="uint16")
+    told, levels = attributes_of("depth_mm", settings), maps_of(result, settings)["depth_mm"]
+    depth = levels[result.known] * told["scale_factor"] + told["add_offset"]
+    assert np.abs(depth - result.depth_mm[result.known]).max() <= 0.51e-4
+
+
+def test_a_map_that_is_not_there_is_said(cal, images):
+    without = gelform.Reconstructor(cal, depth_sigma=False).from_image(images[0])
+    with pytest.raises(DataError, match="gives no depth_sigma_mm"):
+        maps_of(without, BatchSettings(keep=("depth_sigma",)))
+
+
+def test_figures_of_a_ball(result):
+    """Against the true depth, over the contact that was found."""
+    facts, touch = facts_of(result), Touch(depth_mm=0.35)
+    truth = depth_of(touch)
+    assert facts["contacts"] == 1
+    assert facts["health"] == ""
+    assert facts["deepest_mm"] == pytest.approx(truth.max(), abs=0.02)
+    assert (facts["deepest_x_px"], facts["deepest_y_px"]) == pytest.approx((touch.x_px, touch.y_px), abs=4)
+    assert facts["volume_mm3"] == pytest.approx(truth[result.contact].sum() * MM_PER_PX**2, rel=0.03)
+    assert facts["contact_mm2"] == pytest.approx(result.contact.sum() * MM_PER_PX**2)
+
+
+def test_a_folder_called_like_an_array_is_refused():
+    check_names(["depth_mm"], BatchSettings())
+    with pytest.raises(DataError, match="where an array known does"):
+        check_names(["day1", "day2/known"], BatchSettings("zarr"))
+
+
+def test_chosen_maps(written, results, tmp_path):
+    for keep in (("depth", "known"), KEPT):
+        _, rows = written("npz", keep=keep)
+        with np.load(tmp_path / rows[1]["output"]) as file:
+            names = {{"depth": "depth_mm", "depth_sigma": "depth_sigma_mm"}.get(name, name) for name in keep}
+            assert set(file.files) == {*names, "mm_per_px", "meta"}
+            for name in names:
+                np.testing.assert_array_equal(file[name], getattr(results[1], name))
+    _, rows = written("npz", keep=("contact",))
+    assert depth_of_row(tmp_path, "npz", {**rows[0], "index": 0}) is None
+
+
+def test_whole_results_and_none_of_an_error(written, results, tmp_path):
+    _, rows = written("npz", keep=("all",))
+    read = gelform.load_result(tmp_path / rows[0]["output"])
+    np.testing.assert_array_equal(read.gradients, results[0].gradients)
+    np.testing.assert_array_equal(depth_of_row(tmp_path, "npz", {**rows[0], "index": 0}), read.depth_mm)
+    assert rows[2] == {}
+    assert len(list((tmp_path / "frames/day/a").iterdir())) == 4
+
+
+def test_depth_in_16_bits(written, results, tmp_path):
+    _, rows = written("png")
+    depth, known = depth_from_levels(cv2.imread(str(tmp_path / rows[0]["output"]), cv2.IMREAD_UNCHANGED))
+    np.testing.assert_array_equal(known, results[0].known)
+    assert np.abs(depth - results[0].depth_mm)[known].max() <= 0.51e-4
+
 
 NEEDS = {"zarr": "numcodecs", "hdf5": "h5py", "ffv1": "av", "lerobot": "av"}
 TO_THE_LEVEL_MM = {"lerobot": 0.501e-3}
@@ -33,10 +170,9 @@ def test_shards_and_repeated_parts_give_the_same_bytes(broken_tree, cal, tmp_pat
     settings = settings_of(form)
     done = run_batch(broken_tree, cal, tmp_path / "a", settings, table="csv")
     assert (done.complete, done.frames, done.errors) == (True, 12, 4)
-    for shard in ((2, 2), (1, 2)):
-        last = run_batch(
-            broken_tree, cal, tmp_path / "b", settings, options=RunOptions(shard=shard), table="csv"
-        )
+    for number in (2, 1):
+        half = RunOptions(shard=(number, 2))
+        last = run_batch(broken_tree, cal, tmp_path / "b", settings, options=half, table="csv")
     assert last.complete
     assert visible(tmp_path / "a") == visible(tmp_path / "b")
     assert verify_output(tmp_path / "b") == (8, 4, [])
@@ -66,17 +202,6 @@ def test_the_depth_of_every_frame(written, results, tmp_path, form):
             assert depth is None
         else:
             assert np.abs(depth - result.depth_mm)[result.known].max() <= TO_THE_LEVEL_MM.get(form, 0.51e-4)
-
-
-def test_depth_that_was_not_kept(written, tmp_path):
-    _, rows = written("npz", keep=("contact",))
-    assert depth_of_row(tmp_path, "npz", {**rows[0], "index": 0}) is None
-
-
-def test_a_whole_result(written, results, tmp_path):
-    _, rows = written("npz", keep=("all",))
-    depth = depth_of_row(tmp_path, "npz", {**rows[0], "index": 0})
-    np.testing.assert_array_equal(depth, results[0].depth_mm)
 
 
 @pytest.mark.parametrize("form", FORMATS)

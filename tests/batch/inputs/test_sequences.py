@@ -1,0 +1,214 @@
+"""Which frames there are, in which order and parts, named and told apart; what cannot be read says why, the others come."""
+
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.batch import run_batch
+from gelform.batch.inputs.containers import Sequence
+from gelform.batch.inputs.listing import Listing, listing_of
+from gelform.batch.inputs.plan import plan_of, shard_of
+from gelform.batch.inputs.reading import (
+    background_of_sequence,
+    backgrounds_of,
+    frames_of_part,
+)
+from gelform.batch.manifest import read_manifest
+from gelform.errors import DataError
+from gelform.frames import Frame
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from made.small_gel import image_of, save
+
+NATURAL = ("frame1.png", "frame2.png", "frame10.png", "frame11.png")
+
+
+def test_a_tree_in_natural_order_without_hidden_files_others_and_the_background(tree):
+    listing = listing_of(tree)
+    assert [(one.name, one.images) for one in listing.sequences] == [("", NATURAL), ("day2", NATURAL)]
+    assert listing.searched
+    (tree / ".frame0.png").write_bytes(b"")
+    (tree / "notes.txt").write_text("")
+    listing = listing_of(tree, leave_out=[tree / "frame2.png"])
+    assert listing.sequences[0].images == ("frame1.png", "frame10.png", "frame11.png")
+
+
+def test_videos_and_recordings_are_sequences_of_their_own(tree, film):
+    (tree / "day2" / film.name).write_bytes(film.read_bytes())
+    (tree / "day3.mcap").write_bytes(b"")
+    recorded = tree / "recorded"
+    recorded.mkdir()
+    (recorded / "frames.csv").write_text("")
+    (recorded / "recording.json").write_text("{}")
+    names = [one.name for one in listing_of(tree).sequences]
+    assert names == ["", "day3.mcap", "day2", "day2/press.avi", "recorded"]
+    assert [one.name for one in listing_of(film).sequences] == ["press.avi"]
+
+
+def test_a_pattern(tree):
+    listing = listing_of(str(tree / "day*" / "frame1*.png"))
+    assert [(one.name, one.images) for one in listing.sequences] == [
+        ("day2", ("frame1.png", "frame10.png", "frame11.png"))
+    ], "named as beside other days"
+    assert [one.name for one in listing_of(str(tree / "**" / "*.png")).sequences] == ["", "day2"]
+
+
+def test_the_digest_knows_names_alone(tree):
+    before = listing_of(tree).digest
+    (tree / "frame1.png").write_bytes(b"another content")
+    assert listing_of(tree).digest == before
+    (tree / "frame1.png").rename(tree / "frame3.png")
+    assert listing_of(tree).digest != before
+
+
+def test_nothing_to_do_is_said(tmp_path):
+    with pytest.raises(DataError, match=r"No file or folder .*absent. Check the path"):
+        listing_of(tmp_path / "absent")
+    for source in (tmp_path, str(tmp_path / "*.png")):
+        with pytest.raises(DataError, match=r"Expected images, videos or recordings .* got none"):
+            listing_of(source)
+
+
+IMAGES = tuple(f"{k}.png" for k in range(10))
+LISTING = Listing(Path(), (Sequence("a", Path("a"), IMAGES), Sequence("b.mp4", Path("b.mp4"))))
+
+
+def test_every_image_is_in_one_part():
+    for part_frames in [1, 3, 5, 10, 256]:
+        parts = plan_of(LISTING, part_frames)
+        assert tuple(chain.from_iterable(part.images for part in parts)) == IMAGES
+        assert [part.number for part in parts] == list(range(len(parts)))
+        assert [IMAGES[part.start] for part in parts[:-1]] == [part.images[0] for part in parts[:-1]]
+        assert (parts[-1].sequence, parts[-1].images) == ("b.mp4", ())
+
+
+def test_shards_share_all_parts():
+    for count in [1, 2, 3, 20]:
+        parts = plan_of(LISTING, 2)
+        shares = [shard_of(parts, (number, count)) for number in range(1, count + 1)]
+        assert sorted(part.number for share in shares for part in share) == list(range(len(parts)))
+    for shard in [(0, 2), (3, 2)]:
+        with pytest.raises(DataError, match="Expected a shard from 1/2 to 2/2"):
+            shard_of([], shard)
+
+
+def test_a_suffix_stays_where_it_alone_tells_two_images_apart():
+    images = ("a.jpg", "a.png", "b.png")
+    parts = plan_of(Listing(Path(), (Sequence("", Path(), images),)), 1)
+    assert [part.names for part in parts] == [("a.jpg",), ("a.png",), ("b",)]
+
+
+def test_the_digest_of_a_part_follows_its_own_files_and_its_background(tree):
+    def digests(background_frames):
+        return [part.input_digest() for part in plan_of(listing_of(tree), 2, background_frames)]
+
+    before, with_background = digests(0), digests(1)
+    (tree / "frame1.png").write_bytes(b"of another size")
+    assert [a == b for a, b in zip(digests(0), before)] == [False, True, True, True]
+    assert [a == b for a, b in zip(digests(1), with_background)] == [False, False, True, True]
+    part = plan_of(listing_of(tree), 256)[0]
+    before = part.input_digest()
+    (tree / "frame1.png").unlink()
+    assert part.input_digest() != before
+
+
+def parts_of(source, part_frames=256, background_frames=0):
+    return plan_of(listing_of(source), part_frames, background_frames)
+
+
+def test_images_in_their_order(tree, images):
+    found = [one for part in parts_of(tree, 3)[:2] for one in frames_of_part(part)]
+    assert [one.name for one in found] == ["frame1", "frame2", "frame10", "frame11"]
+    assert [one.index for one in found] == [0, 1, 2, 3]
+    for one, image in zip(found, images):
+        np.testing.assert_array_equal(one.frame.image, image)
+
+
+def test_a_video_and_a_damaged_one_which_is_one_frame_with_its_error(film, images):
+    found = list(frames_of_part(parts_of(film)[0]))
+    assert [one.name for one in found] == ["000000", "000001", "000002", "000003"]
+    assert np.abs(found[2].frame.image.astype(int) - images[2]).max() <= 1
+    assert found[2].frame.time_s == pytest.approx(0.08)
+    film.write_bytes(film.read_bytes()[:40])
+    (only,) = frames_of_part(parts_of(film)[0])
+    assert only.frame is None
+    assert "press.avi" in only.error
+
+
+def test_a_recording_with_its_times(tmp_path, images):
+    recording = FolderRecording(tmp_path / "recorded", RecordingFacts("camera"))
+    for index, image in enumerate(images):
+        recording.write(Frame(image, 5 + 0.1 * index, 1000 + index, 7 + index))
+    recording.close()
+    found = list(frames_of_part(parts_of(tmp_path / "recorded")[0]))
+    assert [one.frame.wall_time_ns for one in found] == [1000, 1001, 1002, 1003]
+    assert found[3].frame.time_s == pytest.approx(0.3)
+
+
+def test_the_background_is_the_average_of_the_first_frames(tmp_path, cal):
+    for k in range(3):
+        save(tmp_path / f"{k}.png", image_of(None))
+    for part in parts_of(tmp_path, 2, 2):
+        np.testing.assert_allclose(background_of_sequence(part, 2, cal), image_of(None), atol=1)
+
+
+RED = np.array([1.1, 1, 1])
+
+
+@pytest.fixture
+def two_lights(tmp_path):
+    """Two sequences of an untouched gel, the second under a brighter red light; their backgrounds lie among them."""
+    for name, factor in (("a", 1), ("b", RED)):
+        image = np.clip(image_of(None) * factor, 0, 255).astype(np.uint8)
+        (tmp_path / "in" / name).mkdir(parents=True)
+        for one in ("0.png", "rest.png"):
+            save(tmp_path / "in" / name / one, image)
+    return tmp_path / "in"
+
+
+def table(folder, *rows):
+    path = folder / "rest.csv"
+    path.write_text("\n".join(("sequence,background", *rows)) + "\n")
+    return path
+
+
+def test_each_sequence_has_the_background_that_the_table_names(two_lights, cal, tmp_path):
+    rest = table(two_lights, "a,a/rest.png", "b,b/rest.png")
+    run_batch(two_lights, cal, tmp_path / "own", background=rest)
+    assert len(list((tmp_path / "own/frames").rglob("*.npz"))) == 2  # the backgrounds are no frames
+    for name in "ab":
+        image = gelform.read_image(two_lights / name / "0.png")
+        expected = gelform.Reconstructor(cal, background=image).from_image(image).depth_mm
+        with np.load(tmp_path / "own/frames" / name / "0.npz") as file:
+            np.testing.assert_array_equal(file["depth_mm"], expected)
+    swapped = table(two_lights, "a,b/rest.png", "b,a/rest.png")
+    with pytest.raises(DataError, match="begun with something else: the background"):
+        run_batch(two_lights, cal, tmp_path / "own", background=swapped)
+
+
+def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_path):
+    same = table(two_lights, "a,a/rest.png", "b,a/rest.png")
+    run_batch(two_lights, cal, tmp_path / "one", background=two_lights / "a/rest.png")
+    run_batch(two_lights, cal, tmp_path / "both", background=same, table="csv")
+    kept = [tmp_path / name / "frames/b/0.npz" for name in ("one", "both")]
+    assert kept[0].read_bytes() == kept[1].read_bytes()
+    assert all(read_manifest(tmp_path / name).background_digest for name in ("one", "both"))
+
+
+def test_refused_before_anything_is_written(two_lights, cal, tmp_path):
+    for rows, said in [
+        (["a,a/rest.png"], "has no row for 'b'"),
+        (["a,a/rest.png", "b,b/rest.png", "c,a/rest.png"], "the input lacks, 'c'"),
+        (["a,a/rest.png", "b,b/none.png"], "The background .*none.png"),
+        (["a,a/rest.png", "a,b/rest.png"], "each sequence once"),
+        (["a"], "columns sequence and background"),
+        ([], "columns sequence and background"),
+    ]:
+        with pytest.raises(DataError, match=said):
+            run_batch(two_lights, cal, tmp_path / "out", background=table(two_lights, *rows))
+        assert not (tmp_path / "out").exists()
+    with pytest.raises(DataError, match="Cannot read the table"):
+        backgrounds_of(tmp_path / "rest.csv")
