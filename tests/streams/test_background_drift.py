@@ -1,4 +1,5 @@
-"""The untouched image over minutes: it follows LEDs and gel, and not a slow press. Simulated, much faster than in time."""
+"""The untouched image over minutes: it follows LEDs and gel, and not a slow press; smooth light is not bent by what
+touches. Simulated, much faster than in time."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import pytest
 from gelform.foundations.findings import Finding
 from gelform.streams.background_drift import AFTER_S, MEAN_IMAGE_S, BackgroundDrift, Touched
 from gelform.streams.memory import Memory
-from gelform.streams.smooth_light import block_means
+from gelform.streams.smooth_light import SmoothLight, block_means
 from stream.slow_gel import SlowGel, Touch
 
 
@@ -180,69 +181,105 @@ def noisy(seed=0, levels=0.02):
     return np.random.default_rng(seed).normal(0, levels / 100, (*BLOCKS, 3)).astype(np.float32)
 
 
-def test_noise_touches_nothing():
+def marked(touched, change, second=1.0, contact=NOWHERE):
+    return touched.mark(float(second), 1.0, contact, change, UNTOUCHED)
+
+
+def test_noise_and_light_that_changes_everywhere_touch_nothing():
+    """Blocks are held against each other: a pattern all over raises what counts as noise."""
     touched = Touched(BLOCKS)
     for second in range(200):
-        touched.mark(float(second), 1.0, NOWHERE, noisy(second), UNTOUCHED)
+        marked(touched, noisy(second), second)
+    assert touched.not_since(0.0).all()
+    x = np.linspace(-0.01, 0.01, BLOCKS[1], dtype=np.float32)[None, :, None]
+    assert not marked(Touched(BLOCKS), x + noisy()).any()
+    touched.everywhere(3.0)  # nobody looked
+    assert not touched.not_since(3.0).any()
+    touched.nowhere()
     assert touched.not_since(0.0).all()
 
 
 def test_contact_counts_with_a_margin():
     touched, contact = Touched(BLOCKS), NOWHERE.copy()
     contact[10, 15] = True
-    near = touched.mark(50.0, 1.0, contact, noisy(), UNTOUCHED)
-    assert near[10, 15]
-    assert near[12, 15]
-    assert near[10, 13]
+    near = marked(touched, noisy(), 50.0, contact)
+    assert near[[10, 12, 10], [15, 15, 13]].all()
     assert not near[14, 15]
     assert near.sum() < 30
     np.testing.assert_array_equal(touched.not_since(50.0), ~near)
     assert touched.not_since(50.1).all()
+    for blocks in ((1, 1), (3, 40)):
+        rest = np.full((*blocks, 3), 50, np.float32)
+        assert Touched(blocks).mark(0.0, 1.0, np.ones(blocks, bool), rest * 0, rest).all()
 
 
-def test_a_block_that_stands_out_is_touched():
+def test_a_block_that_stands_out_is_touched_and_what_is_slight_is_seen_in_time():
+    """Half the noise limit of a second stands out of the mean of ten."""
     change = noisy()
     change[5, 7, 1] = 0.004  # in one channel
-    assert Touched(BLOCKS).mark(1.0, 1.0, NOWHERE, change, UNTOUCHED)[5, 7]
-
-
-def test_what_is_slight_is_seen_in_time():
-    """Half the noise limit of a second stands out of the mean of ten."""
+    assert marked(Touched(BLOCKS), change)[5, 7]
     touched, seen = Touched(BLOCKS), []
     for second in range(30):
         change = noisy(second, levels=0.12)
         change[5, 7] += 0.0045
-        seen.append(bool(touched.mark(float(second), 1.0, NOWHERE, change, UNTOUCHED)[5, 7]))
+        seen.append(bool(marked(touched, change, second)[5, 7]))
     assert all(seen[20:])
 
 
 def test_a_strong_touch_is_forgotten_soon():
-    touched = Touched(BLOCKS)
-    pressed = noisy()
+    touched, pressed = Touched(BLOCKS), noisy()
     pressed[5, 7] = 0.4
-    for second in range(20):
-        touched.mark(float(second), 1.0, NOWHERE, pressed, UNTOUCHED)
-    for second in range(20, 60):
-        touched.mark(float(second), 1.0, NOWHERE, noisy(second), UNTOUCHED)
+    for second in range(60):
+        marked(touched, pressed if second < 20 else noisy(second), second)
     assert touched.not_since(45.0).all()
 
 
-def test_light_that_changes_everywhere_is_no_touch():
-    """Blocks are held against each other: a pattern all over raises what counts as noise."""
-    x = np.linspace(-0.01, 0.01, BLOCKS[1], dtype=np.float32)[None, :, None]
-    assert not Touched(BLOCKS).mark(1.0, 1.0, NOWHERE, x + noisy(), UNTOUCHED).any()
+LIGHT_BLOCKS = (17, 22)
 
 
-def test_nobody_looked():
-    touched = Touched(BLOCKS)
-    touched.everywhere(3.0)
-    assert not touched.not_since(3.0).any()
-    touched.nowhere()
-    assert touched.not_since(0.0).all()
+def rest_levels():
+    y, x = np.mgrid[: LIGHT_BLOCKS[0], : LIGHT_BLOCKS[1]] / LIGHT_BLOCKS[1]
+    return np.stack([60 + 90 * x, 120 - 40 * y, 80 + 60 * x * y], axis=-1).astype(np.float32)
 
 
-@pytest.mark.parametrize("blocks", [(1, 1), (3, 40)])
-def test_small_images(blocks):
-    touched = Touched(blocks)
-    rest = np.full((*blocks, 3), 50, np.float32)
-    assert touched.mark(0.0, 1.0, np.ones(blocks, bool), rest * 0, rest).all()
+def drifted(rest, noise=0.0, seed=0):
+    """The light of a cubic, different in each channel; its truth."""
+    y, x = ((np.arange(n) + 0.5) / n * 2 - 1 for n in LIGHT_BLOCKS)
+    x, y = np.meshgrid(x, y)
+    light = 1 + np.stack([0.04 + 0.02 * x, 0.03 * y - 0.01 * x**2, -0.02 * x * y**2 + 0.01 * x**3], axis=-1)
+    return (rest * light + np.random.default_rng(seed).normal(0, noise, rest.shape)).astype(np.float32), light
+
+
+def fitted(seen, rest, free, rounds=8):
+    light = SmoothLight(LIGHT_BLOCKS)
+    for _ in range(rounds):
+        light.fit(seen, rest, free)
+    return light
+
+
+def test_a_cubic_is_found_exactly():
+    rest = rest_levels()
+    seen, truth = drifted(rest)
+    light = fitted(seen, rest, np.ones(LIGHT_BLOCKS, bool))
+    np.testing.assert_allclose(light.at(LIGHT_BLOCKS), truth, atol=1e-4)
+
+
+def test_pixels_and_blocks_are_of_one_light():
+    """A block's light is the mean of its pixels': places are counted alike."""
+    rest = rest_levels()
+    light = fitted(drifted(rest)[0], rest, np.ones(LIGHT_BLOCKS, bool))
+    pixels = light.at((LIGHT_BLOCKS[0] * 8, LIGHT_BLOCKS[1] * 8))
+    np.testing.assert_allclose(block_means(pixels, 8), light.at(LIGHT_BLOCKS), atol=2e-4)
+
+
+def test_what_touches_does_not_bend_the_light():
+    """A touched part that nobody named is an outlier; one that was named does not count at all."""
+    rest = rest_levels()
+    seen, truth = drifted(rest, noise=0.1)
+    seen[5:9, 4:9] *= [1.3, 0.8, 1.1]
+    unnamed = fitted(seen, rest, np.ones(LIGHT_BLOCKS, bool))
+    np.testing.assert_allclose(unnamed.at(LIGHT_BLOCKS), truth, atol=2e-3)
+    free = np.ones(LIGHT_BLOCKS, bool)
+    free[:, 8:] = False
+    named = fitted(seen, rest, free, rounds=1)
+    assert np.abs(named.at(LIGHT_BLOCKS) - 1).max() < 0.2  # where nothing is free it is not thrown about

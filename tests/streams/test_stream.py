@@ -1,24 +1,27 @@
-"""A stream for who uses it: newest first, bounded ages, errors that arrive, threads that end."""
+"""A stream for who uses it: newest first, bounded ages, errors that arrive, threads that end; every frame of a recording."""
 
 import gc
 import threading
 import time
 
+import cv2
 import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import SensorError, StaleError
+from gelform.errors import DataError, SensorError, StaleError
 from gelform.sensors import new_recording, record_frames
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.record import KEPT_FRAMES
+from gelform.streams.feed import feed_from_source
 from made.sources import ImageSource
 
-THREADS = ("gelform", "grab")
 
-
-def own_threads():
-    return [thread for thread in threading.enumerate() if thread.name.startswith(THREADS)]
+@pytest.fixture(autouse=True)
+def every_thread_ends():
+    yield
+    left = [thread for thread in threading.enumerate() if thread.name.startswith(("gelform", "grab"))]
+    assert left == []
 
 
 def test_results_carry_what_is_known_of_their_frames(calibration, pressed):
@@ -37,7 +40,6 @@ def test_a_recording_loses_no_frame_and_is_as_without_a_stream(calibration, reco
     results = list(gelform.stream(source, calibration))
     assert [result.index for result in results] == list(range(7))
     np.testing.assert_array_equal(results[6].depth, reconstruct.from_image(pressed[6]).depth)
-    assert own_threads() == []
 
 
 def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
@@ -55,10 +57,13 @@ def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
     assert stream.stats.results > len(indices)
 
 
-def test_a_loop_that_breaks_closes_the_stream(calibration, at_rest):
+def test_a_loop_that_breaks_closes_the_stream_and_a_forgotten_one_ends(calibration, at_rest):
     for _result in gelform.stream(ImageSource(at_rest), calibration):
         break
-    assert own_threads() == []
+    stream = gelform.stream(ImageSource(at_rest), calibration)
+    assert stream.newest(timeout_s=10) is not None
+    del stream
+    gc.collect()
 
 
 def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
@@ -67,16 +72,7 @@ def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
         assert stream.newest(after_index=first, timeout_s=5).index > first
         assert stream.stats.state == "running"
     assert stream.stats.state == "closed"
-    assert own_threads() == []
     stream.close()
-
-
-def test_a_stream_that_is_forgotten_ends(calibration, at_rest):
-    stream = gelform.stream(ImageSource(at_rest), calibration)
-    assert stream.newest(timeout_s=10) is not None
-    del stream
-    gc.collect()
-    assert own_threads() == []
 
 
 def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
@@ -89,7 +85,6 @@ def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
             stream.latest(0.0)
         assert stream.stats.state == "failed"
         assert "132" in stream.stats.reason
-    assert own_threads() == []
 
 
 def test_latest_is_never_older_than_asked(calibration, at_rest):
@@ -111,7 +106,6 @@ def test_a_source_that_cannot_go_on_says_why(calibration, at_rest):
     with gelform.stream(broken, calibration) as stream, pytest.raises(SensorError, match="the cable is out"):
         for _result in stream:
             pass
-    assert own_threads() == []
 
 
 def test_images_are_held_for_the_last_results(calibration, at_rest):
@@ -125,12 +119,9 @@ def test_images_are_held_for_the_last_results(calibration, at_rest):
 
 
 def test_several_sensors_at_once(calibration, at_rest, pressed):
-    with (
-        gelform.stream(ImageSource(at_rest), calibration) as left,
-        gelform.stream(ImageSource(pressed), calibration) as right,
-    ):
+    rest, press = (ImageSource(images) for images in (at_rest, pressed))
+    with gelform.stream(rest, calibration) as left, gelform.stream(press, calibration) as right:
         assert left.latest(30).peak_mm < 0.1 < right.latest(30).peak_mm
-    assert own_threads() == []
 
 
 def test_one_sensor_for_several_streams(calibration, at_rest):
@@ -171,28 +162,73 @@ def test_a_frame_that_is_not_of_this_gel_is_a_finding(calibration, at_rest):
     assert before.known.all()
 
 
-def half_grey(image):
-    grey = image.copy()
-    grey[image.shape[0] // 2 :] = 128
-    return grey
+SPOILT = {
+    "dark": np.zeros_like,
+    "saturated": lambda image: np.full_like(image, 255),
+    "torn": lambda image: np.vstack([image[:66], np.full_like(image[66:], 128)]),
+    "frozen": lambda image: image,
+}
 
 
-@pytest.mark.parametrize(
-    ("spoil", "name"),
-    [
-        (np.zeros_like, "dark"),
-        (lambda image: np.full_like(image, 255), "saturated"),
-        (half_grey, "torn"),
-        (lambda image: image, "frozen"),
-    ],
-)
+@pytest.mark.parametrize(("name", "spoil"), SPOILT.items())
 def test_a_frame_that_shows_nothing_is_a_result_with_the_reason(calibration, at_rest, spoil, name):
     """Eight at 10 Hz, so that one which hangs is seen to."""
     source = ImageSource([spoil(at_rest[0])], live=False, count=8, rate_hz=10.0)
     last = list(gelform.stream(source, calibration))[-1]
     assert name in [finding.name for finding in last.health]
-    assert np.isfinite(last.depth_mm).all()
-    assert np.isfinite(last.depth_sigma_mm).all()
+    assert np.isfinite([last.depth_mm, last.depth_sigma_mm]).all()
     unknown = ~last.known
     assert unknown.mean() > 0.3
     assert last.depth_sigma_mm[unknown].min() > 0.5
+
+
+def test_a_recording_gives_every_frame_in_order(at_rest):
+    feed = feed_from_source(ImageSource(at_rest, live=False, count=5))
+    assert feed.every
+    assert [feed.next(-1).index for _ in range(5)] == [0, 1, 2, 3, 4]
+    assert feed.state == "running"
+    assert feed.next(4) is None
+    assert feed.state == "ended"
+    assert feed.reason
+
+
+def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_rest):
+    """A camera cannot be opened twice."""
+    opened = []
+
+    def open_it():
+        opened.append(ImageSource(at_rest))
+        return opened[-1]
+
+    feed = feed_from_source(open_it)
+    assert not feed.every
+    first = feed.next(-1)
+    assert feed.next(first.index).index > first.index
+    assert feed.state == "running"
+    feed.close()
+    assert feed.state == "ended"
+    assert [one.closed for one in opened] == [True]
+
+
+def test_a_folder_is_read_from_its_first_image(at_rest, tmp_path):
+    for number, image in enumerate(at_rest[:4]):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image[..., ::-1])
+    feed = feed_from_source(tmp_path)
+    frames = [feed.next(-1) for _ in range(5)]
+    assert [frame.index for frame in frames[:4]] == [0, 1, 2, 3]
+    assert frames[4] is None
+    np.testing.assert_array_equal(frames[0].image, at_rest[0])
+
+
+def test_a_grabber_that_is_shared_goes_on(at_rest):
+    with Grabber(lambda: ImageSource(at_rest)) as grabber:
+        feed_from_source(grabber).close()
+        assert grabber.newest(-1, 5) is not None
+        assert grabber.state == "running"
+
+
+def test_what_is_no_source():
+    with pytest.raises(TypeError, match=r"Expected a source.*int"):
+        feed_from_source(7)
+    with pytest.raises(DataError, match="nowhere"):
+        feed_from_source("nowhere.mp4")
