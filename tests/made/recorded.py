@@ -4,9 +4,13 @@ import numpy as np
 
 from gelform.frames import Frame
 from gelform.sensors.playback import Playback
+from gelform.sensors.recordings.facts import RecordingFacts
+from gelform.sensors.recordings.image_folder import FolderRecording
+from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.mjpeg_server import jpeg
 
 START_NS = 1_700_000_000_000_000_000
+FACTS = RecordingFacts("a camera", "S1", {"gain": 3.0}, 50.0, "abc")
 
 
 def frames(count=6, shape=(48, 64), encoded=False, rate_hz=50.0):
@@ -20,6 +24,16 @@ def frames(count=6, shape=(48, 64), encoded=False, rate_hz=50.0):
         image = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
         made.append(Frame(image, time_s, START_NS + round(index / rate_hz * 1e9), index, content))
     return made
+
+
+def recorded(path, given, facts=None, attached=None):
+    """The path, after the frames were written to a recording there: an MCAP file or a folder, by its name."""
+    kind = McapRecording if path.suffix == ".mcap" else FolderRecording
+    recording = kind(path, facts or FACTS, attached)
+    for frame in given:
+        recording.write(frame)
+    recording.close()
+    return path
 
 
 def camera(count=6, **how):

@@ -10,9 +10,15 @@ import gelform.sensors.grabber as grabber_module
 from gelform.errors import DataError, SensorError, SourceLostError
 from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
+from live_waiting import until
+from made.sources import ImageSource
 
 IMAGE = np.zeros((4, 4, 3), np.uint8)
 WAIT_S = 5.0  # longest wait for what must happen at once
+
+
+def awaited(condition):
+    until(condition, WAIT_S)
 
 
 class Device:
@@ -36,18 +42,17 @@ class Device:
         return Opened(self, self.serial)
 
 
-class Opened:
-    name, settings, live, rate_hz = "device", {"gain": 3.0}, True, 30.0
-
+class Opened(ImageSource):
     def __init__(self, device, serial):
+        super().__init__([IMAGE], rate_hz=30.0)
+        self.name, self.settings = "device", {"gain": 3.0}
         self.device, self.serial = device, serial
-        self.over = False
 
     def __iter__(self):
         while True:
             with self.device.told:
-                self.device.told.wait_for(lambda: self.device.frames or self.over, 0.05)
-                if self.over:
+                self.device.told.wait_for(lambda: self.device.frames or self.closed, 0.05)
+                if self.closed:
                     return
                 frame = self.device.frames.pop(0) if self.device.frames else None
             if isinstance(frame, Exception):
@@ -58,26 +63,13 @@ class Opened:
                 yield frame
 
     def close(self):
-        self.over = True
+        self.closed = True
         self.device.closed.add(self)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
 
 @pytest.fixture
 def device():
     return Device()
-
-
-def awaited(condition):
-    until = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < until, "it did not happen"
-        time.sleep(0.002)
 
 
 def test_gives_the_newest_and_counts_what_nobody_saw(device):
@@ -93,12 +85,16 @@ def test_gives_the_newest_and_counts_what_nobody_saw(device):
         assert grabber.stats.unseen == 4
 
 
-def test_gaps_in_the_sources_count_are_drops(device):
-    with Grabber(device.open) as grabber:
-        for k in (0, 1, 4):
+def test_gaps_are_drops_and_a_recorder_gets_all_that_are_held_in_order(device):
+    with Grabber(device.open, keep=4) as grabber:
+        for k in (0, 1, 4, 5, 6, 7):
             device.give(k)
-        awaited(lambda: grabber.stats.frames == 3)
+        awaited(lambda: grabber.stats.frames == 6)
         assert grabber.stats.drops == 2
+        taken, after = [], -1
+        while (frame := grabber.following(after, 0)) is not None:
+            taken.append(after := frame.index)
+    assert taken == [4, 5, 6, 7]
 
 
 def test_every_consumer_gets_the_frame(device):
@@ -112,17 +108,6 @@ def test_every_consumer_gets_the_frame(device):
             reader.join()
     assert [frame.index for frame in got] == [0, 0, 0]
     assert got[0] is got[1] is got[2]
-
-
-def test_a_recorder_gets_all_that_are_held_in_order(device):
-    with Grabber(device.open, keep=4) as grabber:
-        for k in range(6):
-            device.give(k)
-        awaited(lambda: grabber.stats.frames == 6)
-        taken, after = [], -1
-        while (frame := grabber.following(after, 0)) is not None:
-            taken.append(after := frame.index)
-    assert taken == [2, 3, 4, 5]
 
 
 def test_a_lost_source_is_opened_again_and_counted_on(device):
@@ -189,27 +174,18 @@ def test_a_source_that_stands_still_is_said_to_be_reconnecting(device):
         assert grabber.state == "running"
 
 
-def test_the_end_of_the_source_ends_the_waiting(device):
+def test_the_end_of_the_source_ends_the_waiting_and_its_error_reaches_the_consumer(device):
     with Grabber(device.open) as grabber:
         device.give(0)
         grabber.newest(-1, WAIT_S)
         device.give(0, "end")
         assert grabber.newest(0) is None
         assert (grabber.state, grabber.reason) == ("ended", "the source has no more frames")
-
-
-def test_an_error_of_a_file_reaches_the_consumer(device):
     with Grabber(device.open) as grabber:
         device.give(0, DataError("frame 3 is damaged"))
         with pytest.raises(DataError, match="frame 3"):
             grabber.newest()
         assert grabber.state == "ended"
-
-
-def test_a_source_that_cannot_be_opened_at_first_raises(device):
-    device.there = False
-    with pytest.raises(SensorError, match="no such camera"), Grabber(device.open):
-        pass
 
 
 def test_age_and_rate_are_of_the_capture(device):
@@ -233,9 +209,12 @@ def test_takes_what_open_source_takes():
     assert grabber.state == "ended"
 
 
-def test_the_facts_need_an_entered_grabber(device):
+def test_it_needs_a_source_that_opens_and_to_be_entered(device):
     with pytest.raises(RuntimeError, match="with Grabber"):
         _ = Grabber(device.open).name
     for keep in (0, 2**70):
         with pytest.raises(ValueError, match="Expected keep between 1 and"):
             Grabber(device.open, keep=keep)
+    device.there = False
+    with pytest.raises(SensorError, match="no such camera"), Grabber(device.open):
+        pass

@@ -132,14 +132,13 @@ def test_a_torn_picture_is_none():
 
 
 def test_large_frames_are_reduced_to_what_is_needed():
-    shapes = {
+    for reduction, shapes in {
         1: [(240, 320), (720, 1280), (1920, 640)],
         2: [(960, 1280), (1080, 1920)],
         4: [(2448, 3264), (2160, 3840)],
         8: [(3840, 5120)],
-    }
-    for reduction, those in shapes.items():
-        assert [reduction_of(shape) for shape in those] == [reduction] * len(those)
+    }.items():
+        assert [reduction_of(shape) for shape in shapes] == [reduction] * len(shapes)
 
 
 def test_a_reduced_picture_is_the_mean_of_its_blocks():

@@ -1,5 +1,6 @@
 """A camera at an address: newest picture, torn pictures, any answer and boundary, and a real server that is killed."""
 
+import re
 import socket
 import time
 
@@ -9,7 +10,7 @@ import pytest
 from gelform.errors import SensorError, SourceLostError
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mjpeg import MAX_PART_BYTES, Dechunker, HttpBody, MjpegUrl, PartSplitter
-from gelform.sensors.source import open_source
+from live_waiting import until
 from made.mjpeg_server import HEADER, SEEN, MjpegServer, jpeg, part
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
@@ -55,27 +56,20 @@ def test_torn_pictures_are_left_out_and_leave_a_gap():
     assert [(channel(frame), frame.index) for frame in frames] == [(0, 0), (2, 2)]
 
 
-def test_nothing_but_torn_pictures_is_a_lost_source():
+def test_nothing_but_torn_pictures_and_a_hang_up_are_a_lost_source():
     torn = [piece for _ in range(15) for piece in (part(GREEN[:-2]), 0.01)]
     with pytest.raises(SourceLostError, match="torn pictures in a row"):
         taken([part(RED), 0.1, *torn], 2)
-
-
-def test_a_hang_up_in_mid_picture_is_a_lost_source():
     with pytest.raises(SourceLostError, match="ended the stream"):
         taken([part(RED), 0.1, part(GREEN)[:200], None], 2)
 
 
-def test_a_server_that_names_no_kind_is_read_by_its_first_line():
-    header = b"HTTP/1.0 200 OK\r\nContent-Type: application/octet-stream\r\n\r\n"
-    frames, _ = taken([part(RED), 0.1, part(GREEN)], 2, header)
+def test_a_server_that_names_no_kind_is_read_by_its_first_line_and_a_page_refused():
+    kind = "HTTP/1.0 200 OK\r\nContent-Type: {}\r\n\r\n"
+    frames, _ = taken([part(RED), 0.1, part(GREEN)], 2, kind.format("application/octet-stream").encode())
     assert [channel(frame) for frame in frames] == [0, 1]
-
-
-def test_a_page_is_no_stream():
-    header = b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n"
     with pytest.raises(SensorError, match="not of the page"):
-        taken([b"<html>", None], 1, header)
+        taken([b"<html>", None], 1, kind.format("text/html").encode())
 
 
 def test_large_pictures_are_decoded_at_reduced_size():
@@ -86,6 +80,7 @@ def test_large_pictures_are_decoded_at_reduced_size():
 
 def test_closing_wakes_a_waiting_reader():
     with MjpegServer([part(RED)]) as server, Grabber(server.url) as grabber:
+        assert grabber.name.endswith("/stream")
         assert channel(grabber.newest(-1, WAIT_S)) == 0
         started = time.monotonic()
         grabber.close()
@@ -100,13 +95,8 @@ def test_a_killed_camera_is_back_when_it_returns():
         frame = grabber.newest(-1, WAIT_S)
         for _ in range(2):
             camera.kill()
-            until = time.monotonic() + WAIT_S
-            while grabber.state != "reconnecting":
-                assert time.monotonic() < until
-                time.sleep(0.005)
-            assert (
-                "Nothing answers" in grabber.reason or "lost" in grabber.reason or "ended" in grabber.reason
-            )
+            until(lambda: grabber.state == "reconnecting")
+            assert re.search("Nothing answers|lost|ended", grabber.reason)
             last = grabber.newest(-1, 0).index
             camera.start()
             frame = grabber.newest(last, WAIT_S)
@@ -116,12 +106,6 @@ def test_a_killed_camera_is_back_when_it_returns():
         assert grabber.stats.reopened == 2
     assert frame.image.shape == (240, 320, 3)
     assert np.ptp(frame.image) > 100
-
-
-def test_the_door_knows_addresses():
-    with MjpegServer([part(RED)]) as server, open_source(server.url) as source:
-        assert source.live
-        assert source.name.endswith("/stream")
 
 
 CHUNKED = HEADER.replace(b"\r\n\r\n", b"\r\nTransfer-Encoding: chunked\r\n\r\n")
@@ -137,39 +121,27 @@ def body_of(pieces, header=HEADER, url=lambda url: url):
     return read, server.requests[0].decode()
 
 
-def test_the_body_is_what_was_sent():
+def test_the_body_is_what_was_sent_with_user_and_password_in_the_header():
     read, request = body_of([b"one", 0.02, b"two", None])
     assert read == b"onetwo"
     assert request.startswith("GET /stream HTTP/1.1\r\n")
     assert "\r\nHost: 127.0.0.1:" in request
-
-
-def test_chunks_are_taken_apart():
     read, _ = body_of([b"3\r\none\r\n", 0.02, b"8;x=1\r\ntwo", 0.02, b"three\r\n", b"0\r\n\r\n"], CHUNKED)
     assert read == b"onetwothree"
+    _, request = body_of([None], url=lambda url: url.replace("//", "//eve:p%40ss@") + "?a=1")
+    for said in ("Authorization: Basic ZXZlOnBAc3M=", "GET /stream?a=1 ", "Host: 127.0.0.1:"):
+        assert said in request
 
 
-def test_chunks_may_be_cut_anywhere():
+def test_chunks_may_be_cut_anywhere_and_torn_ones_are_a_lost_source():
+    sent = b"3\r\none\r\nA\r\n0123456789\r\n0\r\n\r\n"
     for size in (1, 2, 5, 100):
-        sent = b"3\r\none\r\nA\r\n0123456789\r\n0\r\n\r\n"
         dechunk = Dechunker()
-        assert (
-            b"".join(dechunk.feed(sent[at : at + size]) for at in range(0, len(sent), size))
-            == b"one0123456789"
-        )
+        pieces = [dechunk.feed(sent[at : at + size]) for at in range(0, len(sent), size)]
+        assert b"".join(pieces) == b"one0123456789"
         assert dechunk.ended
-
-
-def test_torn_chunks_are_a_lost_source():
     with pytest.raises(SourceLostError, match="torn"):
         Dechunker().feed(b"\xff\xd8zz\r\n")
-
-
-def test_user_and_password_go_into_the_header():
-    _, request = body_of([None], url=lambda url: url.replace("//", "//eve:p%40ss@") + "?a=1")
-    assert "Authorization: Basic ZXZlOnBAc3M=" in request
-    assert "GET /stream?a=1 " in request
-    assert "Host: 127.0.0.1:" in request
 
 
 def test_other_answers_say_what_to_do():
@@ -181,16 +153,13 @@ def test_other_answers_say_what_to_do():
     ):
         with MjpegServer([], answer) as server, pytest.raises(SensorError, match=says):
             HttpBody(server.url, 2.0)
-
-
-def test_a_closed_port_and_a_wrong_address_say_so():
-    with MjpegServer([]) as server:
-        url = server.url
-    with pytest.raises(SensorError, match=r"Nothing answers at 127\.0\.0\.1"):
-        HttpBody(url, 2.0)
-    for wrong in ("http:///x", "http://host:port/"):
-        with pytest.raises(SensorError, match="Expected an address"):
-            HttpBody(wrong, 2.0)
+    for url, says in (
+        (server.url, r"Nothing answers at 127\.0\.0\.1"),
+        ("http:///x", "Expected an address"),
+        ("http://host:port/", "Expected an address"),
+    ):
+        with pytest.raises(SensorError, match=says):
+            HttpBody(url, 2.0)
 
 
 def test_a_connection_to_itself_is_no_server(monkeypatch):
@@ -218,21 +187,18 @@ def test_silence_is_a_lost_source():
 BODIES = [b"\xff\xd8one\xff\xd9", b"\xff\xd8" + bytes(3000) + b"\xff\xd9", b"\xff\xd8--fra\r\n\xff\xd9"]
 
 
-def test_parts_come_out_whole_however_they_arrive():
+def test_parts_come_out_whole_however_they_arrive_and_dashes_are_written():
     for with_length in (True, False):
         for size in (1, 7, 1000, 10**6):
             stream = b"".join(part(body, with_length) for body in BODIES) + b"--frame\r\n"
-            splitter = PartSplitter("frame")
-            found = [
-                one for at in range(0, len(stream), size) for one in splitter.feed(stream[at : at + size])
-            ]
+            feed = PartSplitter("frame").feed
+            found = [one for at in range(0, len(stream), size) for one in feed(stream[at : at + size])]
             assert found == BODIES
-
-
-def test_servers_disagree_about_the_dashes():
     stream = part(BODIES[0], False, "--frame") + part(BODIES[1], False, "--frame") + b"----frame\r\n"
     for boundary in ("--frame", "frame", '"--frame"', "----frame"):
         assert PartSplitter(boundary).feed(stream) == BODIES[:2]
+    with pytest.raises(ValueError, match="64 MB"):
+        PartSplitter("frame").feed(bytes(MAX_PART_BYTES + 1))
 
 
 def test_a_part_longer_than_it_says_is_given_torn_and_the_next_one_whole():
@@ -240,8 +206,3 @@ def test_a_part_longer_than_it_says_is_given_torn_and_the_next_one_whole():
     found = PartSplitter("frame").feed(lying + part(BODIES[0]))
     assert [len(one) for one in found] == [1000, len(BODIES[0])]
     assert found[1] == BODIES[0]
-
-
-def test_bytes_without_a_boundary_are_refused():
-    with pytest.raises(ValueError, match="64 MB"):
-        PartSplitter("frame").feed(bytes(MAX_PART_BYTES + 1))

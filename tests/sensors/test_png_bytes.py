@@ -35,12 +35,6 @@ def with_pixels_changed(change):
     return CONTENT[: at - 4] + chunk(b"IDAT", data) + CONTENT[at + 8 + length :]
 
 
-def test_a_whole_file_keeps_its_pixels():
-    assert png_of_pixels(CONTENT) is not None
-    decoded = cv2.imdecode(np.frombuffer(png_of_pixels(CONTENT), np.uint8), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(decoded[..., ::-1], IMAGE)
-
-
 def test_a_profile_that_is_junk_neither_harms_nor_speaks(tmp_path, capfd):
     path = tmp_path / "image.png"
     path.write_bytes(CONTENT[:33] + chunk(b"iCCP", b"junk") + chunk(b"tEXt", b"\x00") + CONTENT[33:])
@@ -71,7 +65,9 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path, capfd, content):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_small_file_cannot_ask_for_all_memory(monkeypatch):
+def test_a_whole_file_keeps_its_pixels_and_a_small_one_cannot_ask_for_all_memory(monkeypatch):
+    decoded = cv2.imdecode(np.frombuffer(png_of_pixels(CONTENT), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(decoded[..., ::-1], IMAGE)
     monkeypatch.setattr("gelform.sensors.png_bytes.MAX_PIXEL_BYTES", 1000)
     assert png_of_pixels(CONTENT) is None
     assert pixels_of_png(CONTENT) is None
@@ -137,13 +133,9 @@ def test_a_damaged_stream_is_read_alike_whatever_decompresses_it():
 
 def test_other_kinds_are_left_to_the_decoder():
     rows = filtered(IMAGE, [0] * 24).tobytes()
-    for header in (
-        (32, 24, 16, 2, 0, 0, 0),
-        (32, 24, 8, 6, 0, 0, 0),
-        (32, 24, 8, 2, 0, 0, 1),
-        (0, 24, 8, 2, 0, 0, 0),
-    ):
-        assert pixels_of_png(png_of(rows, header)) is None
+    for kind in ((24, 16, 2, 0, 0, 0), (24, 8, 6, 0, 0, 0), (24, 8, 2, 0, 0, 1)):
+        assert pixels_of_png(png_of(rows, (32, *kind))) is None
+    assert pixels_of_png(png_of(rows, (0, 24, 8, 2, 0, 0, 0))) is None
     assert pixels_of_png(png_of(rows, extra=chunk(b"tRNS", bytes(6)))) is None
     assert pixels_of_png(png_of(rows)) is not None
 
@@ -157,11 +149,6 @@ def test_rows_that_are_too_many_too_few_or_of_no_filter():
 
 
 def test_the_kernel_agrees_with_the_specification():
-    rows = filtered(IMAGE, [k % 5 for k in range(24)])
-    assert_kernel_agrees(
-        png_bytes._png_rows,
-        lambda *_: IMAGE.reshape(24, -1),
-        rows,
-        np.zeros(96, dtype=np.uint8),
-        np.zeros((24, 96), dtype=np.uint8),
-    )
+    rows, above = filtered(IMAGE, [k % 5 for k in range(24)]), np.zeros(96, dtype=np.uint8)
+    unfiltered = IMAGE.reshape(24, -1)
+    assert_kernel_agrees(png_bytes._png_rows, lambda *_: unfiltered, rows, above, np.zeros_like(unfiltered))

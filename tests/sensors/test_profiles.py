@@ -32,27 +32,19 @@ def test_the_mini_cuts_a_seventh_of_each_side():
     assert image[0].max() < 160
 
 
-def test_a_frame_of_the_image_size_is_an_image():
-    assert profile_named("gelsight-mini").view((240, 320)) == View()
-
-
-def test_a_turned_sensor_gives_turned_images():
-    assert profile_named("gelsight-mini").view((3280, 2464)).shape == (320, 240)
-    assert profile_named("digit").view((480, 640)).shape == (240, 320)
-
-
-def test_other_aspects_would_not_have_square_pixels():
+def test_frames_of_the_image_size_turned_and_of_another_aspect():
+    mini, digit = (profile_named(name) for name in ("gelsight-mini", "digit"))
+    assert mini.view((240, 320)) == View()
+    assert mini.view((3280, 2464)).shape == (320, 240)
+    assert digit.view((480, 640)).shape == (240, 320)
     with pytest.raises(SensorError, match=r"aspect of 240x320 px .*got 1080x1920"):
-        profile_named("gelsight-mini").view((1080, 1920))
+        mini.view((1080, 1920))
 
 
-def test_scales_carry_their_doubt():
+def test_scales_carry_their_doubt_and_unknown_profiles_name_the_known_ones():
     assert profile_named("gelsight-mini").mm_per_px == 0.0634
     assert not profile_named("digit").verified
     assert all(0 < profile.mm_per_px_sigma < profile.mm_per_px / 10 for profile in PROFILES.values())
-
-
-def test_unknown_profiles_name_the_known_ones():
     with pytest.raises(SensorError, match="gelsight-mini, digit, got 'gelsight'"):
         profile_named("gelsight")
 
@@ -64,14 +56,8 @@ def test_sensors_are_simulated_under_their_name_and_scale():
         if known.profile is not None:
             assert sensor.shape == known.profile.image_shape
             assert sensor.mm_per_px == known.profile.mm_per_px
-
-
-def test_a_real_sensor_needs_no_simulation():
     with pytest.raises(SensorError, match="There is no simulation of this sensor"):
         KnownSensor(PROFILES["digit"]).simulated()
-
-
-def test_no_two_sensors_share_a_name():
     assert not LAYOUTS.keys() & SENSORS.keys()
     assert all(sensor.name == name for name, sensor in LAYOUTS.items())
 

@@ -1,13 +1,16 @@
-"""Cameras as Linux lists them, and which of several is meant."""
+"""Cameras as Linux lists them, which of several is meant, their modes and measured rate, their settings."""
 
 import os
 import shutil
 import stat
+import struct
 import sys
 
+import cv2
 import pytest
 
 from gelform.errors import SensorError
+from gelform.sensors.cameras import survey as surveyed
 from gelform.sensors.cameras.camera import (
     Camera,
     camera_named,
@@ -16,8 +19,27 @@ from gelform.sensors.cameras.camera import (
     chosen_camera,
     kind_of,
 )
+from gelform.sensors.cameras.settings import (
+    calibrated_settings,
+    check_settings,
+    controls_of,
+    set_controls,
+    settings_mismatch,
+)
+from gelform.sensors.cameras.survey import (
+    FORMATS,
+    INTERVALS,
+    SIZES,
+    Mode,
+    modes_from_answers,
+    modes_of,
+    survey_of,
+)
+from made.capture import Capture
+from made.recorded import camera as frames_of
 from made.sysfs import DIGIT, MINI, plug_in
 
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux's files")
 MINI_CAMERA = Camera(
     "GelSight Mini R0B 2871", "/dev/video0", "S1", "0c45:636d", "/dev/v4l/by-path/p2", "gelsight-mini"
 )
@@ -40,23 +62,17 @@ def test_by_serial_first_name_second_path_last():
         assert chosen_camera(spec, PLUGGED_IN) is camera
 
 
-def test_the_only_one_needs_no_name():
+def test_the_only_one_needs_no_name_and_others_are_listed():
     assert chosen_camera("", [DIGIT_CAMERA]) is DIGIT_CAMERA
-    with pytest.raises(
-        SensorError, match=r"Several cameras are plugged in: name one by its serial.*S1.*D20123.*X9"
+    nothing = r"No camera is plugged in.*simulated"
+    for spec, there, said in (
+        ("", PLUGGED_IN, r"Several cameras are plugged in: name one by its serial.*S1.*D20123.*X9"),
+        ("D9", PLUGGED_IN, r"No camera 'D9'.*DIGIT \(serial D20123, /dev/video2"),
+        ("", [], nothing),
+        ("D9", [], nothing),
     ):
-        chosen_camera("", PLUGGED_IN)
-
-
-def test_an_unknown_one_lists_what_is_there():
-    with pytest.raises(SensorError, match=r"No camera 'D9'.*DIGIT \(serial D20123, /dev/video2"):
-        chosen_camera("D9", PLUGGED_IN)
-
-
-def test_where_nothing_is_plugged_in_it_says_what_needs_nothing():
-    for spec in ("", "D9"):
-        with pytest.raises(SensorError, match=r"No camera is plugged in.*simulated"):
-            chosen_camera(spec, [])
+        with pytest.raises(SensorError, match=said):
+            chosen_camera(spec, there)
 
 
 def test_shared_serials_are_told_apart_by_the_socket():
@@ -88,15 +104,12 @@ def test_metadata_nodes_are_skipped_and_numbers_sort_as_numbers(tmp_path):
 def test_a_camera_without_serial_or_not_on_usb(tmp_path):
     plug_in(tmp_path, 0, "Webcam", "046d:0825", None, "1-1")
     plug_in(tmp_path, 2, "Laptop", None, None, "1-5")
-    webcam, laptop = cameras_in_sysfs(tmp_path)
+    plug_in(tmp_path, 4, "Webcam", "046d:0825", "", "1-6")
+    webcam, laptop, empty = cameras_in_sysfs(tmp_path)
     assert (webcam.serial, webcam.kind, webcam.name) == (None, None, "Webcam")
-    assert (laptop.usb_id, laptop.serial) == (None, None)
-    assert laptop.name == "Laptop: Laptop"
-
-
-def test_an_empty_serial_is_none(tmp_path):
-    plug_in(tmp_path, 0, "Webcam", "046d:0825", "", "1-1")
-    assert cameras_in_sysfs(tmp_path)[0].serial is None
+    assert (laptop.usb_id, laptop.serial, laptop.name) == (None, None, "Laptop: Laptop")
+    assert empty.serial is None
+    assert (kind_of(DIGIT), kind_of("1:2"), kind_of(None)) == ("digit", None, None)
 
 
 def test_a_device_that_goes_away_meanwhile_leaves_no_traceback(tmp_path):
@@ -107,33 +120,25 @@ def test_a_device_that_goes_away_meanwhile_leaves_no_traceback(tmp_path):
     assert cameras_in_sysfs(tmp_path) == []
 
 
-def test_only_known_ids_have_a_kind():
-    assert (kind_of(DIGIT), kind_of("1:2"), kind_of(None)) == ("digit", None, None)
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux's sysfs")
+@linux
 def test_linux_lists_its_cameras(tmp_path):
     plug_in(tmp_path, 0, "DIGIT", DIGIT, "D1")
     assert [camera.serial for camera in cameras_there(tmp_path)] == ["D1"]
     assert cameras_there(tmp_path / "none") == []
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="has /dev")
-def test_a_device_by_its_path():
+@linux
+def test_a_device_by_its_path_and_one_that_is_no_camera():
     listed = Camera("a", "/dev/null", "S")
     assert camera_named("/dev/null", [listed]) is listed
     assert camera_named("S", [listed]) is listed
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="has /dev")
-def test_a_device_that_is_no_camera_is_refused():
     with pytest.raises(SensorError, match=r"/dev/null is no camera. Plugged in: none"):
         camera_named("/dev/null", [])
     with pytest.raises(SensorError, match=r"Plugged in: a \(serial S"):
-        camera_named("/dev/zero", [Camera("a", "/dev/video0", "S")])
+        camera_named("/dev/zero", [listed])
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="has /dev")
+@linux
 def test_a_camera_that_is_not_listed_opens_by_its_path():
     """A container may have the device and no sysfs."""
     path = f"/dev/gelform-test-{os.getpid()}"
@@ -145,3 +150,124 @@ def test_a_camera_that_is_not_listed_opens_by_its_path():
         assert camera_named(path, []).path == path
     finally:
         os.unlink(path)
+
+
+YUYV, MJPG = (int.from_bytes(code, "little") for code in (b"YUYV", b"MJPG"))
+OFFERED = {YUYV: {(320, 240): [60, 30], (640, 480): [30, 15]}, MJPG: {(3280, 2464): [25]}}
+
+
+def driver(request, buffer):
+    """VIDIOC_ENUM_FMT, VIDIOC_ENUM_FRAMESIZES, VIDIOC_ENUM_FRAMEINTERVALS."""
+    index = struct.unpack_from("<I", buffer)[0]
+    try:
+        if request == FORMATS[0]:
+            assert struct.unpack_from("<I", buffer, 4)[0] == 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+            struct.pack_into("<I", buffer, 44, list(OFFERED)[index])
+        elif request == SIZES[0]:
+            sizes = list(OFFERED[struct.unpack_from("<I", buffer, 4)[0]])
+            struct.pack_into("<III", buffer, 8, 1, *sizes[index])
+        else:
+            assert request == INTERVALS[0]
+            code, width, height = struct.unpack_from("<III", buffer, 4)
+            struct.pack_into("<III", buffer, 16, 1, 1, OFFERED[code][width, height][index])
+    except IndexError:
+        raise OSError(22, "Invalid argument") from None
+
+
+def test_every_format_size_and_rate_is_listed():
+    assert list(modes_from_answers(driver)) == [
+        Mode("YUYV", (240, 320), 60.0),
+        Mode("YUYV", (240, 320), 30.0),
+        Mode("YUYV", (480, 640), 30.0),
+        Mode("YUYV", (480, 640), 15.0),
+        Mode("MJPG", (2464, 3280), 25.0),
+    ]
+
+
+def test_the_requests_are_those_of_the_kernel():
+    """_IOWR('V', number, size), asm-generic/ioctl.h."""
+    for (request, size), number in ((FORMATS, 2), (SIZES, 74), (INTERVALS, 75)):
+        assert request == (3 << 30) | (size << 16) | (ord("V") << 8) | number
+
+
+def test_a_driver_that_never_ends_is_not_asked_for_ever():
+    def endless(request, buffer):
+        driver(request, buffer) if request != FORMATS[0] else struct.pack_into("<I", buffer, 44, YUYV)
+
+    assert 0 < len(list(modes_from_answers(endless))) <= 64 * 4
+
+
+def test_what_is_no_camera_has_no_modes(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert modes_of(str(tmp_path / "file")) == []
+    assert modes_of(str(tmp_path / "none")) == []
+    assert str(Mode("YUYV", (240, 320), 60.0)) == "YUYV 240x320 at 60 Hz"
+
+
+CAMERA = Camera("a camera", "/dev/none", "S1")
+
+
+def test_the_rate_is_measured(monkeypatch):
+    monkeypatch.setattr(surveyed, "UsbCamera", lambda _: frames_of(200)())
+    monkeypatch.setattr(surveyed, "MEASURED_S", 0.2)
+    found = survey_of(CAMERA)
+    assert 20 < found.rate_hz < 60  # 50, less where the machine has no time
+    assert (found.settings, found.problem) == ({"gain": 3.0}, "")
+    monkeypatch.setattr(surveyed, "UsbCamera", lambda _: pytest.fail("opened"))
+    found = survey_of(CAMERA, measure=False)
+    assert (found.rate_hz, found.problem) == (None, "")
+
+
+def test_why_it_does_not_open_or_gives_nothing(monkeypatch):
+    assert "not there any more" in survey_of(CAMERA).problem
+    monkeypatch.setattr(surveyed, "FIRST_S", 0.05)
+    monkeypatch.setattr(surveyed, "UsbCamera", lambda _: frames_of(0)())
+    assert "no frame" in survey_of(CAMERA).problem
+
+
+def test_what_is_set_is_read_back_automatics_go_off_and_the_rest_stays():
+    automatic = {"auto_exposure": 3.0, "wb_temperature": 4000.0, "auto_wb": 1.0}
+    capture = Capture(exposure=100.0, gain=0.0, zoom=0.0, **automatic)
+    set_controls(capture, {"exposure": 50, "gain": 7, "white_balance": 5000, "led_level": 15}, 15, "DIGIT")
+    by_hand = {"auto_exposure": 1.0, "auto_white_balance": 0.0}
+    wanted = {"exposure": 50.0, "gain": 7.0, "white_balance": 5000.0, "led_level": 15.0, **by_hand}
+    assert controls_of(capture, 15) == wanted
+    assert capture.get(cv2.CAP_PROP_ZOOM) == 0xFFF
+    capture = Capture(exposure=100.0, auto_exposure=3.0)
+    set_controls(capture, {}, 0, "x")
+    assert controls_of(capture, 0) == {"exposure": 100.0, "auto_exposure": 3.0}
+
+
+def test_a_control_that_is_missing_clipped_or_unknown_is_an_error():
+    clipped = Capture(gain=0.0, limits={cv2.CAP_PROP_GAIN: (0, 64)})
+    for capture, setting, levels, said in (
+        (Capture(), {"gain": 5}, 15, "DIGIT: expected to set gain to 5, but it lacks"),
+        (clipped, {"gain": 500}, 15, "to 500, but it has 64"),
+        *((Capture(zoom=0.0), {"led_level": level}, 15, "led_level") for level in (16, -1, 2.5)),
+        (Capture(zoom=0.0), {"led_level": 3}, 0, "led_level"),  # of a camera that has none
+    ):
+        with pytest.raises(SensorError, match=said):
+            set_controls(capture, setting, levels, "DIGIT")
+    with pytest.raises(ValueError, match="got exposur"):
+        check_settings({"exposur": 3})
+    assert check_settings({"fps": 30, "fourcc": "MJPG"}) == {"fps": 30.0, "fourcc": "MJPG"}
+
+
+def test_a_mismatch_names_both_values():
+    calibrated = {"exposure": 100.0, "gain": 3.0, "fps": 30.0, "fourcc": "YUYV", "led_level": 15.0}
+    assert settings_mismatch(calibrated, calibrated) == {}
+    used = {"exposure": 80.0, "gain": 3.001, "fps": 60.0, "fourcc": "MJPG"}
+    assert settings_mismatch(calibrated, used) == {"exposure": (100.0, 80.0), "fourcc": ("YUYV", "MJPG")}
+    assert settings_mismatch({}, used) == {}
+
+
+def test_a_calibrations_settings_can_be_asked_for_again():
+    kept = {"width": 320, "height": 240, "fourcc": "YUYV", "fps": 59.94, "reduced": 1, "gain": 3.0}
+    by_hand = {"exposure": 50.0, "auto_exposure": 1.0, "white_balance": 4600.0, "auto_white_balance": 0.0}
+    asked = calibrated_settings({**kept, **by_hand, "led_level": 15.0})
+    assert check_settings(asked) == {
+        "width": 320, "height": 240, "fourcc": "YUYV", "gain": 3.0,
+        "exposure": 50.0, "white_balance": 4600.0, "led_level": 15.0,
+    }  # fmt: skip
+    automatic = calibrated_settings({**by_hand, "auto_exposure": 3.0, "auto_white_balance": 1.0})
+    assert automatic == {}

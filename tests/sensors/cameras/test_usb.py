@@ -52,10 +52,8 @@ def test_the_drivers_time_stamp_is_taken_where_it_is_of_our_clock(camera, monkey
 
 def test_large_jpegs_come_undecoded_and_are_reduced(camera, monkeypatch):
     fourcc = float(cv2.VideoWriter.fourcc(*"MJPG"))
-    torn = large_jpeg()[:5000]
-    capture = Capture(
-        [large_jpeg(), torn, None, large_jpeg()], fourcc=fourcc, frame_width=1280.0, frame_height=960.0
-    )
+    pictures = [large_jpeg(), large_jpeg()[:5000], None, large_jpeg()]
+    capture = Capture(pictures, fourcc=fourcc, frame_width=1280.0, frame_height=960.0)
     source = camera(capture, monkeypatch)
     assert source.settings["reduced"] == 2
     reader = iter(source)
@@ -66,21 +64,11 @@ def test_large_jpegs_come_undecoded_and_are_reduced(camera, monkeypatch):
     assert (first.index, fourth.index) == (0, 3)
 
 
-def test_nothing_but_torn_pictures_is_a_lost_camera(camera, monkeypatch):
-    with pytest.raises(SourceLostError, match="torn"):
-        list(camera(Capture([None] * 20), monkeypatch))
-
-
 def test_a_known_camera_gets_its_usual_mode(camera, monkeypatch):
     source = camera(Capture([], zoom=0.0), monkeypatch, kind="digit")
-    assert (source.settings["height"], source.settings["fps"], source.settings["fourcc"]) == (
-        240,
-        60.0,
-        "YUYV",
-    )
-    assert source.settings["led_level"] == 0.0
-    other = camera(Capture([]), monkeypatch)
-    assert other.settings["fps"] == 30.0
+    found = [source.settings[name] for name in ("height", "fps", "fourcc", "led_level")]
+    assert found == [240, 60.0, "YUYV", 0.0]
+    assert camera(Capture([]), monkeypatch).settings["fps"] == 30.0
 
 
 def test_a_wish_that_is_not_met_is_an_error_and_gives_the_camera_back(camera, monkeypatch):
@@ -92,20 +80,13 @@ def test_a_wish_that_is_not_met_is_an_error_and_gives_the_camera_back(camera, mo
         camera(capture, monkeypatch, {"gain": 3})
 
 
-def test_closing_ends_the_loop(camera, monkeypatch):
-    source = camera(Capture([BGR] * 5), monkeypatch)
-    with source:
+def test_a_loop_ends_when_closed_or_with_nothing_but_torn_pictures(camera, monkeypatch):
+    with camera(Capture([BGR] * 5), monkeypatch) as source:
         reader = iter(source)
         next(reader)
     assert list(reader) == []
-
-
-def test_a_camera_that_is_not_there_is_not_opened(tmp_path):
-    with pytest.raises(SensorError, match="not there any more"):
-        usb.UsbCamera(Camera("DIGIT", str(tmp_path / "video7"), "D1"))
-
-
-def test_picture_formats_as_letters():
+    with pytest.raises(SourceLostError, match="torn"):
+        list(camera(Capture([None] * 20), monkeypatch))
     assert usb.fourcc_text(cv2.VideoWriter.fourcc(*"MJPG")) == "MJPG"
     assert (usb.fourcc_text(0), usb.fourcc_text(-1)) == ("", "")
 
@@ -141,6 +122,8 @@ def test_the_rule_names_the_device():
 def test_an_unplugged_camera_says_so(tmp_path):
     with pytest.raises(SensorError, match=r"DIGIT \(serial D1.*was unplugged"):
         check_access(camera_at(tmp_path / "video0"))
+    with pytest.raises(SensorError, match="not there any more"):
+        usb.UsbCamera(camera_at(tmp_path / "video7"))
 
 
 @linux

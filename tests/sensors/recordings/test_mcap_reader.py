@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+import made.recorded
 from gelform.errors import DataError
-from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_reader import (
     SAMPLED_RECORDS,
     Channel,
@@ -17,7 +17,9 @@ from gelform.sensors.recordings.mcap_reader import (
     picture_topic_of,
 )
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from made.recorded import frames
+from gelform.sensors.recordings.messages import message_from_picture
+from made.mjpeg_server import jpeg
+from made.recorded import FACTS, frames
 from made.ros_images import image_file, raw_message
 
 writer = pytest.importorskip("mcap.writer", reason="the extra mcap is not installed")
@@ -31,14 +33,11 @@ def folder(path, *names, metadata="rosbag2_bagfile_information:\n  version: 9\n"
     return path
 
 
-def test_a_folder_is_known_by_its_metadata(tmp_path):
+def test_a_folder_is_known_by_its_metadata_and_has_one_file(tmp_path):
     assert is_bag_folder(folder(tmp_path / "a", "a_0.mcap"))
+    assert mcap_file_in(tmp_path / "a") == tmp_path / "a" / "a_0.mcap"
     assert not is_bag_folder(folder(tmp_path / "b", "a_0.mcap", metadata="name: other\n"))
     assert not is_bag_folder(tmp_path)
-
-
-def test_the_file_inside(tmp_path):
-    assert mcap_file_in(folder(tmp_path / "a", "a_0.mcap")) == tmp_path / "a" / "a_0.mcap"
 
 
 def test_what_to_do_where_there_is_not_one(tmp_path):
@@ -66,19 +65,14 @@ def test_channels_once_and_messages_with_their_topic(tmp_path):
     assert type(found[-1]).__name__ == "Footer"
 
 
-def test_cut_short_it_ends_without_a_footer(tmp_path):
+def test_cut_short_it_ends_without_a_footer_and_what_is_no_mcap_file_is_refused(tmp_path):
     path = image_file(tmp_path / "a.mcap", {"/image": b"a"})
     path.write_bytes(path.read_bytes()[:-20])
     assert type(list(mcap_records(path))[-1]).__name__ != "Footer"
-
-
-def test_what_is_no_mcap_file(tmp_path):
-    with pytest.raises(DataError, match="No recording"):
-        list(mcap_records(tmp_path / "missing.mcap"))
-    text = tmp_path / "a.mcap"
-    text.write_text("this is text, and long enough to be looked at")
-    with pytest.raises(DataError, match="no MCAP file"):
-        list(mcap_records(text))
+    path.write_text("this is text, and long enough to be looked at")
+    for at, said in ((path, "no MCAP file"), (tmp_path / "missing.mcap", "No recording")):
+        with pytest.raises(DataError, match=said):
+            list(mcap_records(at))
 
 
 PIXELS = np.zeros((4, 6, 3), np.uint8)
@@ -86,61 +80,40 @@ COLOR, UNSAID = raw_message(PIXELS), raw_message(PIXELS, "8UC3")
 DEPTH = raw_message(np.zeros((4, 6, 4), np.uint8), "32FC1")
 
 
-def refusal(path):
-    with pytest.raises(DataError) as refused:
-        picture_topic_of(path)
-    return str(refused.value)
-
-
-def test_the_colored_one_beside_depth(tmp_path):
+def test_the_colored_one_beside_depth_also_where_it_comes_late(tmp_path):
     path = image_file(tmp_path / "a.mcap", {"/s/indentation": DEPTH, "/s/image_raw": COLOR})
     assert picture_topic_of(path)[1] == PictureTopic("/s/image_raw", raw=True)
-
-
-def test_pictures_that_come_late_are_waited_for(tmp_path):
-    path = image_file(tmp_path / "a.mcap", {"/image": COLOR}, before=3 * SAMPLED_RECORDS)
+    path = image_file(tmp_path / "b.mcap", {"/image": COLOR}, before=3 * SAMPLED_RECORDS)
     assert picture_topic_of(path)[1].name == "/image"
 
 
-def test_wrong_encodings_are_named(tmp_path):
-    said = refusal(image_file(tmp_path / "a.mcap", {"/image": UNSAID, "/depth": DEPTH}))
-    assert "/image (8UC3), /depth (32FC1)" in said
-    assert "set the camera driver's encoding to rgb8 or bgr8" in said
+COMPRESSED = {"schema": "sensor_msgs/msg/CompressedImage"}
+NO_TOPIC = (  # topics, how they are written, what is said
+    ({"/image": UNSAID, "/depth": DEPTH}, {}, r"/image \(8UC3\), /depth \(32FC1\).*encoding to rgb8 or bgr8"),
+    ({"/left": COLOR, "/right": COLOR}, {}, r"got /left, /right.*mcap filter 1\.mcap -y /left"),
+    ({}, {"before": 3}, "beside /joints"),
+    ({"/image": []}, {}, "beside /image, /joints"),
+    ({"/camera/compressedDepth": b"\0\1\0\0"}, COMPRESSED, "not compressed depth"),
+)
 
 
-def test_several_are_not_guessed_among(tmp_path):
-    said = refusal(image_file(tmp_path / "a.mcap", {"/left": COLOR, "/right": COLOR}))
-    assert "got /left, /right" in said
-    assert "mcap filter a.mcap -y /left" in said
-
-
-def test_no_pictures_at_all(tmp_path):
-    assert "beside /joints" in refusal(image_file(tmp_path / "a.mcap", {}, before=3))
-    empty = image_file(tmp_path / "b.mcap", {"/image": []})
-    assert "beside /image, /joints" in refusal(empty)
-
-
-def test_compressed_depth_is_no_picture(tmp_path):
-    topics = {"/camera/compressedDepth": b"\0\1\0\0"}
-    path = image_file(tmp_path / "a.mcap", topics, schema="sensor_msgs/msg/CompressedImage")
-    assert "not compressed depth" in refusal(path)
+def test_pictures_that_are_none_or_several_are_not_guessed_among(tmp_path):
+    for k, (topics, how, said) in enumerate(NO_TOPIC):
+        with pytest.raises(DataError, match=said):
+            picture_topic_of(image_file(tmp_path / f"{k}.mcap", topics, **how))
 
 
 FIRST_CHUNK_END = 14000  # bytes: a frame of noise takes 9.3 kB
-FACTS = RecordingFacts("a camera", "S1", {"gain": 3.0, "reduced": 2}, 50.0, "abc")
 
 
-def recorded(path, given, close=True):
-    recording = McapRecording(path, FACTS)
-    for frame in given:
-        recording.write(frame)
-        recording._flush()  # a chunk per frame
-    if close:
-        recording.close()
-    return path
+@pytest.fixture
+def recorded(monkeypatch):
+    """Recordings with a chunk per frame."""
+    monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
+    return made.recorded.recorded
 
 
-def test_a_paced_replay_keeps_the_timing(tmp_path):
+def test_a_paced_replay_keeps_the_timing(tmp_path, recorded):
     given = frames(6)
     taken = list(mcap_playback(recorded(tmp_path / "a.mcap", given), paced=True))
     spaced = {frame.index: frame.time_s - given[0].time_s for frame in given}
@@ -148,7 +121,7 @@ def test_a_paced_replay_keeps_the_timing(tmp_path):
         assert frame.time_s - taken[0].time_s == pytest.approx(spaced[frame.index], abs=1e-6)
 
 
-def test_a_file_cut_anywhere_gives_the_frames_before(tmp_path):
+def test_a_file_cut_anywhere_gives_the_frames_before(tmp_path, recorded):
     content = recorded(tmp_path / "a.mcap", frames(6)).read_bytes()
     counts = []
     for end in np.linspace(FIRST_CHUNK_END, len(content) - 1, 25).astype(int):
@@ -161,12 +134,12 @@ def test_a_file_cut_anywhere_gives_the_frames_before(tmp_path):
 
 
 def test_a_recorder_killed_before_the_first_frame(tmp_path):
-    path = recorded(tmp_path / "a.mcap", [], close=False)
+    McapRecording(tmp_path / "a.mcap", FACTS)
     with pytest.raises(DataError, match="no frame yet"):
-        mcap_playback(path)
+        mcap_playback(tmp_path / "a.mcap")
 
 
-def test_changed_bytes_are_found(tmp_path):
+def test_changed_bytes_are_found(tmp_path, recorded):
     path = recorded(tmp_path / "a.mcap", frames(6))
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0x55
@@ -194,17 +167,14 @@ def test_a_raw_picture_that_changes_its_encoding_is_an_error(tmp_path):
 
 
 def foreign(path, topics, schema="sensor_msgs/msg/CompressedImage"):
-    from gelform.sensors.recordings.messages import message_from_picture
-    from made.mjpeg_server import jpeg
-
     with path.open("wb") as file:
-        made = writer.Writer(file)
-        made.start()
-        number = made.register_schema(schema, "ros2msg", b"")
+        written = writer.Writer(file)
+        written.start()
+        number = written.register_schema(schema, "ros2msg", b"")
         for k, topic in enumerate(topics):
-            channel = made.register_channel(topic, "cdr", number)
-            made.add_message(channel, 10**9 * k, message_from_picture(jpeg(), "jpeg", 7, "x"), 0, k)
-        made.finish()
+            channel = written.register_channel(topic, "cdr", number)
+            written.add_message(channel, 10**9 * k, message_from_picture(jpeg(), "jpeg", 7, "x"), 0, k)
+        written.finish()
     return path
 
 

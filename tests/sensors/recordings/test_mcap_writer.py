@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +13,7 @@ from gelform.errors import DataError
 from gelform.sensors.recordings.facts import RecordingFacts
 from gelform.sensors.recordings.mcap_reader import mcap_playback, mcap_summary
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from made.recorded import START_NS, frames
+from made.recorded import START_NS, frames, recorded
 
 reader = pytest.importorskip("mcap.reader", reason="the extra mcap is not installed")
 
@@ -34,11 +35,7 @@ while True:
 
 
 def test_other_readers_find_topic_schema_and_index(tmp_path):
-    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera", "S1"))
-    for frame in frames(6):
-        recording.write(frame)
-    recording.close()
-    with (tmp_path / "a.mcap").open("rb") as file:
+    with recorded(tmp_path / "a.mcap", frames(6)).open("rb") as file:
         other = reader.make_reader(file)
         messages = list(other.iter_messages())
         assert len(other.get_summary().chunk_indexes) >= 1
@@ -48,13 +45,8 @@ def test_other_readers_find_topic_schema_and_index(tmp_path):
 
 
 def test_stamps_follow_the_monotonic_clock_where_the_other_is_set(tmp_path):
-    from dataclasses import replace
-
-    recording = McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
-    for k, frame in enumerate(frames(3)):
-        recording.write(replace(frame, wall_time_ns=frame.wall_time_ns - k * 10**12))
-    recording.close()
-    times = [frame.time_s for frame in mcap_playback(tmp_path / "a.mcap")]
+    back = [replace(one, wall_time_ns=one.wall_time_ns - k * 10**12) for k, one in enumerate(frames(3))]
+    times = [frame.time_s for frame in mcap_playback(recorded(tmp_path / "a.mcap", back))]
     assert times == pytest.approx([0, 0.023, 0.04], abs=1e-6)
 
 

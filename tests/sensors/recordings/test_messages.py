@@ -1,15 +1,72 @@
-"""Pictures as ROS 2 messages: the bytes by hand, there and back, torn."""
+"""What a recording says of its camera, pictures without loss and as ROS 2 messages: the bytes by hand, there and back."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 
+from gelform.errors import DataError
+from gelform.sensors.recordings.facts import (
+    RecordingFacts,
+    encoded_from_frame,
+    image_from_encoded,
+    reduction_in,
+)
 from gelform.sensors.recordings.messages import (
     message_from_picture,
     picture_from_message,
     pixels_from_raw,
     raw_image_from_message,
 )
+from made.recorded import frames
 from made.ros_images import raw_message
+
+
+def test_facts_survive_their_json():
+    facts = RecordingFacts("DIGIT D1", "D1", {"gain": 3.0, "fourcc": "YUYV"}, 60.0, "abc", "0.1")
+    assert RecordingFacts.from_json(facts.to_json(), "x") == facts
+
+
+def test_damaged_facts_say_so():
+    for text in ("", "[]", '{"format_version": 1, "colour": 3}', '{"name": "x"}'):
+        with pytest.raises(DataError, match="x is damaged"):
+            RecordingFacts.from_json(text, "x")
+    newer = RecordingFacts("a", library_version="9.1").to_json().replace('_version": 1', '_version": 2')
+    with pytest.raises(DataError, match=r"gelform 9\.1"):
+        RecordingFacts.from_json(newer, "x")
+
+
+def test_pixels_are_kept_without_loss_and_the_cameras_jpeg_as_it_is():
+    frame = frames(1)[0]
+    kind, content = encoded_from_frame(frame)
+    assert kind == "png"
+    np.testing.assert_array_equal(image_from_encoded(content, 1, "x"), frame.image)
+    frame = frames(1, encoded=True)[0]
+    assert encoded_from_frame(frame) == ("jpeg", frame.encoded)
+    image = image_from_encoded(frame.encoded, 2, "x")
+    assert image.shape == (24, 32, 3)
+    np.testing.assert_allclose(image[5, 5], (200, 0, 5), atol=4)
+    assert (reduction_in({}), reduction_in({"reduced": 4})) == (1, 4)
+
+
+def test_damaged_pictures_say_which():
+    for content in (b"", b"\x89PNG but torn", frames(1, encoded=True)[0].encoded[:-40]):
+        with pytest.raises(DataError, match="frame 7 is damaged"):
+            image_from_encoded(content, 1, "frame 7")
+
+
+def test_noise_is_written_smaller_than_by_repetitions():
+    """A smooth image with a camera's noise, against the fastest level of zlib."""
+    rows, columns = np.mgrid[:120, :160]
+    smooth = np.stack([90 + rows / 4, 80 + columns / 4, 100 - rows / 5], axis=-1)
+    image = smooth + np.random.default_rng(0).normal(0, 1.5, smooth.shape)
+    frame = replace(frames(1)[0], image=np.rint(image).astype(np.uint8))
+    content = encoded_from_frame(frame)[1]
+    usual = cv2.imencode(".png", frame.image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    assert len(content) < 0.85 * len(usual)
+    np.testing.assert_array_equal(image_from_encoded(content, 1, "x"), frame.image)
+
 
 WHEN_NS = 5 * 10**9 + 7
 
@@ -27,9 +84,9 @@ def test_the_bytes_are_those_of_cdr():
 
 
 def test_there_and_back():
+    content = bytes(range(256))
     for frame_id in ("", "a", "camera", "Kamera ü"):
         for kind in ("png", "jpeg"):
-            content = bytes(range(256))
             message = message_from_picture(content, kind, WHEN_NS, frame_id)
             assert picture_from_message(message) == (content, WHEN_NS)
 
@@ -53,9 +110,6 @@ def test_raw_pictures_with_padded_rows():
             image = raw_image_from_message(message)
             assert (image.wall_time_ns, image.shape, image.encoding) == (WHEN_NS, (2, 3), "rgb8")
             np.testing.assert_array_equal(pixels_from_raw(image), PIXELS)
-
-
-def test_bgr_is_turned_round():
     image = raw_image_from_message(raw_message(PIXELS, "bgr8"))
     np.testing.assert_array_equal(pixels_from_raw(image), PIXELS[..., ::-1])
 
@@ -71,8 +125,5 @@ def test_raw_pictures_that_are_none_are_refused():
     for wrong in ({"step": 8}, {"shape": (3, 3)}, {"shape": (0, 3)}, {"data": b""}):
         with pytest.raises(ValueError, match="rows of"):
             pixels_from_raw(image._replace(**wrong))
-
-
-def test_messages_compressed_one_by_one_say_so():
     with pytest.raises(ValueError, match="ros2 bag convert"):
         raw_image_from_message(b"\x28\xb5\x2f\xfd" + bytes(40))

@@ -80,12 +80,9 @@ def test_bad_toml_is_refused_with_the_reason(tmp_path, change, message):
         read_simulated_sensor(path)
 
 
-def test_a_missing_file_is_said_to_be_missing(tmp_path):
+def test_without_a_base_leds_are_needed(tmp_path):
     with pytest.raises(SensorError, match="No file"):
         read_simulated_sensor(tmp_path / "none.toml")
-
-
-def test_without_a_base_leds_are_needed():
     with pytest.raises(ValueError, match="got neither"):
         sensor_from_settings({"name": "dark"})
     with pytest.raises(ValueError, match="Did you mean 'digit'"):

@@ -22,11 +22,6 @@ def source():
         yield made
 
 
-def frames(source, count):
-    reader = iter(source)
-    return [next(reader) for _ in range(count)]
-
-
 def test_facts_and_range(source):
     assert (source.name, source.serial, source.rate_hz) == (
         "simulated three-edges",
@@ -44,13 +39,10 @@ def test_frames_come_in_order_at_their_times_and_not_before(source):
     np.testing.assert_allclose(times, steps / 200)
     assert (steps >= 1).all()
     assert all(now >= frame.time_s for frame, now in came)
-
-
-def test_a_late_reader_sees_the_gap(source):
     reader = iter(source)
-    assert next(reader).index == 0
+    before = next(reader).index
     time.sleep(0.1)
-    assert next(reader).index >= 19
+    assert next(reader).index >= before + 19
 
 
 def test_closed_it_ends_also_just_as_its_loop_begins(source, monkeypatch):
@@ -96,7 +88,7 @@ def test_at_rest_nothing_is_computed_ahead(source, monkeypatch):
     computed = []
     monkeypatch.setattr(source, "_levels_of_touch", lambda touch: computed.append(touch) or source._untouched)
     source.rest()
-    images = [frame.image for frame in frames(source, 40)]  # 0.2 s: six touches' time
+    images = [frame.image for _, frame in zip(range(40), source)]  # 0.2 s: six touches' time
     assert computed == []
     assert np.abs(np.mean(images, axis=0) - UNTOUCHED).mean() < 0.5
     source.rest(False)
