@@ -11,10 +11,11 @@ from gelform.robots import depth_from_lerobot_levels, lerobot_levels_from_depth
 EVERY_LEVEL = np.arange(1, 65536, dtype=np.uint16).reshape(1, -1)
 
 
-def test_every_level_comes_back():
+def test_every_level_comes_back_also_between_two():
     depth_mm = depth_from_lerobot_levels(EVERY_LEVEL)
     assert depth_mm.dtype == np.float32
     np.testing.assert_array_equal(lerobot_levels_from_depth(depth_mm), EVERY_LEVEL)
+    assert depth_from_lerobot_levels(np.array([[1000.5]])) == pytest.approx(0.0005)
 
 
 def test_the_values_that_the_page_names():
@@ -31,17 +32,10 @@ def test_any_depth_is_rounded_to_half_a_micrometre(depth_mm):
     assert abs(float(back[0, 0]) - depth_mm) <= 0.0005 + 4e-6  # float32 at 64 mm
 
 
-def test_levels_between_two_are_kept_as_they_are():
-    assert depth_from_lerobot_levels(np.array([[1000.5]])) == pytest.approx(0.0005)
-
-
-def test_out_of_range_is_an_error():
+def test_out_of_range_or_no_number_is_an_error():
     for depth_mm in [-1.0, 64.536, -0.9996]:
         with pytest.raises(DataError, match=r"-0\.999 to 64\.535 mm"):
             lerobot_levels_from_depth(np.array([[0.0, depth_mm]]))
-
-
-def test_what_is_no_number_is_refused():
     with pytest.raises(ValueError, match="depth_mm"):
         lerobot_levels_from_depth(np.array([[np.nan]]))
     with pytest.raises((ValueError, TypeError)):

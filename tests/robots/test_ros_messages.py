@@ -1,5 +1,6 @@
-"""Messages of a made-up result: units and signs by hand, NaN where nothing is known, levels of findings."""
+"""Names of ROS and messages of a made-up result: units and signs by hand, NaN where nothing is known, levels of findings."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,9 +11,42 @@ import pytest
 from gelform.foundations.findings import Finding
 from gelform.frames import Frame
 from gelform.reconstruction import Reconstruction
-
-pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from gelform.robots.ros_messages import RosMessages
+from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
+
+
+def test_a_name_is_made_of_any_text():
+    for text, name in [
+        ("GelSight Mini", "gelsight_mini"),
+        ("digit", "digit"),
+        ("-- R1.5/b --", "r1_5_b"),
+        ("3rd gel", "sensor_3rd_gel"),
+        ("", "sensor"),
+        ("ゲル", "sensor"),
+    ]:
+        assert sensor_name_from(text) == name
+        assert check_sensor_name(name) == name
+
+
+def test_what_ros_refuses_is_refused():
+    for name in ["", "Left", "a__b", "_a", "a_", "3a", "a-b", "a/b", "a b", "a\n"]:
+        with pytest.raises(ValueError, match="name of ROS"):
+            check_sensor_name(name)
+
+
+def test_whole_topic_names():
+    names = [topic.of("left") for topic in TOPICS.values()]
+    assert names == ["/left/image_raw", "/left/indentation", "/left/points", "/diagnostics"]
+    assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
+
+
+def test_topics_come_in_the_tables_order_once():
+    assert check_topics(["points", "image", "points"]) == ("image", "points")
+    assert check_topics("points") == ("points",)
+    for wrong in ([], ["depth"], ["image", "camera_info"]):
+        with pytest.raises(ValueError, match="Expected topics among image, indentation"):
+            check_topics(wrong)
+
 
 STAMP_NS = 1_700_000_000_000_000_009
 FRAME = Frame(np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)[:, ::-1], 0.0, STAMP_NS, 0)
@@ -29,6 +63,7 @@ def result():
 
 @pytest.fixture(scope="module")
 def made():
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
     return RosMessages("left", "S1")
 
 
