@@ -45,10 +45,8 @@ def test_the_image_is_recovered_from_the_change(network):
     """Through the color change comes what the network says of the image itself, less what it says at rest."""
     calibration = gelform.import_calibration(network, "gs_sdk", background=BACKGROUND)
     model, image = calibration.color_model, pressed()
-    black = model.prepare(np.zeros((*SHAPE, 3)), SHAPE)
-    said = [
-        black.gradients_from_color(i.astype(np.float32) / np.float32(255))[0] for i in (image, BACKGROUND)
-    ]
+    black, full = model.prepare(np.zeros((*SHAPE, 3)), SHAPE), np.float32(255)
+    said = [black.gradients_from_color(one.astype(np.float32) / full)[0] for one in (image, BACKGROUND)]
     change = gelform.color_change_from_image(image, BACKGROUND, calibration.change)
     found, _ = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
     np.testing.assert_allclose(found, said[0] - said[1], atol=5e-6)

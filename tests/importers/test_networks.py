@@ -12,9 +12,13 @@ SHAPE = (12, 16)
 BACKGROUND = np.random.default_rng(0).uniform(60, 160, (*SHAPE, 3)).astype(np.float32)
 
 
-def image_and_change(seed=1):
+def image_and_change(seed=1, background=BACKGROUND):
     image = np.random.default_rng(seed).integers(1, 255, (*SHAPE, 3)).astype(np.float32)
-    return image, (image - BACKGROUND) / np.float32(255)
+    return image, (image - background) / np.float32(255)
+
+
+def slopes_of(model, change, background=BACKGROUND):
+    return model.prepare(background, background.shape[:2]).gradients_from_color(change)[0]
 
 
 def answered(arrays, image, position):
@@ -32,7 +36,7 @@ def test_gs_sdk_angles_go_down_where_pressed(tmp_path):
     arrays = network_arrays((5, 32, 32, 32, 2))
     model = read_gs_sdk(torch_file(tmp_path / "nnmodel.pth", arrays), BACKGROUND)
     image, change = image_and_change()
-    found = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)[0]
+    found = slopes_of(model, change)
     theirs = np.tan(answered(arrays, image, "xy")) - np.tan(answered(arrays, BACKGROUND, "xy"))
     np.testing.assert_allclose(found, -theirs, atol=2e-5)
 
@@ -42,7 +46,7 @@ def test_gsrobotics_normals(tmp_path, position, places):
     arrays = {name: 0.6 * a for name, a in network_arrays((5, 64, 64, 64, 2)).items()}
     model = read_gsrobotics(torch_file(tmp_path / "n.pt", arrays, nested=True), BACKGROUND, position=position)
     image, change = image_and_change()
-    found = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)[0]
+    found = slopes_of(model, change)
 
     def slopes(seen):
         n = answered(arrays, seen, places)
@@ -53,23 +57,19 @@ def test_gsrobotics_normals(tmp_path, position, places):
 
 def test_another_background_is_rest_too(tmp_path):
     model = read_gs_sdk(torch_file(tmp_path / "n.pth", network_arrays((5, 32, 32, 32, 2))), BACKGROUND)
-    today = BACKGROUND + 3
-    image, _ = image_and_change()
-    now = model.prepare(today, SHAPE).gradients_from_color((image - today) / np.float32(255))[0]
-    assert np.abs(model.prepare(today, SHAPE).gradients_from_color(np.zeros_like(image))[0]).max() == 0
-    then = model.prepare(BACKGROUND, SHAPE).gradients_from_color((image - BACKGROUND) / np.float32(255))[0]
-    difference = now - then  # the same image, so only the answer at rest differs
-    other, _ = image_and_change(7)
-    now = model.prepare(today, SHAPE).gradients_from_color((other - today) / np.float32(255))[0]
-    then = model.prepare(BACKGROUND, SHAPE).gradients_from_color((other - BACKGROUND) / np.float32(255))[0]
-    np.testing.assert_allclose(now - then, difference, atol=1e-5)
+    today, differences = BACKGROUND + 3, []
+    assert np.abs(slopes_of(model, np.zeros_like(today), today)).max() == 0
+    for seed in (1, 7):  # the same image, so only the answer at rest differs
+        now = slopes_of(model, image_and_change(seed, today)[1], today)
+        differences.append(now - slopes_of(model, image_and_change(seed)[1]))
+    np.testing.assert_allclose(*differences, atol=1e-5)
 
 
 def test_normals_that_are_too_long_stay_finite(tmp_path):
     arrays = network_arrays((5, 64, 64, 64, 2))
     arrays["fc4.bias"] = np.array([2.0, 0.0], dtype=np.float32)
     model = read_gsrobotics(torch_file(tmp_path / "n.pt", arrays), BACKGROUND, position="true")
-    found = model.prepare(BACKGROUND, SHAPE).gradients_from_color(image_and_change()[1])[0]
+    found = slopes_of(model, image_and_change()[1])
     assert np.isfinite(found).all()
     assert np.abs(found).max() <= 10.0 + 1e-5
 
@@ -82,8 +82,7 @@ def test_the_browser_port_holds_the_same_network(tmp_path):
     a = read_gsrobotics_web(tmp_path / "weights.bin", BACKGROUND, position="true")
     b = read_gsrobotics(torch_file(tmp_path / "n.pt", arrays), BACKGROUND, position="true")
     change = image_and_change()[1]
-    found = [one.prepare(BACKGROUND, SHAPE).gradients_from_color(change)[0] for one in (a, b)]
-    np.testing.assert_array_equal(*found)
+    np.testing.assert_array_equal(slopes_of(a, change), slopes_of(b, change))
     (tmp_path / "weights.bin").write_bytes(numbers.tobytes()[:-4])
     with pytest.raises(gelform.DataError, match="Expected 35336 bytes"):
         read_gsrobotics_web(tmp_path / "weights.bin", BACKGROUND, position="true")
@@ -92,31 +91,29 @@ def test_the_browser_port_holds_the_same_network(tmp_path):
 def test_frames_equal_scattered_pixels_and_saved_models(tmp_path):
     model = read_gs_sdk(torch_file(tmp_path / "n.pth", network_arrays((5, 32, 32, 32, 2))), BACKGROUND)
     change = image_and_change()[1]
-    frame = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)[0]
+    frame = slopes_of(model, change)
     rows, columns = np.array([0, 3, 11]), np.array([15, 4, 0])
-    np.testing.assert_allclose(
-        model.gradients_at(change[rows, columns], columns, rows), frame[rows, columns], atol=1e-6
-    )
+    scattered = model.gradients_at(change[rows, columns], columns, rows)
+    np.testing.assert_allclose(scattered, frame[rows, columns], atol=1e-6)
     again = type(model).from_arrays(*model.to_arrays())
-    np.testing.assert_array_equal(again.prepare(BACKGROUND, SHAPE).gradients_from_color(change)[0], frame)
+    np.testing.assert_array_equal(slopes_of(again, change), frame)
     with pytest.raises(ValueError, match="as imported, got 10x10"):
         model.prepare(np.zeros((10, 10, 3)), (10, 10))
 
 
 def test_networks_of_another_kind_are_refused(tmp_path):
     touchnet = {"conv1.weight": np.zeros((4, 5, 3, 3), np.float32), "bn1.weight": np.zeros(4, np.float32)}
-    with pytest.raises(gelform.DataError, match="298 GMAC"):
-        read_gs_sdk(torch_file(tmp_path / "touchnet.pth", touchnet), BACKGROUND)
-    with pytest.raises(gelform.DataError, match="Expected the layers fc1 to fc4"):
-        read_gs_sdk(torch_file(tmp_path / "a.pth", network_arrays((5, 32, 2))), BACKGROUND)
-    with pytest.raises(gelform.DataError, match="5 inputs and 2 outputs"):
-        read_gs_sdk(torch_file(tmp_path / "b.pth", network_arrays((3, 32, 8, 8, 2))), BACKGROUND)
-    with pytest.raises(gelform.DataError, match=r"32 units .* is it gsrobotics's\?"):
-        read_gs_sdk(torch_file(tmp_path / "d.pth", network_arrays((5, 64, 64, 64, 2))), BACKGROUND)
     spoilt = network_arrays((5, 32, 8, 8, 2))
     spoilt["fc2.weight"][0, 0] = np.nan
-    with pytest.raises(gelform.DataError, match="finite"):
-        read_gs_sdk(torch_file(tmp_path / "c.pth", spoilt), BACKGROUND)
+    for arrays, said in (
+        (touchnet, "298 GMAC"),
+        (network_arrays((5, 32, 2)), "Expected the layers fc1 to fc4"),
+        (network_arrays((3, 32, 8, 8, 2)), "5 inputs and 2 outputs"),
+        (network_arrays((5, 64, 64, 64, 2)), r"32 units .* is it gsrobotics's\?"),
+        (spoilt, "finite"),
+    ):
+        with pytest.raises(gelform.DataError, match=said):
+            read_gs_sdk(torch_file(tmp_path / "net.pth", arrays), BACKGROUND)
 
 
 def read_rgb(path):
@@ -129,8 +126,7 @@ def test_real_gs_sdk_answers_as_published(data, name):
     background = read_rgb(data / "mini-objects" / "background.png")
     change = (read_rgb(data / "mini-objects" / f"{name}.png") - background) / np.float32(255)
     model = read_gs_sdk(data / "peer-calibrations" / "gs_sdk-mini-c-nnmodel.pth", background)
-    found = model.prepare(background, background.shape[:2]).gradients_from_color(change)[0]
-    np.testing.assert_allclose(found, -reference, atol=2e-5)
+    np.testing.assert_allclose(slopes_of(model, change, background), -reference, atol=2e-5)
 
 
 @pytest.mark.parametrize("position", ["zeros", "true"])
