@@ -1,5 +1,5 @@
 """Each file holds the surface: axes, signs, units; an STL is closed and its volume is the depth's; what a reader finds in
-X3P by the standard's letter is the surface in metres, with its checksums."""
+X3P by the standard's letter is the surface in metres; 16-bit depth comes back within half a step."""
 
 import hashlib
 import io
@@ -10,9 +10,12 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from gelform.errors import DataError
-from gelform.exporters.quantised import depth_from_levels
+from gelform.exporters.quantised import depth_from_levels, levels_from_depth
 from gelform.exporters.surface import BASE_SHARE, SURFACES, points_from_result, save_surface, x3p_bytes
 from gelform.reconstruction import Reconstruction
 
@@ -113,3 +116,24 @@ def test_what_cannot_be_written_is_said(result, tmp_path):
     assert (tmp_path / "there.tiff").read_bytes() == b"mine"
     assert list(tmp_path.iterdir()) == [tmp_path / "there.tiff"]
     assert set(SURFACES) == {".ply", ".stl", ".tif", ".tiff", ".png", ".x3p"}
+
+
+DEPTHS = arrays(np.float64, (3, 4), elements=st.floats(-3.2766, 3.2766))
+
+
+@given(DEPTHS, arrays(bool, (3, 4)))
+def test_depth_comes_back(depth, known):
+    back, back_known = depth_from_levels(levels_from_depth(depth, known))
+    np.testing.assert_array_equal(back_known, known)
+    np.testing.assert_allclose(back[known], depth[known], atol=0.5e-4 + 1e-6)
+    assert not back[~known].any()
+
+
+def test_a_level_is_a_tenth_of_a_micrometre_and_out_of_range_is_refused():
+    np.testing.assert_array_equal(levels_from_depth([[0.0, 1e-4, -1.0]]), [[32768, 32769, 22768]])
+    for depth in [3.3, -3.2769, 1e9]:
+        with pytest.raises(DataError, match="16 bits"):
+            levels_from_depth([[depth]])
+        assert levels_from_depth([[depth]], [[False]]) == 0
+    with pytest.raises(TypeError, match="uint16"):
+        depth_from_levels(np.zeros((2, 2), dtype=np.uint8))
