@@ -54,8 +54,9 @@ INNER_LIBRARIES = {"numpy", "scipy", "cv2", "gelform", "lazy_loader"}
 EXTRAS = {"mlp_training.py": {"torch"}}  # imported where it trains, an extra
 READERS = {"calibration_file", "reconstruction", "foundations", "_native"}
 MAX_LINES, MAX_FILES = 400, 15
-# What is tested through the solvers that it serves, all of them against one truth.
+# What is tested through what it serves: all solvers against one truth, all forms of output.
 TESTED_TOGETHER = {
+    "batch/outputs/frame_files.py": "batch/outputs/test_writers.py",
     "foundations/findings.py": "background/test_check.py",
     "solvers/sparse.py": "solvers/test_seam.py",
     "solvers/curl_gated.py": "solvers/test_robust.py",
@@ -186,19 +187,15 @@ def test_folders_stay_small():
     assert not crowded
 
 
-def test_every_module_has_a_test_file_of_its_name():
-    """In the same folder below tests/; `_private` ones without the underscore."""
+def test_every_module_is_tested_in_the_folder_of_its_name():
+    """By a test file of its own, or one of its room that imports it; `_private` ones without the underscore."""
     missing = []
     for path in MODULES:
         module = path.relative_to(SOURCE)
-        folder = TESTS / module.parent.as_posix().replace(
-            "torch", "pytorch"
-        )  # tests/ is on the path of imports
-        own = folder / f"test_{module.stem.lstrip('_')}.py"
-        together = TESTED_TOGETHER.get(module.as_posix())
-        if path.stem not in ("__init__", "__main__") and not (
-            own.exists() or (together and (TESTS / together).exists())
-        ):
+        folder = TESTS / module.parent.as_posix().replace("torch", "pytorch")  # tests/ is on the path
+        files = [folder / f"test_{module.stem.lstrip('_')}.py", TESTS / TESTED_TOGETHER.get(str(module), "-")]
+        of_room = any(name_of(path) in imports(file) for file in folder.glob("test_*.py"))
+        if path.stem not in ("__init__", "__main__") and not (of_room or any(map(Path.exists, files))):
             missing.append(module.as_posix())
     assert not missing
 

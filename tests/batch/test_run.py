@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.batch import BatchSettings, RunOptions, run_batch, verify_output
+from gelform.batch import BatchSettings, RunOptions, run_batch
 from gelform.batch.inputs.listing import listing_of
 from gelform.batch.inputs.plan import plan_of
 from gelform.batch.records import read_record, record_path
+from gelform.batch.verify import verify_output
 from gelform.batch.work import Job, Stopped, Worker
 from gelform.errors import DataError
 from made.small_gel import image_of, save

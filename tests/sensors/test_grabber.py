@@ -205,7 +205,7 @@ def test_takes_what_open_source_takes():
         assert grabber.newest(-1, WAIT_S).image.shape == (240, 320, 3)
         assert grabber.name == "simulated three-edges"
         assert grabber.settings["fps"] == 60.0
-        assert grabber.serial is None
+        assert grabber.serial == "simulated-three-edges"
     assert grabber.state == "ended"
 
 
