@@ -50,6 +50,23 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     page.click(".chooser >> nth=1")
     until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"), 20)
     until(lambda: page.locator(".chooser >> nth=1").get_attribute("aria-pressed") == "true")
+    drawn = "() => document.getElementById('{}').toDataURL()"
+    until(lambda: page.inner_text(".whose >> nth=0") == "of sensor 2")
+    until(lambda: page.inner_text("#profile-at").startswith(tuple(f"at ({x}, 7" for x in range(58, 63))), 20)
+    page.locator(".pane .map >> nth=0").click(position={"x": 20, "y": 20})
+    until(lambda: page.get_attribute("#follow", "aria-pressed") == "false")
+    peaks = page.evaluate("gelform.series.peak")
+    assert max(peaks) > 0.4 > 0.1 > page.evaluate("Math.max(...gelform.stages[0].series.peak)")
+    curves = page.evaluate(drawn.format("time"))
+    page.click(".chooser >> nth=0")
+    until(lambda: page.inner_text(".whose >> nth=1") == "of sensor 1")
+    until(
+        lambda: page.get_attribute("#follow", "aria-pressed") == "true"
+    )  # the point was chosen on the other one
+    until(lambda: page.inner_text("#profile-at").startswith("at (88, 66)"))  # the middle: nothing touches it
+    assert page.evaluate(drawn.format("time")) != curves
+    page.click(".chooser >> nth=1")
+    until(lambda: page.get_attribute("#follow", "aria-pressed") == "false")
     page.fill("#set-exposure", "70")
     page.press("#set-exposure", "Enter")
     until(lambda: two.stations[1].source.settings["exposure"] == 70)

@@ -1,6 +1,6 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
-import { drawChart, drawNumbers, drawProfile, NUMBERS, Pointer, startNumbers } from "./maps/charts.js";
+import { drawChart, drawNumbers, drawProfile, NUMBERS, startNumbers } from "./maps/charts.js";
 import { drawMarkers, Pane } from "./maps/pane.js";
 import { Painting } from "./maps/painting.js";
 import { VIEWS } from "./maps/views.js";
@@ -19,7 +19,6 @@ const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
 const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: drawMarkers };
 const look = { ageMs: 0, drawnHz: 0, surfaces: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
-const pointer = new Pointer(() => redraw());
 const stages = [], draped = new Painting();
 // Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
 const SOFTWARE_MS = 46, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
@@ -86,12 +85,20 @@ function drawPage(frame) {
   drawReplay(station(), frame);
 }
 
+/** Figures and maps of a sensor that gives no new ones, or of a server that does not answer, are dimmed: they are old. */
+function sayOld() {
+  const old = (one) => !connection.open || (one && !["running", "starting", "ended"].includes(one.state));
+  byId("page-live").classList.toggle("old", Boolean(old(station())));
+  for (const one of stages) one.node.classList.toggle("old", Boolean(old(facts?.stations[one.number])));
+}
+
 /** What the server says of itself; with the pictures, so that the browser lays the page out once. */
 function drawPanels() {
   stale.panels = false;
   const calmly = running.due(drawnAt);
   drawControls(station(), facts);
   drawStatus(station(), connection.open, look);
+  sayOld();
   if (station()) drawGuide(facts.guides[number], station(), facts, { send });
   if (calmly) drawFacts(station(), look);
   drawFiles(station(), facts.files, { send });
@@ -101,12 +108,13 @@ function drawPanels() {
 
 function drawPictures(frame) {
   settings.range = stage().range;
-  settings.cursor = pointer.at(frame);
+  settings.cursor = stage().pointer.at(frame);
   for (const pane of panes) pane.draw(frame, settings);
 }
 
 function drawNumbersAndCurves(frame) {
   stale.curves = false;
+  for (const label of document.querySelectorAll(".whose")) setText(label, stages.length > 1 ? `of sensor ${number + 1}` : "");
   drawProfile(byId("profile"), byId("profile-at"), frame, settings.cursor);
   drawTime(frame, stage().series);
   drawNumbers(frame, stage().series);
@@ -174,8 +182,8 @@ connection.addEventListener("done", ({ detail }) => { if (detail.problem) toast(
 connection.addEventListener("code", ({ detail }) => showCode(detail.title, detail.parts));
 connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...detail.files.flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
 connection.addEventListener("trouble", ({ detail }) => toast(detail, "error"));
-connection.addEventListener("open", () => { for (const one of stages) one.series.clear(); drawStatus(station(), true, look); });
-connection.addEventListener("closed", () => { owed = 0; drawStatus(station(), false, look); });
+connection.addEventListener("open", () => { for (const one of stages) one.series.clear(); drawStatus(station(), true, look); sayOld(); });
+connection.addEventListener("closed", () => { owed = 0; drawStatus(station(), false, look); sayOld(); });
 setInterval(() => { look.bytesPerS = connection.bytes; connection.bytes = 0; }, 1000);
 
 // -- the page's own controls ----------------------------------------------------------------------------------------------
@@ -195,23 +203,28 @@ function makeStages(count) {
 
 function choose(chosen) {
   number = chosen;
+  settings.cursor = frameNow() ? stage().pointer.at(frameNow()) : null;
+  sayFollowing();
+  curves.hurry();
   watch();
   redraw();
 }
 
 function pointed(x, y, kind, view) {
   if (kind === "click" && view === "image" && station()?.simulated) return send("press", { x_px: x, y_px: y });
-  pointer.pointed(x, y, kind);
-  byId("follow").setAttribute("aria-pressed", String(pointer.following));
+  stage().pointer.pointed(x, y, kind);
+  sayFollowing();
 }
 
 function follow() {
-  pointer.follow();
-  byId("follow").setAttribute("aria-pressed", "true");
+  stage().pointer.follow();
+  sayFollowing();
 }
 
+function sayFollowing() { byId("follow").setAttribute("aria-pressed", String(stage().pointer.following)); }
+
 function code(view) {
-  const [x, y] = (frameNow() && pointer.at(frameNow())) ?? [0, 0];
+  const [x, y] = (frameNow() && stage().pointer.at(frameNow())) ?? [0, 0];
   send("code", { view, x_px: x, y_px: y });
 }
 

@@ -87,7 +87,7 @@ export function drawMarkers(context, { header, width }, px) {
 function swatch(background, name) {
   const mark = element("i", { class: "swatch" });
   mark.style.background = background;
-  return element("span", {}, mark, name);
+  return element("span", { class: "named" }, mark, name);
 }
 
 export class Pane {

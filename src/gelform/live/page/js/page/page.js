@@ -84,15 +84,20 @@ export function startTheme(changed) {
   };
 }
 
-const TOAST_MS = 5000, MOST_TOASTS = 4;
+const TOAST_MS = { info: 5000, warning: 10_000, error: 15_000, kept: 30_000 }, MOST_TOASTS = 3; // kept: with something to fetch
 
-/** A message that goes away by itself; errors and what is to be fetched stay until they are clicked. */
+/** A message in the page's head, where it covers nothing. It goes away by itself, but not while it is pointed at or has the focus. */
 export function toast(content, level = "info") {
-  const box = byId("toasts"), made = element("div", { class: `toast ${level}`, onclick: () => made.remove() }, content);
-  if ([...box.children].some((one) => one.textContent === made.textContent)) return;
+  const box = byId("toasts"), made = element("div", { class: `toast ${level}` }, element("div", {}, content));
+  if ([...box.children].some((one) => one.firstChild.textContent === made.textContent)) return;
+  let timer = 0;
+  const stay = () => clearTimeout(timer), leave = () => { stay(); timer = setTimeout(() => made.remove(), TOAST_MS[level]); };
+  made.append(element("button", { class: "quiet icon", "aria-label": "Dismiss this message", title: "Dismiss", text: "✕", onclick: () => made.remove() }));
+  for (const kind of ["pointerenter", "focusin"]) made.addEventListener(kind, stay);
+  for (const kind of ["pointerleave", "focusout"]) made.addEventListener(kind, leave);
   box.append(made);
   while (box.children.length > MOST_TOASTS) box.firstChild.remove();
-  if (level !== "error" && level !== "kept") setTimeout(() => made.remove(), TOAST_MS);
+  leave();
 }
 
 /** A pace for what need not be drawn each time. */

@@ -5,16 +5,17 @@ import { byId, element, setOptions } from "../page/dom.js";
 
 /** `does`: {send(do, fields), chosen() -> station, recording() -> facts or undefined, page: its name, settings, redraw()}. */
 export function startControls(does) {
-  const box = byId("actions"), button = (id, text, title, act, main) => element("button", { id, text, title, class: main ? "main" : "", onclick: act });
+  const button = (id, text, title, act, main) => element("button", { id, text, title, class: main ? "main" : "", onclick: act });
   const send = (what, fields = {}) => does.send(what, fields);
   const choice = (id, text, act) => element("label", {}, text, element("select", { id, onchange: (event) => act(event.target.value) }));
-  box.append(
+  byId("actions").append(
     element("div", { class: "row" },
       button("background", "Take background", "The untouched gel of today: touch nothing (B)", () => send("background"), true),
       button("zero", "Set zero", "Show depth against what is there now (Z)", () => send("zero")),
       button("snapshot", "Snapshot", "npz, png and ply of this frame (S)", () => send("snapshot")),
       button("record", "Record", "Frames as the camera gives them, into the folder of gelform live, while this page is open (R)", () => send("record", { on: !does.recording(), page: does.page })),
-      button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !holds(does.chosen()) }))),
+      button("pause", "Pause", "Hold the picture (space)", () => send("pause", { paused: !holds(does.chosen()) }))));
+  byId("choices").append(
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
     choice("compare", "Compare with", (name) => { send("compare", { name }); if (name) does.compared(); }),
     element("div", { class: "row" },

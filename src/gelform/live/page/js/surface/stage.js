@@ -2,6 +2,7 @@
 
 import { eachNormal, packedRamp } from "../maps/views.js";
 import { element, fit, setText } from "../page/dom.js";
+import { Pointer } from "../maps/charts.js";
 import { Series } from "../server/frame.js";
 import { Surface } from "./surface.js";
 
@@ -43,6 +44,7 @@ export class Stage {
     this.number = number;
     this.frame = null;
     this.series = new Series();
+    this.pointer = new Pointer(does.redraw); // where its profile goes through
     this.range = 0.3;
     const id = number ? `surface-${number}` : "surface";
     this.canvas = element("canvas", { id, tabindex: 0, role: "img", "aria-label": "Surface of the gel in three dimensions. Arrow keys turn it, plus and minus zoom." });
