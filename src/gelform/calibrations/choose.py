@@ -60,6 +60,10 @@ class Unit:
         return not entry.serial and entry.sensor_name in self.names
 
 
+class NoCalibration(CalibrationError):
+    """The library has no calibration of a unit."""
+
+
 @dataclass(frozen=True)
 class Choice:
     """A calibration that was chosen, and what the user is told of it."""
@@ -81,8 +85,10 @@ def choose_calibration(unit: Unit, folder: Path | None = None) -> Choice:
 
     Raises
     ------
-    CalibrationError
+    NoCalibration
         There is none; the message says what the library has, and what to do.
+    CalibrationError
+        The one that would be taken cannot be read.
     """
     if unit.carries is not None:
         carried = attached_calibration(unit.carries)
@@ -93,7 +99,7 @@ def choose_calibration(unit: Unit, folder: Path | None = None) -> Choice:
     of_unit = [one for one in there if unit.is_calibrated_by(one)]
     in_use = [one for one in of_unit if unit.digest and one.digest == unit.digest]
     if not of_unit:
-        raise CalibrationError(f"No calibration of {unit.said} {_missing(unit, there)} {HOW_TO}")
+        raise NoCalibration(f"No calibration of {unit.said} {_missing(unit, there)} {HOW_TO}")
     entry = (in_use or of_unit)[0]
     return Choice(
         load_calibration(entry.path), f"Calibration of {unit.said}: {entry.described()}.", entry.path

@@ -239,7 +239,7 @@ def starter_of_source(source: Any) -> str | None:
     said = str(getattr(source, "name", ""))
     for name in names:
         profile = SENSORS[name].profile if name in SENSORS else None
-        if said.replace(" ", "-") == name or (profile is not None and said.startswith(profile.name)):
+        if profile is not None and said.startswith(profile.name):
             return name
     return None
 

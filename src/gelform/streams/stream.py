@@ -11,15 +11,25 @@ from typing import Any
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration
-from gelform.calibrations.choose import choose_calibration, unit_of
-from gelform.errors import StaleError
+from gelform.calibrations.choose import NoCalibration, choose_calibration, unit_of
+from gelform.errors import CalibrationError, StaleError
 from gelform.reconstruct import Reconstructor
 from gelform.reconstruction import Reconstruction
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.source import Source
+from gelform.starters import (
+    Starter,
+    calibration_from_background,
+    load_starter,
+    starter_names,
+    starter_of_source,
+)
 from gelform.streams.feed import SourceLike, feed_from_source
 from gelform.streams.memory import Memory, StreamFrame
 from gelform.streams.pipeline import Pipeline, StreamStats
 from gelform.streams.sensor_health import CameraCheck
 from gelform.streams.smoothing import Smoothing
+from gelform.streams.starting import LaterMemory, UntouchedFirst
 
 KEPT = 8  # results whose images are held for `image_of`
 
@@ -28,6 +38,7 @@ def stream(
     source: SourceLike,
     calibration: Calibration | str | PathLike[str] | None = None,
     *,
+    sensor: str | None = None,
     background: ArrayLike | None = None,
     smoothing: float | None = None,
 ) -> Stream:
@@ -42,8 +53,12 @@ def stream(
     source : what `open_source` takes: "simulated", a serial, a name, a device path, a video, a folder, an address; or an
         open Source, a function that opens one, or a running Grabber that several streams share
     calibration : of the sensor, or the path of its file; None: the newest one of the user's library that is of the camera's
-        serial, or the one that a recording carries
-    background : (H, W, 3), 0-255, the untouched image of today; the calibration's own by default
+        serial, or the one that a recording carries; where there is none, a starter's
+    sensor : where there is no calibration, the make whose starter is taken, such as "gelsight-mini"; by default the one that
+        the camera or the recording is of. Results begin after a second in which nothing touches the gel; until then
+        the stream's state is "starting", and `stats.reason` says what it waits for
+    background : (H, W, 3), 0-255, the untouched image of today, of a starter as the source's frames are; the calibration's
+        own by default
     smoothing : temporal smoothing, s; None: none. Noise is averaged over this time; depth that changes by more
         than its noise is followed at once, what is smaller late by at most this
 
@@ -57,20 +72,55 @@ def stream(
     SensorError, DataError
         The source cannot be opened; the message lists what is there.
     CalibrationError
-        The background is clearly not of the calibrated sensor, the calibration cannot be read, or none was given and the
-        library has none of the sensor.
+        The background is clearly not of the calibrated sensor, the calibration cannot be read, or none was given, the
+        library has none, and the make is not known.
     ValueError, TypeError
         A background of another size or a smoothing that is no time.
     """
-    if calibration is None:
-        calibration = choose_calibration(unit_of(source)).calibration
-    reconstruct = Reconstructor(calibration, background)
     if smoothing is not None:
         Smoothing(smoothing)  # refused before a device is opened
+    if sensor is not None:
+        if calibration is not None:
+            raise ValueError(
+                "Expected calibration= or sensor=, whose starter is taken, got both. Leave one out."
+            )
+        load_starter(sensor)
+    missing: NoCalibration | None = None
+    if calibration is None:
+        try:
+            calibration = choose_calibration(unit_of(source)).calibration
+        except NoCalibration as problem:
+            missing = problem
+    reconstruct = None if calibration is None else Reconstructor(calibration, background)
     feed = feed_from_source(source)
-    check = CameraCheck(reconstruct.calibration)
-    memory = Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.camera))
-    return Stream(Pipeline(feed, memory, keep=KEPT), memory)
+
+    def memory_of(reconstruct: Reconstructor) -> Memory:
+        check = CameraCheck(reconstruct.calibration)
+        return Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.camera))
+
+    try:
+        if reconstruct is None:
+            starter = _starter(feed.camera, sensor, missing)
+            if background is None:
+                later = LaterMemory(memory_of)
+                return Stream(Pipeline(UntouchedFirst(feed, starter, later.begin), later, keep=KEPT), later)
+            unit = calibration_from_background(background, starter.sensor, serial=feed.camera.serial)
+            reconstruct = Reconstructor(unit)
+        memory = memory_of(reconstruct)
+        return Stream(Pipeline(feed, memory, keep=KEPT), memory)
+    except BaseException:
+        feed.close()
+        raise
+
+
+def _starter(camera: Source | Grabber, sensor: str | None, missing: NoCalibration | None) -> Starter:
+    """The starter that is named, else that of the camera's make."""
+    name = sensor or starter_of_source(getattr(camera, "source", camera))
+    if name is None:
+        raise CalibrationError(
+            f"{missing} Of a make that has a starter, name it: sensor= (--sensor), one of {', '.join(starter_names())}."
+        )
+    return load_starter(name)
 
 
 class Stream:
@@ -85,7 +135,7 @@ class Stream:
     memory : of its sequence
     """
 
-    def __init__(self, pipeline: Pipeline[StreamFrame], memory: Memory) -> None:
+    def __init__(self, pipeline: Pipeline[StreamFrame], memory: Memory | LaterMemory) -> None:
         self._pipeline, self._memory = pipeline, memory
         self._entered = False
         self._finalizer = weakref.finalize(self, pipeline.close)
@@ -188,7 +238,7 @@ class Stream:
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration in use."""
+        """The calibration in use; a StaleError while a starter awaits the untouched gel."""
         return self._memory.reconstruct.calibration
 
     def take_background(self) -> None:
