@@ -14,116 +14,104 @@ from kernel_agreement import assert_kernel_agrees
 SHAPE, PITCH, CLEAN = (120, 160), 0.1, 0.05
 
 
+def away_from(x, y):
+    """Distance of each pixel, px."""
+    rows, columns = np.indices(SHAPE)
+    return np.hypot(columns - x, rows - y)
+
+
+def read(depth):
+    """The gradients of a depth, and where their colour is that of rest."""
+    gradients = gradients_from_depth(depth, mm_per_px=PITCH).astype(np.float32)
+    return gradients, np.linalg.norm(gradients, axis=-1) < 1e-3
+
+
 def plateau(height_mm: float, radius_px: float = 22.0, center=(70, 60)):
     """A flat punch with sloping walls: its face has the slope, and so the colour, of rest."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    rho = np.hypot(x - center[0], y - center[1])
+    rho = away_from(*center)
     depth = height_mm * np.clip((radius_px + 6 - rho) / 6, 0, 1)
-    gradients = gradients_from_depth(depth, mm_per_px=PITCH).astype(np.float32)
-    return depth, gradients, np.linalg.norm(gradients, axis=-1) < 1e-3, rho < radius_px - 2
+    return depth, *read(depth), rho < radius_px - 2
+
+
+ANCHOR = RestAnchor(SHAPE, PITCH, CLEAN)
+HOLD = (CLEAN * PITCH / REST_SIGMA_MM) ** 2
+EVERYWHERE = np.ones(SHAPE, dtype=bool)
 
 
 def test_untouched_gel_is_held_as_the_units_say():
-    gradients = np.zeros((*SHAPE, 2), dtype=np.float32)
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, np.ones(SHAPE, dtype=bool))
-    np.testing.assert_allclose(anchor, (CLEAN * PITCH / REST_SIGMA_MM) ** 2, rtol=1e-3)
+    np.testing.assert_allclose(ANCHOR(np.zeros((*SHAPE, 2), np.float32), EVERYWHERE), HOLD, rtol=1e-3)
 
 
 @pytest.mark.parametrize("height_mm", [0.1, -0.1])
 def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
     """(1 + (z/0.05)^2)^-2 of the firmness at rest: 1/25 at 0.1 mm, on either side; cut by the border it may be drift."""
     _, gradients, untouched, face = plateau(height_mm, radius_px=40, center=(0, 60))
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
-    face &= np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 0])[:, None, None])) < 20
-    assert anchor[face].mean() == pytest.approx((CLEAN * PITCH / REST_SIGMA_MM) ** 2 / 25, rel=0.15)
+    anchor = ANCHOR(gradients, untouched)
+    assert anchor[face & (away_from(0, 60) < 20)].mean() == pytest.approx(HOLD / 25, rel=0.15)
 
 
 def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
     """A press over most of the frame, and nowhere a whole coarse pixel of untouched colour: 0 is still the gel's."""
     _, gradients, _, face = plateau(0.5, radius_px=75)
-    outside = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 70])[:, None, None])) > 84
-    untouched = outside & (np.add(*np.indices(SHAPE)) % 2 == 0)
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    outside = away_from(70, 60) > 84
+    anchor = ANCHOR(gradients, outside & (np.add(*np.indices(SHAPE)) % 2 == 0))
     assert outside.mean() < 0.3
     assert face.mean() > 0.6
-    assert anchor[outside].max() > 0.8 * (CLEAN * PITCH / REST_SIGMA_MM) ** 2
+    assert anchor[outside].max() > 0.8 * HOLD
     assert not anchor[face].any()
 
 
-@pytest.mark.parametrize("height_mm", [0.15, 0.5])
-def test_a_flat_face_is_not_held(height_mm):
-    _, gradients, untouched, face = plateau(height_mm)
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+@pytest.mark.parametrize(
+    ("height_mm", "radius_px", "share", "within"),
+    [
+        *((0.15, 22, 0.02, 0.03), (0.5, 22, 0.02, 0.03)),
+        *((0.05, 10, 0.04, 0.01), (-0.05, 10, 0.04, 0.01), (0.1, 10, 0.04, 0.01)),
+    ],
+)
+def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
+    """Nor 2 mm wide: the rim that encloses it says that it is not at rest, although its colour is."""
+    _, gradients, untouched, face = plateau(height_mm, radius_px)
+    anchor = ANCHOR(gradients, untouched)
     assert untouched[face].all()
-    assert anchor[face].max() < 0.02 * anchor[:5].mean()
+    assert not anchor[~untouched].any()
+    assert anchor.min() >= 0
+    assert anchor[face].max() < share * anchor[:5].mean()
     found = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=anchor)
-    assert found[face].mean() == pytest.approx(height_mm, rel=0.03)
-    naive = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=untouched * np.float32(anchor[:5].mean()))
-    assert naive[face].mean() < 0.8 * height_mm  # what colour alone would have made of it
-
-
-@pytest.mark.parametrize("height_mm", [0.05, -0.05, 0.1])
-def test_the_face_of_a_narrow_shallow_punch_is_free(height_mm):
-    """2 mm wide: the rim that encloses it says that it is not at rest, although its colour is."""
-    _, gradients, untouched, face = plateau(height_mm, radius_px=10)
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
-    assert untouched[face].all()
-    assert anchor[face].max() < 0.04 * anchor[:5].mean()
-    found = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=anchor)
-    assert found[face].mean() == pytest.approx(height_mm, rel=0.01)
+    assert found[face].mean() == pytest.approx(height_mm, rel=within)
+    alike = untouched * np.float32(anchor[:5].mean())
+    naive = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=alike)
+    assert abs(naive[face].mean()) < 0.8 * abs(height_mm)  # what colour alone would have made of it
 
 
 def test_gel_that_a_ring_encloses_at_rest_is_held():
     """Inside an O-ring the gel is where it was: enclosed, and no face."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    rho = np.hypot(x - 70, y - 60)
-    depth = 0.3 * np.clip(1 - np.abs(rho - 40) / 6, 0, 1)
-    gradients = gradients_from_depth(depth, mm_per_px=PITCH).astype(np.float32)
-    untouched = np.linalg.norm(gradients, axis=-1) < 1e-3
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
-    assert anchor[rho < 10].mean() > 0.9 * (CLEAN * PITCH / REST_SIGMA_MM) ** 2
+    rho = away_from(70, 60)
+    anchor = ANCHOR(*read(0.3 * np.clip(1 - np.abs(rho - 40) / 6, 0, 1)))
+    assert anchor[rho < 10].mean() > 0.9 * HOLD
 
 
 def test_gel_beside_touched_gel_is_hardly_held():
     """By 1 - exp(-(d/1 mm)^2) of the distance from what is touched: it is drawn down, by less than its colour tells."""
     depth, gradients, untouched, _ = plateau(0.3)
-    hold = (CLEAN * PITCH / REST_SIGMA_MM) ** 2
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
+    anchor = ANCHOR(gradients, untouched)
     for beyond_px in (8, 16):
-        ring = (
-            np.abs(
-                np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 70])[:, None, None]))
-                - 28
-                - beyond_px
-            )
-            < 0.7
-        )
+        ring = np.abs(away_from(70, 60) - 28 - beyond_px) < 0.7
         expected = 1 - np.exp(-((beyond_px * PITCH / REACH_MM) ** 2))
         assert not depth[ring].any()
-        assert anchor[ring].mean() == pytest.approx(hold * expected, rel=0.25)
-    assert anchor[:4].mean() > 0.99 * hold
+        assert anchor[ring].mean() == pytest.approx(HOLD * expected, rel=0.25)
+    assert anchor[:4].mean() > 0.99 * HOLD
 
 
 def test_drift_is_taken_out():
     """Slopes that are wrong by a smooth field lift the far gel; the anchor holds it, the press stays."""
     depth, gradients, untouched, _ = plateau(0.4)
-    x = np.linspace(-1, 1, SHAPE[1])[None, :]
-    gradients[..., 0] += (0.02 * x).astype(np.float32)
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
-    far = np.hypot(*(np.mgrid[: SHAPE[0], : SHAPE[1]] - np.array([60, 70])[:, None, None])) > 45
+    gradients[..., 0] += 0.02 * np.linspace(-1, 1, SHAPE[1], dtype=np.float32)
 
     def off(hold):
         z = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=hold, zero=untouched)
-        return np.sqrt(np.mean((z - depth)[far] ** 2))
+        return np.sqrt(np.mean((z - depth)[away_from(70, 60) > 45] ** 2))
 
-    assert off(anchor) < 0.75 * off(None)
-
-
-def test_touched_pixels_hold_nothing():
-    _, gradients, untouched, _ = plateau(0.3)
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, untouched)
-    assert not anchor[~untouched].any()
-    assert (anchor >= 0).all()
+    assert off(ANCHOR(gradients, untouched)) < 0.75 * off(None)
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (7, 5), (61, 83), (3, 200), (200, 3)])
@@ -136,16 +124,13 @@ def test_any_shape(shape):
 
 def test_spots_that_are_not_trusted_leave_it_as_it_is():
     """A mirrored light would tilt the coarse depth, and untouched gel far from it would count as pressed."""
-    gradients = np.zeros((*SHAPE, 2), np.float32)
-    plain = RestAnchor(SHAPE, PITCH, CLEAN)(gradients, np.ones(SHAPE, dtype=bool))
-    confidence, untouched = np.ones(SHAPE, np.float32), np.ones(SHAPE, dtype=bool)
+    gradients, confidence = np.zeros((*SHAPE, 2), np.float32), np.ones(SHAPE, np.float32)
+    plain, untouched = ANCHOR(gradients, EVERYWHERE), EVERYWHERE.copy()
     spot = np.s_[SHAPE[0] // 3 : SHAPE[0] // 2, SHAPE[1] // 3 : SHAPE[1] // 2]
     gradients[spot], confidence[spot], untouched[spot] = 3.0, 1e-6, False
-    anchor = RestAnchor(SHAPE, PITCH, CLEAN)
-    assert np.median(anchor(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
-    found = anchor(gradients, untouched, confidence)
-    away = np.indices(SHAPE) - np.array([50, 66])[:, None, None]
-    far = np.hypot(*away) > 45  # gel beside it is held less
+    assert np.median(ANCHOR(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
+    found = ANCHOR(gradients, untouched, confidence)
+    far = away_from(66, 50) > 45  # gel beside it is held less
     assert found[far] == pytest.approx(plain[far], rel=0.01)
     assert not found[spot].any()
 

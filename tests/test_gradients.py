@@ -77,10 +77,11 @@ class TestFill:
     def test_unknown_values_have_no_influence_and_known_ones_stay(self, seed):
         rng = np.random.default_rng(seed)
         values = rng.standard_normal((11, 14, 2)).astype(np.float32)
-        known = rng.uniform(size=(11, 14)) > 0.6
+        known, given_values = rng.uniform(size=(11, 14)) > 0.6, values.copy()
         known[5, 5] = True
         other = np.where(known[..., None], values, 1e3 * rng.standard_normal(values.shape)).astype(np.float32)
         filled = fill_unknown(values, known)
+        assert np.array_equal(values, given_values)
         assert np.array_equal(filled, fill_unknown(other, known))
         assert np.array_equal(filled[known], values[known])
         assert filled.min() >= values[known].min() - 1e-5
@@ -108,19 +109,9 @@ class TestFill:
         values[3, 7] = (2.0, -1.0)
         assert fill_unknown(values, known) == pytest.approx(np.broadcast_to([2.0, -1.0], (9, 13, 2)))
 
-    def test_argument_is_not_changed(self):
-        values = np.ones((4, 5, 2), dtype=np.float32)
-        values[0, 0] = 9
-        known = np.ones((4, 5), dtype=bool)
-        known[0, 0] = False
-        fill_unknown(values, known)
-        assert values[0, 0, 0] == 9
-
-    def test_nothing_known_is_refused(self):
+    def test_nothing_known_and_wrong_shapes_are_refused(self):
         with pytest.raises(ValueError, match="Expected known with at least one True pixel"):
             fill_unknown(np.zeros((3, 4, 2)), np.zeros((3, 4), dtype=bool))
-
-    def test_wrong_shape_is_refused(self):
         with pytest.raises(ValueError, match=r"Expected values of shape \(H, W, C\), got \(3, 4\)"):
             fill_unknown(np.zeros((3, 4)), np.ones((3, 4), dtype=bool))
 
@@ -142,25 +133,18 @@ def test_the_kernel_of_a_solutions_slopes_agrees_with_numpy(shape):
 
 
 @pytest.mark.parametrize("shape", [(1, 2, 2), (2, 9, 40), (1, 33, 21)])
-def test_the_kernel_of_curl_agrees_with_numpy(shape):
+@pytest.mark.parametrize("masked", [True, False])
+def test_the_kernel_of_curl_agrees_with_numpy(shape, masked):
     rng = np.random.default_rng(0)
     slopes = rng.normal(size=(*shape, 2)).astype(np.float32)
-    known = rng.uniform(size=shape) > 0.2
 
     def numpy_squares(g, known, result):
         turn = (g[:, 2:, 1:-1, 0] - g[:, :-2, 1:-1, 0]) - (g[:, 1:-1, 2:, 1] - g[:, 1:-1, :-2, 1])
-        inner = known[:, 1:-1, 1:-1]
+        inner = (np.ones(shape, bool) if known is None else known)[:, 1:-1, 1:-1]
         return np.array([(0.25 * turn.astype(float) ** 2)[inner].sum(), inner.sum()])
 
+    known = rng.uniform(size=shape) > 0.2 if masked else None
     assert_kernel_agrees(gradients._curl_squares, numpy_squares, slopes, known, np.empty(2))
-    everywhere = np.ones_like(known)
-    assert_kernel_agrees(
-        gradients._curl_squares,
-        lambda g, _, out: numpy_squares(g, everywhere, out),
-        slopes,
-        None,
-        np.empty(2),
-    )
 
 
 def mean_of_known_2x2(values, known, coarse, coarse_known):

@@ -19,14 +19,7 @@ from gelform.confidence.solved import (
 )
 from kernel_agreement import assert_kernel_agrees
 
-LAW = SlopeSigma(
-    rest=0.01,
-    slopes=(0.0, 0.5, 1.0),
-    sigmas=(0.02, 0.05, 0.12),
-    clean=0.03,
-    correlation_px=8.0,
-    solved_factor=0.8,
-)
+LAW = SlopeSigma(0.01, (0.0, 0.5, 1.0), (0.02, 0.05, 0.12), 0.03, 8.0, solved_factor=0.8)
 SHAPE = (9, 12)
 OF_NOISE = 20  # of native/confidence/solved_sigma.c: variance of a second difference over that of a slope
 
@@ -107,28 +100,22 @@ def test_a_model_that_states_its_own_is_left_as_it_is():
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_wall_is_doubted_beside_its_edges_alone(axis):
+@pytest.mark.parametrize(
+    ("slope", "sigma", "own"), [(0.6, 0.05, 0.04), (9.0, 40.0, STEEPEST_GEL)], ids=["usual", "steepest"]
+)
+def test_a_wall_is_doubted_beside_its_edges_alone(axis, slope, sigma, own):
+    """Beyond the steepest slope of a gel too."""
     gradients = np.zeros((40, 40, 2), np.float32)
-    np.moveaxis(gradients, axis, 0)[20:, :, 0] = 0.6
-    sigma = both(np.full((40, 40), 0.05, np.float32))
-    found = np.moveaxis(SolvedSigma(LAW, (40, 40), 1.25)(sigma, gradients), axis, 0)
+    np.moveaxis(gradients, axis, 0)[20:, :, 0] = slope
+    sigmas = both(np.full((40, 40), sigma, np.float32))
+    found = np.moveaxis(SolvedSigma(LAW, (40, 40), 1.25)(sigmas, gradients), axis, 0)
     assert reach_px(1.25) == 2
-    bend = np.sqrt(0.6**2 - OF_NOISE * 0.04**2)
-    np.testing.assert_allclose(found[18:22], np.hypot(0.04, bend * error_per_difference(1.25)), rtol=1e-4)
-    np.testing.assert_allclose(found[:18], 0.04, rtol=1e-4)
-    np.testing.assert_allclose(found[22:], 0.04, rtol=1e-4)
-    unknown = SolvedSigma(LAW, (40, 40), None)(sigma, gradients)  # imported: no slope is a wall's
-    np.testing.assert_allclose(unknown, 0.04, rtol=1e-4)
-
-
-def test_a_wall_is_doubted_beyond_the_steepest():
-    gradients = np.zeros((20, 20, 2), np.float32)
-    gradients[:, 10:, 0] = 9.0
-    found = SolvedSigma(LAW, (20, 20), 1.25)(both(np.full((20, 20), 40.0, np.float32)), gradients)
-    bend = np.sqrt(9.0**2 - OF_NOISE * STEEPEST_GEL**2)
-    np.testing.assert_allclose(
-        found[:, 8:12], np.hypot(STEEPEST_GEL, bend * error_per_difference(1.25)), rtol=1e-4
-    )
+    bend = np.sqrt(slope**2 - OF_NOISE * own**2)
+    np.testing.assert_allclose(found[18:22], np.hypot(own, bend * error_per_difference(1.25)), rtol=1e-4)
+    np.testing.assert_allclose(found[:18], own, rtol=1e-4)
+    np.testing.assert_allclose(found[22:], own, rtol=1e-4)
+    unknown = SolvedSigma(LAW, (40, 40), None)(sigmas, gradients)  # imported: no slope is a wall's
+    np.testing.assert_allclose(unknown, own, rtol=1e-4)
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.25, 2.5])
@@ -159,11 +146,8 @@ def test_factors_are_recovered_by_slope_and_place():
     held_out = held_out_errors(lambda s, x: np.where(s > 0.4, 2.0, 0.7) * np.where(x > 0.75, 1.5, 1.0))
     sigma = with_solved_factors(LAW, held_out)
     np.testing.assert_allclose(sigma.solved_slopes, (0.2, 0.6), atol=0.01)
-    gentle, steep = (np.array(grid) for grid in sigma.solved_places)
-    np.testing.assert_allclose(gentle[:, :3], 0.7, rtol=0.06)
-    np.testing.assert_allclose(gentle[:, 3], 1.05, rtol=0.06)
-    np.testing.assert_allclose(steep[:, :3], 2.0, rtol=0.06)
-    np.testing.assert_allclose(steep[:, 3], 3.0, rtol=0.06)
+    for grid, factor in zip(sigma.solved_places, (0.7, 2.0), strict=True):
+        np.testing.assert_allclose(grid, factor * np.broadcast_to([1, 1, 1, 1.5], np.shape(grid)), rtol=0.06)
     assert SlopeSigma.from_dict(asdict(sigma)) == sigma
 
 
@@ -175,12 +159,8 @@ def test_a_place_that_one_press_touched_counts_little():
     assert few < 2
 
 
-def test_what_is_not_the_readings_own_is_not_taken_down_by_good_readings():
-    held_out = held_out_errors(lambda s, x: 0 * s)
-    gentle, _ = with_solved_factors(LAW, held_out).solved_places
+def test_good_readings_take_down_their_own_alone_and_slopes_all_alike_say_nothing():
+    gentle, _ = with_solved_factors(LAW, held_out_errors(lambda s, x: 0 * s)).solved_places
     np.testing.assert_allclose(gentle, solved.LEAST_SOLVED_FACTOR)
-
-
-def test_slopes_that_are_all_alike_say_nothing():
     held_out = held_out_errors(lambda s, x: 1 + 0 * s)
     assert with_solved_factors(LAW, replace(held_out, slopes=0 * held_out.slopes)) == LAW
