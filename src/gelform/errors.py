@@ -35,10 +35,7 @@ class DataError(GelformError):
 def needed(module: str, extra: str, what: str) -> Any:
     """Import a module of an extra where it is used; `what` needs it, such as "HDF5".
 
-    Raises
-    ------
-    DataError
-        It is not installed; the message says how to.
+    DataError: it is not installed; the message says how to.
     """
     try:
         return import_module(module)

@@ -333,10 +333,7 @@ class FrameHealth:
 def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None:
     """Refuse an untouched image (H, W, 3) in which parts are dark, saturated or torn against the calibration's.
 
-    Raises
-    ------
-    CalibrationError
-        The finding's own words are in the message.
+    CalibrationError: the finding's own words are in the message.
     """
     faults = FrameHealth(calibrated)(image)
     if faults.lost is not None:

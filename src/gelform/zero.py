@@ -17,10 +17,7 @@ Level = Literal["slope", "plane", "quadratic"]
 def zero_region(zero: Zero | NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """The pixels that say where depth is 0, (H, W) bool.
 
-    Raises
-    ------
-    ValueError, TypeError
-        An unknown word, or a map that is not boolean of that shape.
+    ValueError, TypeError: an unknown word, or a map that is not boolean of that shape.
     """
     if isinstance(zero, str):
         if zero not in ("mean", "border"):
@@ -70,10 +67,7 @@ def median_over(maps: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray
 def fitted_surface(depth: NDArray[Any], region: NDArray[np.bool_], degree: int) -> NDArray[np.float32]:
     """Least-squares polynomial surface of the depth at the region, evaluated over the frame.
 
-    Raises
-    ------
-    ValueError
-        The region has fewer pixels than the surface has terms.
+    ValueError: the region has fewer pixels than the surface has terms.
     """
     height, width = region.shape
     x = np.linspace(-1, 1, width)[None, :].repeat(height, 0)

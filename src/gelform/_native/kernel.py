@@ -76,10 +76,7 @@ class Parameter:
     def pointer(self, array: Any) -> Any:
         """An array as C takes it: of the declared dtype, in C order.
 
-        Raises
-        ------
-        TypeError, ValueError
-            It is not, or it holds NaN where that was to be checked.
+        TypeError, ValueError: it is not, or it holds NaN where that was to be checked.
         """
         if array is None and self.optional:
             return None

@@ -148,10 +148,7 @@ class PreparedBackground:
     def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
         """How much brighter the frame is than the background, and what should be warned of.
 
-        Raises
-        ------
-        CalibrationError
-            As `check_background`.
+        CalibrationError: as `check_background`.
         """
         return compared(block_means(image), self._blocks)
 

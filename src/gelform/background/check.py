@@ -36,11 +36,8 @@ def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Fin
 
     On what a touch left alone the image should be the background times a gain near 1.
 
-    Raises
-    ------
-    CalibrationError
-        The channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
-        correlation is under 0.8. The figure is in the message.
+    CalibrationError: the channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
+    correlation is under 0.8. The figure is in the message.
     """
     return compared(block_means(image), block_means(background))[1]
 
@@ -51,10 +48,8 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     Beyond `check_background`: both are untouched, so that behind a gain for each channel they should be alike
     everywhere. Another unit of the same model passes all but this.
 
-    Raises
-    ------
-    CalibrationError
-        As `check_background`, or half of the image differs by more than 6 %. The figure is in the message.
+    CalibrationError: as `check_background`, or half of the image differs by more than 6 %. The figure is in the
+    message.
     """
     exposure, _ = compared(block_means(background), block_means(calibrated))
     differs = exposure.middle_change
@@ -83,10 +78,7 @@ def check_background_of_frames(
 
     The blocks' median over eight frames or more is nearly the untouched image; fewer are not judged.
 
-    Raises
-    ------
-    CalibrationError
-        The quarter that changed least differs by more than 3.6 % and half by more than 6 %.
+    CalibrationError: the quarter that changed least differs by more than 3.6 % and half by more than 6 %.
     """
     if len(frames) < MIN_FRAMES:
         return ()

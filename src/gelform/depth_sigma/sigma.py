@@ -330,10 +330,7 @@ def add_in_proportion(
 ) -> NDArray[np.float32]:
     """Add an error of a fraction of the depth (H, W) to its standard deviation, in place; `most` is the limit.
 
-    Raises
-    ------
-    ConvergenceError
-        Beyond what float32 holds.
+    ConvergenceError: beyond what float32 holds.
     """
     if _add_in_proportion(sigma, depth, fraction, most):
         raise ConvergenceError(

@@ -52,10 +52,7 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
 def depth_from_levels(levels: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Depth (H, W) float32, mm, 0 where unknown, and where it is known, of 16-bit levels.
 
-    Raises
-    ------
-    TypeError
-        No uint16.
+    TypeError: no uint16.
     """
     if getattr(levels, "dtype", None) != np.uint16:
         raise TypeError(f"Expected levels as uint16, got {getattr(levels, 'dtype', type(levels).__name__)}.")

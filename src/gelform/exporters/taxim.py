@@ -90,10 +90,7 @@ def taxim_table(calibration: Calibration) -> NDArray[np.float64]:
     Angles run from 0 to 90 degrees, directions of the gradient from -180 to 180, both in BINS - 1 steps; places are
     pixels of the calibrated image. A level gel changes nothing.
 
-    Raises
-    ------
-    CalibrationError
-        Imported without a forward response.
+    CalibrationError: imported without a forward response.
     """
     calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # or says that it cannot
     response: Any = calibration.forward or calibration.color_model

@@ -24,10 +24,7 @@ LARGEST = 1e18  # squares of it, and sums of those, fit into float32
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
     """The values as an array, whatever its type; refused where they are no rectangle of values, or partly masked.
 
-    Raises
-    ------
-    ValueError
-        Rows of different lengths, or masked values: what is unknown is said by a mask of its own.
+    ValueError: rows of different lengths, or masked values: what is unknown is said by a mask of its own.
     """
     # numpy.ma takes 20 ms to import; where nobody has, nothing is masked
     if type(values) is not np.ndarray and "numpy.ma" in sys.modules and np.ma.is_masked(values):
@@ -62,12 +59,8 @@ def check_image(
 ) -> NDArray[Any]:
     """Return an RGB image (H, W, 3): uint8 as it is, float (0-255) as float32.
 
-    Raises
-    ------
-    TypeError
-        The array is neither uint8 nor float.
-    ValueError
-        Wrong shape, a grey image, a value that is not finite or outside 0-255, or floats that look like 0-1.
+    TypeError: the array is neither uint8 nor float.
+    ValueError: wrong shape, a grey image, a value that is not finite or outside 0-255, or floats that look like 0-1.
     """
     array = as_array(image, name)
     if array.ndim == 2:
@@ -270,10 +263,7 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | NDArray[Any] | None) ->
 def check_sensor_pitch(mm_per_px: float) -> float:
     """Return the pixel pitch of a sensor, mm: a number that a camera over a gel can have, up to 1 mm.
 
-    Raises
-    ------
-    TypeError, ValueError
-        It is no number, or too large: the message says what pixels per mm would be.
+    TypeError, ValueError: it is no number, or too large: the message says what pixels per mm would be.
     """
     pitch = check_positive(mm_per_px, "mm_per_px")
     if pitch > PITCH_MM[1]:

@@ -65,10 +65,7 @@ def written_file(
     fails (disk full, an exception in the block) the temporary file goes and what was at `path` stays.
     Without `flushed` the disk may have them later: until somebody flushes the file, a loss of power may take it.
 
-    Raises
-    ------
-    error
-        The file is already there and `overwrite` is False, or its folder is missing, not writable or full.
+    error: the file is already there and `overwrite` is False, or its folder is missing, not writable or full.
     """
     path = check_path(path)
     check_free(path, overwrite=overwrite, error=error)
@@ -274,10 +271,7 @@ def read_npz(
 def read_npy(path: str | os.PathLike[str], what: str) -> NDArray[Any]:
     """The one array of a `.npy` file, which holds `what`; nothing is unpickled.
 
-    Raises
-    ------
-    DataError
-        The file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
+    DataError: the file is missing, larger than 256 MB, damaged, an archive, or holds no numbers.
     """
     content = present_file(path, f"{what} (.npy)").read_bytes()
     if content.startswith(b"PK"):

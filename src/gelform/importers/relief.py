@@ -57,10 +57,7 @@ def read_mesh(path: str | PathLike[str], *, mm_per_unit: float = 1.0) -> Mesh:
 def read_height_image(path: str | PathLike[str], *, mm_per_px: float, height_mm: float) -> HeightMap:
     """Read a height map from a grey image, 8 or 16 bits: black is lowest, white `height_mm` higher.
 
-    Raises
-    ------
-    DataError
-        No such file, no image, or one in colour.
+    DataError: no such file, no image, or one in colour.
     """
     path = present_file(path, "a grey image")
     grey = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)

@@ -60,11 +60,8 @@ class _Tensor:
 def read_tensors(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     """The tensors of a state dict by name, such as "fc1.weight"; of nested dicts "state_dict.fc1.weight".
 
-    Raises
-    ------
-    DataError
-        No such file, an old torch file that is no zip, one that holds anything but tensors in dicts (a pickled
-        module, say: it could run code), a damaged one, or one that declares more than 64 MB.
+    DataError: no such file, an old torch file that is no zip, one that holds anything but tensors in dicts (a pickled
+    module, say: it could run code), a damaged one, or one that declares more than 64 MB.
     """
     path = present_file(path, "weights saved by torch (.pth, .pt)")
     try:

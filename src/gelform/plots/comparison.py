@@ -59,10 +59,7 @@ class Comparison:
 def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
     """Hold two results of the same image against each other.
 
-    Raises
-    ------
-    DataError
-        They are of different sizes.
+    DataError: they are of different sizes.
     """
     if a.shape != b.shape:
         raise DataError(

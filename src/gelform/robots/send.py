@@ -63,10 +63,7 @@ class StampedResults:
     def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
         """Each result with its frame, and its stamp, ns.
 
-        Raises
-        ------
-        DataError
-            The source gives no frame, or frames of another size than the calibrated one.
+        DataError: the source gives no frame, or frames of another size than the calibrated one.
         """
         try:
             for one in self._running.pairs():

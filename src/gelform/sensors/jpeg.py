@@ -21,10 +21,7 @@ def pixels_of_jpeg(content: bytes, reduction: int = 1, *, strict: bool = True) -
     With `strict`, every code has to be readable and to end where the bytes do; what follows the end is no concern.
     Damage that leaves a valid file cannot be seen: a number changed into another of as many bits.
 
-    Raises
-    ------
-    ValueError
-        The picture is damaged or cut, in the decoder's words.
+    ValueError: the picture is damaged or cut, in the decoder's words.
     """
     height, width = simplejpeg.decode_jpeg_header(content)[:2]
     least = {"min_height": -(-height // reduction), "min_width": -(-width // reduction)}

@@ -311,10 +311,7 @@ class PartSplitter:
     def feed(self, data: bytes) -> list[bytes]:
         """Parts that these bytes complete.
 
-        Raises
-        ------
-        ValueError
-            More bytes without a boundary than a picture has: this is no such stream.
+        ValueError: more bytes without a boundary than a picture has: this is no such stream.
         """
         self._bytes += data
         parts = []

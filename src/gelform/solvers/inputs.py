@@ -29,10 +29,7 @@ def takes_weights(solver: str) -> bool:
 def check_slopes(gradients: NDArray[np.float32]) -> None:
     """Refuse slopes that are not finite, or whose squares would not be.
 
-    Raises
-    ------
-    ValueError
-        A slope is NaN or beyond `HIGHEST_SLOPE`.
+    ValueError: a slope is NaN or beyond `HIGHEST_SLOPE`.
     """
     low, high = value_range(gradients)
     largest = max(high, -low)
@@ -46,10 +43,7 @@ def check_slopes(gradients: NDArray[np.float32]) -> None:
 def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
     """Weights as solvers take them, for frames of slopes of the given shape ((H, W), or (..., H, W) for a stack).
 
-    Raises
-    ------
-    ValueError, TypeError
-        Another shape, or a value that is negative or not finite.
+    ValueError, TypeError: another shape, or a value that is negative or not finite.
     """
     height, width = shape[-2:]
     if (

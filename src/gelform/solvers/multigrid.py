@@ -87,10 +87,7 @@ class Grid:
 
         The error is a fraction of `whole`; 0 stands for the range of the first answer.
 
-        Raises
-        ------
-        ConvergenceError
-            The tolerance was not reached, or float32 does not hold the answer.
+        ConvergenceError: the tolerance was not reached, or float32 does not hold the answer.
         """
         depth, report = np.empty(self.shape, dtype=np.float32), np.empty(2)
         status = _solve(self.handle, start, depth, whole, tolerance, max_iterations, report)

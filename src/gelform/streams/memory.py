@@ -171,10 +171,7 @@ def result_from_image(
     In a sequence a frame that is clearly not of the calibrated gel (the gel was taken off, a light went out) is no
     reason to stop: the finding `not_this_gel` has the words of the refusal.
 
-    Raises
-    ------
-    ValueError, TypeError
-        As `Reconstructor.from_image`: the source gives no images of the calibrated size.
+    ValueError, TypeError: as `Reconstructor.from_image`: the source gives no images of the calibrated size.
     """
     try:
         return reconstruct.from_image(image, markers=markers)

@@ -144,10 +144,7 @@ class HandOver(Generic[Value]):
         Where a newer one was being made when it was asked for, it is waited for: a value that has lain here gets older,
         and is given only where the time is over before the newer one is there.
 
-        Raises
-        ------
-        BaseException
-            What ended the thread that puts values, once there is no value left that the reader has not had.
+        BaseException: what ended the thread that puts values, once there is no value left that the reader has not had.
         """
         found = self._numbered(after, timeout_s)
         return None if found is None else found[1]

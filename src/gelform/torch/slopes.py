@@ -27,10 +27,7 @@ LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
 def gradients_module(model: ColorModel, background: NDArray[Any]) -> nn.Module:
     """The model over an untouched image (H, W, 3) as a module: color change (N, 3, H, W) -> gradients (N, 2, H, W).
 
-    Raises
-    ------
-    CalibrationError
-        A color model that has no such form.
+    CalibrationError: a color model that has no such form.
     """
     shape = background.shape[:2]
     if isinstance(model, (HierarchicalModel, PolynomialModel)):

@@ -44,11 +44,8 @@ def udev_rule(usb_id: str | None) -> str:
 def check_access(camera: Camera) -> None:
     """Open the camera's path for a moment.
 
-    Raises
-    ------
-    SensorError
-        It is not there, not allowed (with the udev rule), or in use by another program (which is named where it can
-        be seen).
+    SensorError: it is not there, not allowed (with the udev rule), or in use by another program (which is named where
+    it can be seen).
     """
     try:
         os.close(os.open(camera.path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0)))
@@ -161,10 +158,7 @@ class UsbCamera:
     def set_controls(self, settings: Mapping[str, float | str]) -> dict[str, float | str]:
         """Set exposure, gain, white_balance or led_level between two frames; all settings as read back then.
 
-        Raises
-        ------
-        SensorError
-            The camera lacks a control, has another value afterwards, or is closed.
+        SensorError: the camera lacks a control, has another value afterwards, or is closed.
         """
         wanted = check_settings(settings)
         with self._lock:

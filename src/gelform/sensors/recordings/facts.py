@@ -109,10 +109,7 @@ def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
 def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np.uint8]:
     """The pixels (H, W, 3) uint8 RGB of what `encoded_from_frame` gave; JPEGs reduced as the camera's frames were.
 
-    Raises
-    ------
-    DataError
-        The bytes are damaged.
+    DataError: the bytes are damaged.
     """
     if content.startswith(b"\xff\xd8"):
         image = image_from_jpeg(content, reduction)

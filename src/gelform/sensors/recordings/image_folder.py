@@ -108,10 +108,7 @@ def is_recorded_folder(path: Path) -> bool:
 def recorded_folder_playback(path: Path, *, paced: bool = False) -> Playback:
     """The frames of a recorded folder, their `time_s` counted from the first.
 
-    Raises
-    ------
-    DataError
-        Its tables are damaged; in a loop: an image is missing or damaged.
+    DataError: its tables are damaged; in a loop: an image is missing or damaged.
     """
     facts = facts_of_folder(path)
     reduction = reduction_in(facts.settings)

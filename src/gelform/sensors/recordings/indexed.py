@@ -60,10 +60,7 @@ def is_recording(spec: str) -> bool:
 def indexed(path: Path) -> Indexed:
     """Look through a recording once.
 
-    Raises
-    ------
-    DataError
-        It is missing, damaged, empty, or nothing that frames can be read from.
+    DataError: it is missing, damaged, empty, or nothing that frames can be read from.
     """
     if path.suffix.lower() == ".mcap" or is_bag_folder(path):
         index = McapIndex(mcap_file_in(path) if path.is_dir() else path)

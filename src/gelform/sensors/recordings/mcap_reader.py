@@ -49,10 +49,7 @@ def is_bag_folder(path: Path) -> bool:
 def mcap_file_in(path: Path) -> Path:
     """The one MCAP file of a rosbag2 folder.
 
-    Raises
-    ------
-    DataError
-        Its files are of sqlite3, compressed as a whole, several or missing; the message says what to do.
+    DataError: its files are of sqlite3, compressed as a whole, several or missing; the message says what to do.
     """
     files = sorted(file for file in path.iterdir() if file.is_file() and file.name != METADATA_FILE)
     whole = [file for file in files if file.suffix == ".mcap"]
@@ -97,10 +94,7 @@ class Placed:
 def mcap_records(path: Path) -> Iterator[Any]:
     """Channels, messages with their topic, and all other records as the library has them.
 
-    Raises
-    ------
-    DataError
-        The file is missing, none of MCAP or damaged, or the extra `mcap` is not installed.
+    DataError: the file is missing, none of MCAP or damaged, or the extra `mcap` is not installed.
     """
     try:
         from mcap.stream_reader import StreamReader
@@ -180,10 +174,7 @@ class _Found:
 def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
     """The facts and the topic of the pictures, from the first records: one of gelform's own, else the only one.
 
-    Raises
-    ------
-    DataError
-        There is none that can be read, or several; the message names them and says what to do.
+    DataError: there is none that can be read, or several; the message names them and says what to do.
     """
     found = _Found()
     for count, record in enumerate(mcap_records(path)):
@@ -245,11 +236,8 @@ def mcap_playback(path: Path, *, paced: bool = False) -> Playback:
     A file whose recorder was killed is read up to its last whole chunk. Frames of other tools' files are counted as they
     come: their messages have no numbers that can be relied on.
 
-    Raises
-    ------
-    DataError
-        It is missing, no MCAP file, holds no topic of pictures that can be read (or several, none of gelform's), or
-        the extra `mcap` is not installed; in a loop: its bytes are damaged.
+    DataError: it is missing, no MCAP file, holds no topic of pictures that can be read (or several, none of
+    gelform's), or the extra `mcap` is not installed; in a loop: its bytes are damaged.
     """
     facts, topic = picture_topic_of(path)
     return playback_of(facts, lambda: _frames(path, topic, facts), paced)

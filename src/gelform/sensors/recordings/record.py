@@ -62,10 +62,7 @@ def attached_to(path: Path) -> dict[str, bytes]:
 
     Videos and plain folders of images carry none.
 
-    Raises
-    ------
-    DataError
-        The file cannot be read, or an attachment is larger than 64 MB.
+    DataError: the file cannot be read, or an attachment is larger than 64 MB.
     """
     if is_recorded_folder(path):
         found = {name: (path / name).read_bytes() for name in ATTACHABLE if (path / name).is_file()}
