@@ -14,12 +14,15 @@ from pathlib import Path
 import numpy as np
 
 import gelform
+from gelform.calibration.balls import INNER
 from gelform.calibration.candidates import training_samples
 from gelform.calibration.circles.locate import locate
-from gelform.calibration.circles.prepare import prepared_by_offset
+from gelform.calibration.circles.prepare import ColorChanges, prepared_by_offset
 from gelform.calibration.circles.samples import joined
 from gelform.color_models import HierarchicalModel, Samples
 from gelform.color_models._shared.least_squares import at_pixels, interpolation
+from gelform.color_models.stepped import FrameDepth
+from gelform.metrics.ball import ball_center, ball_gradients
 from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from gelform.simulate.render import exposed
 from gelform.starters.light import gain_between, light_from_background
@@ -28,6 +31,9 @@ from presses import DATA, presses_of, unlabelled
 
 FOLDER = Path(gelform.__file__).parent / "starters"
 RIDGE = 1e-3  # of a unit's own model, drawn to the common one: the middle of those that calibration tries
+# Of a unit's colors about the forward response of another one, over that about its own: mini-d by mini-ball 11, mini-ball
+# by mini-d 16. No second DIGIT's presses are here: the same is taken for it.
+COLOR_VARIANCE = 11.0
 # Relative, of slopes. Minis: two other units' balls were read 5.0 % too large and 1.9 % too small by this one's model.
 # DIGITs: another unit's ball was read 10 % too large.
 SPREAD = {"gelsight-mini": 0.06, "digit": 0.10}
@@ -52,7 +58,9 @@ def make(folder: Path = FOLDER) -> None:
         if (DATA / name).is_dir():
             presses = unlabelled(gelform.read_presses(DATA / name))
             calibration = gelform.calibrate(presses, start=None)
-            made[sensor] = starter_from_calibration(calibration, sensor, spread=SPREAD[sensor], units=(said,))
+            made[sensor] = starter_from_calibration(
+                calibration, sensor, spread=SPREAD[sensor], units=(said,), color_variance=COLOR_VARIANCE
+            )
     for sensor, starter in made.items():
         starter.save(folder / f"{sensor}.npz", overwrite=True)
         size = (folder / f"{sensor}.npz").stat().st_size
@@ -103,9 +111,47 @@ def of_units(units: Sequence[gelform.Presses], layout: str) -> Starter:
     calibration = replace(first, color_model=common, forward=mean.models_for(lights[0])[1])
     named = replace(calibration, sensor_name=f"simulated-{layout}")
     said = f"{len(units)} simulated units of the layout {layout}, whose lamps and levels differ"
-    return replace(
-        mean, calibration=replace(named, background=mean.calibration.background), spread=spread, units=(said,)
+    smooth = replace(named, background=mean.calibration.background)
+    made = replace(mean, calibration=smooth, spread=spread, units=(said,))
+    ratios = [color_variance(made, labelled(one)) for one in units]
+    return replace(made, color_variance=float(np.mean(ratios) * len(ratios) / (len(ratios) - 1)))
+
+
+def labelled(presses: gelform.Presses) -> gelform.Presses:
+    """The presses that a calibration of all without a starter accepts, with its circles."""
+    rows = gelform.calibrate(presses, start=None).report.presses
+    kept = (
+        replace(press, label=(row.center_x_px, row.center_y_px, row.contact_radius_px))
+        for press, row in zip(presses.presses, rows)
+        if row.accepted
     )
+    return replace(presses, presses=tuple(kept))
+
+
+def color_variance(starter: Starter, presses: gelform.Presses) -> float:
+    """Variance of the colors of labelled presses about the starter's response, over that which the response states.
+
+    In 0.6 of the circles, at the balls' slopes, their centers free.
+    """
+    unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    changes = ColorChanges(presses.background, unit.change)
+    depth = FrameDepth(unit.image_shape, unit.untouched_change)
+    model = unit.color_model.prepare(presses.background, unit.image_shape)
+    y, x = np.mgrid[: unit.image_shape[0], : unit.image_shape[1]]
+    left = []
+    for press in presses.presses:
+        change = np.ascontiguousarray(changes(press.image)[0])
+        read, _ = model.gradients_from_color(change)
+        column, row, radius = press.label
+        ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
+        inside = np.hypot(x - column, y - row) < min(INNER * radius, 0.9 * ball_px)
+        center = ball_center(read[inside], x[inside], y[inside], (column, row), ball_px)
+        true, z = ball_gradients(x[inside], y[inside], center, ball_px), depth.at_pixels(change, read)[inside]
+        left.append(
+            change[inside] - unit.forward.color_from_gradients(true, x[inside], y[inside], depth_px=z)
+        )
+    error = np.concatenate(left)
+    return float(np.trace(np.linalg.solve(unit.forward.covariance, error.T @ error / len(error))) / 3)
 
 
 def samples_of(presses: gelform.Presses, light: np.ndarray, mean: Starter) -> Samples:

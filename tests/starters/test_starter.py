@@ -88,6 +88,14 @@ def test_the_spread_between_units_is_in_the_stated_deviations(layout, background
     np.testing.assert_allclose(added, calibration.unit_spread * np.abs(narrow.depth_mm[deep]), rtol=0.05)
 
 
+def test_the_response_of_another_unit_is_known_less_well(background):
+    """A step follows the colors of this unit less: they scatter more about the response of others than about its own."""
+    starter = load_starter(SIMULATED)
+    assert starter.color_variance > 2
+    own, unit = starter.calibration.forward.covariance, starter.for_unit(background).forward.covariance
+    assert np.trace(np.linalg.solve(own, unit)) / 3 == pytest.approx(starter.color_variance, rel=0.2)
+
+
 def test_brightness_and_white_balance_are_free(layout, background):
     """A unit half as bright, its white balance another: the same gel and lamps are read alike."""
     gain = np.float32([0.5, 0.8, 0.65])
@@ -150,11 +158,13 @@ def test_which_starter_a_sensor_has():
 
 
 def test_a_starter_of_a_unit_comes_back_from_its_file(calibration, tmp_path):
-    starter = starter_from_calibration(calibration, "mine", spread=0.05, units=("one unit",))
+    starter = starter_from_calibration(
+        calibration, "mine", spread=0.05, units=("one unit",), color_variance=3.0
+    )
     starter.save(tmp_path / "mine.npz")
     back = read_starter(tmp_path / "mine.npz")
     np.testing.assert_allclose(back.calibration.color_model.nodes, calibration.color_model.nodes, rtol=1e-5)
-    assert (back.spread, back.units, back.make) == (0.05, ("one unit",), "mine")
+    assert (back.spread, back.units, back.make, back.color_variance) == (0.05, ("one unit",), "mine", 3.0)
     with pytest.raises(CalibrationError, match="already there"):
         starter.save(tmp_path / "mine.npz")
     spoilt = tmp_path / "spoilt.npz"

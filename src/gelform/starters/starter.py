@@ -46,6 +46,7 @@ class Starter:
     light : (10, 3), of the untouched gel, as `light_from_background` gives it
     spread : relative standard deviation of the slopes of one unit about those of the make
     units : what it was made from, in words
+    color_variance : of a unit's colors about the forward response, over that of the units that it was fitted to
     """
 
     sensor: str
@@ -53,6 +54,7 @@ class Starter:
     light: NDArray[np.float64]
     spread: float
     units: tuple[str, ...]
+    color_variance: float = 1.0
 
     @property
     def make(self) -> str:
@@ -133,7 +135,9 @@ class Starter:
         gain = gain_between(light, self.light, made.change.offset, made.image_shape)
         assert isinstance(made.color_model, StartableModel)
         assert made.forward is not None
-        return made.color_model.of_smaller_changes(gain), made.forward.of_smaller_changes(gain)
+        forward = made.forward.of_smaller_changes(gain)
+        forward = replace(forward, covariance=self.color_variance * forward.covariance)
+        return made.color_model.of_smaller_changes(gain), forward
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write one .npz without the background; its numbers are of single precision.
@@ -149,7 +153,8 @@ class Starter:
             for name, v in arrays.items()
             if name != "background"
         }
-        meta = {"calibration": meta, "sensor": self.sensor, "spread": self.spread, "units": list(self.units)}
+        own = {name: getattr(self, name) for name in ("sensor", "spread", "color_variance")}
+        meta = {"calibration": meta, **own, "units": list(self.units)}
         everything = {**kept, "light": self.light}
         write_npz(
             path,
@@ -163,13 +168,18 @@ class Starter:
 
 
 def starter_from_calibration(
-    calibration: Calibration, sensor: str, *, spread: float, units: tuple[str, ...]
+    calibration: Calibration,
+    sensor: str,
+    *,
+    spread: float,
+    units: tuple[str, ...],
+    color_variance: float = 1.0,
 ) -> Starter:
     """What one unit's calibration gives to the others of its make; its background becomes thirty numbers."""
     light, _ = light_from_background(calibration.background)
     smooth = levels_from_light(light, *_all_places(calibration.image_shape))
     plain = replace(calibration, background=smooth, view=View(), serial=None, gel_id=None, report=None)
-    return Starter(sensor, plain, light, check_positive(spread, "spread"), units)
+    return Starter(sensor, plain, light, check_positive(spread, "spread"), units, color_variance)
 
 
 def read_starter(path: str | PathLike[str]) -> Starter:
@@ -189,7 +199,8 @@ def read_starter(path: str | PathLike[str]) -> Starter:
         arrays = {name: v.astype(np.float64) if name.endswith("nodes") else v for name, v in arrays.items()}
         arrays["background"] = levels_from_light(light, *_all_places(shape))
         calibration = calibration_from_contents(arrays, meta["calibration"])
-        return Starter(meta["sensor"], calibration, light, float(meta["spread"]), tuple(meta["units"]))
+        figures = float(meta["spread"]), tuple(meta["units"]), float(meta.get("color_variance", 1))
+        return Starter(meta["sensor"], calibration, light, *figures)
     except (KeyError, ValueError, TypeError, AttributeError) as problem:
         raise CalibrationError(f"{path} is damaged: what it holds does not make a starter.") from problem
 

@@ -1,0 +1,243 @@
+"""Starters: depth of a unit that was never pressed, few presses that begin with one, and whether a wrong ball is noticed.
+
+    python benchmarks/starters.py             # about 20 minutes; writes results/starters.json
+    python benchmarks/starters.py units       # one part: units, presses, balls, simulated
+    python benchmarks/starters.py make        # makes the starters that the package ships, from the data
+
+The unit that is read has given nothing to the starter. Real presses are read from GELFORM_DATA (default ../shared/data).
+The diameter that is stated for mini-d's ball, 4.0 mm, is doubtful: its contacts are as wide as those of 4.70 mm, which is
+taken for right here.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import gelform
+from accuracy.real import EDGES, KEYS, scored, summary
+from gelform.calibration.balls import MOST_SIGMAS, ball_readings
+from gelform.calibration.candidates import known_make, start_from
+from gelform.calibration.circles.locate import locate
+from gelform.calibration.report import report_content
+from gelform.errors import CalibrationError
+from gelform.metrics import score_slopes
+from gelform.starters import load_starter
+from gelform.starters.starter import Starter, starter_from_calibration
+from presses import DATA, data_is_missing, mini_ball, unlabelled
+from report import recorded, table, write
+from starters.make import COLOR_VARIANCE, LAYOUT, SPREAD, labelled, make, simulated_unit
+
+LIKELY = 4.70 / 4.0  # of mini-d's ball over what is stated
+FOLDS, DRAWS = 3, 5
+SIZES = (3, 5, 8, 12, 20)
+FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
+SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
+UNSEEN = 11  # number of a simulated unit that made nothing
+
+
+def stated(presses: gelform.Presses, factor: float) -> gelform.Presses:
+    """The same images, of balls that are stated so many times as large."""
+    balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * factor) for one in presses.presses)
+    return replace(presses, presses=tuple(balls))
+
+
+def mini_d() -> gelform.Presses:
+    """mini-d with its likelier diameter and the circles that score it."""
+    return labelled(stated(gelform.read_presses(DATA / "mini-d"), LIKELY))
+
+
+def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: float) -> dict[str, float]:
+    """Errors on labelled presses, and the share of slopes inside the edge that are within one stated sigma."""
+    reconstruct, rows, within = gelform.Reconstructor(calibration, depth_sigma=False), [], []
+    pitch = calibration.known_mm_per_px
+    for press in presses.presses:
+        result = reconstruct.from_image(press.image)
+        rows.append(scored((press, result), press.label, pitch, edge))
+        within.append(_within(result, press, pitch, edge))
+    return {**summary(rows), "within_sigma_percent": 100 * float(np.mean(within))}
+
+
+def _within(result: Any, press: Any, pitch: float, edge: float) -> float:
+    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
+    column, row, radius = press.label
+    ball_px = press.ball_diameter_mm / 2 / pitch
+    inside = np.hypot(x - column, y - row) < min(edge * radius, 0.95 * ball_px)
+    errors = score_slopes(result.gradients[inside], x[inside], y[inside], (column, row), ball_px).errors
+    return float(np.mean(np.abs(errors) < result.gradients_sigma[inside]))
+
+
+def units() -> dict[str, Any]:
+    """No press at all: the starter on another unit, against that unit's own calibration on held-out presses."""
+    found: dict[str, Any] = {}
+    presses = mini_d()
+    starter = load_starter("gelsight-mini")
+    of_unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+    found["mini-d, starter"] = judged(of_unit, presses, EDGES["mini-d"])
+    found["mini-ball, the starter made of mini-d"] = _by_mini_d(presses)
+    found["mini-d, its own calibration"] = _folds(presses, EDGES["mini-d"])
+    ball, order = mini_ball()
+    for name, (own, other) in {"even": (order[0::2], order[1::2]), "odd": (order[1::2], order[0::2])}.items():
+        calibration = gelform.calibrate(unlabelled(ball, own), start=None)
+        half = starter_from_calibration(
+            calibration, "gelsight-mini", spread=SPREAD["gelsight-mini"], units=("half",)
+        )
+        of_half = half.for_unit(ball.background)
+        found[f"mini-ball, {name} presses made the starter"] = judged(
+            of_half, ball.subset(other), EDGES["mini-ball"]
+        )
+    print(
+        table(
+            ["no press", *KEYS, "within sigma %"],
+            [[n, *(v[k] for k in (*KEYS, "within_sigma_percent"))] for n, v in found.items()],
+        )
+    )
+    return found
+
+
+def _by_mini_d(presses: gelform.Presses) -> dict[str, float]:
+    """mini-ball, with the circles that score it, by a starter of the other unit."""
+    ball, order = mini_ball()
+    own = gelform.calibrate(unlabelled(presses), start=None)
+    settings: Any = {"spread": SPREAD["gelsight-mini"], "color_variance": COLOR_VARIANCE}
+    of_d = starter_from_calibration(own, "gelsight-mini", units=("mini-d",), **settings)
+    unit = of_d.for_unit(ball.background, mm_per_px=ball.mm_per_px)
+    return judged(unit, ball.subset(order), EDGES["mini-ball"])
+
+
+def _folds(presses: gelform.Presses, edge: float) -> dict[str, float]:
+    parts = []
+    for fold in range(FOLDS):
+        others, own = (
+            [i for i in range(len(presses.presses)) if (i % FOLDS == fold) == held] for held in (False, True)
+        )
+        calibration = gelform.calibrate(unlabelled(presses, others), start=None)
+        parts.append(judged(calibration, presses.subset(own), edge))
+    return {key: float(np.mean([part[key] for part in parts])) for key in parts[0]}
+
+
+def presses() -> dict[str, Any]:
+    """Few presses of another unit, alone and offered the starter: the same draws, judged on presses of neither."""
+    known, rng, found = mini_d(), np.random.default_rng(0), {}
+    count = len(known.presses)
+    for size in (*SIZES, 2 * count // 3):
+        both: dict[str, list[dict[str, float]]] = {"alone": [], "offered": []}
+        used = 0
+        for _ in range(DRAWS):
+            order = rng.permutation(count)
+            training, test = order[:size].tolist(), order[-count // 3 :].tolist()
+            for name, start in (("alone", None), ("offered", "auto")):
+                calibration = gelform.calibrate(unlabelled(known, training), start=start)
+                both[name].append(judged(calibration, known.subset(test), EDGES["mini-d"]))
+                used += calibration.settings.start is not None
+        means = {n: {k: float(np.mean([one[k] for one in rows])) for k in KEYS} for n, rows in both.items()}
+        found[str(size)] = {**means, "begun_with_it": used, "draws": DRAWS}
+        print(
+            f"{size} presses: "
+            + ", ".join(
+                f"{n} {v['edge_deg']:.2f} deg, {v['radius_percent']:.1f} %" for n, v in means.items()
+            ),
+            f"used {used} of {DRAWS}",
+            flush=True,
+        )
+    return found
+
+
+def balls() -> dict[str, Any]:
+    """Every real set with its diameters as they are and wrong: what is read, and what the verdict is."""
+    found: dict[str, Any] = {"read": _read_by_others(), "verdicts": {}}
+    for name in SETS:
+        right = LIKELY if name == "mini-d" else 1.0
+        whole = gelform.read_presses(DATA / name)
+        some = unlabelled(whole, range(0, len(whole.presses), 2))
+        for factor in FACTORS:
+            said = _verdict(stated(some, right * factor))
+            found["verdicts"][f"{name} x {factor:g}"] = said
+            print(f"{name} x {factor:g}: {said}", flush=True)
+    return found
+
+
+def _verdict(presses: gelform.Presses) -> str:
+    try:
+        calibration = gelform.calibrate(presses)
+    except CalibrationError as problem:
+        hint = (
+            "look like a ball of" in str(problem)
+            or "check ball_diameter_mm" in str(problem)
+            or "is wrong" in str(problem)
+        )
+        return "refused, with the diameter named" if hint else "refused"
+    content = report_content(presses, calibration, rng=np.random.default_rng(0))
+    return str(content["verdict"]["headline"])
+
+
+def _read_by_others() -> dict[str, Any]:
+    """Diameters of Minis by presses that are not theirs, over the right ones, and which factors are found."""
+    ball, order = mini_ball()
+    halves = [order[0::2], order[1::2]]
+    cases: list[tuple[str, gelform.Presses, Any]] = []
+    other = stated(gelform.read_presses(DATA / "mini-d"), LIKELY)
+    cases.append(("mini-d", other, known_make(other)))
+    for own, rest in (halves, halves[::-1]):
+        of_half = gelform.calibrate(unlabelled(ball, own), start=None)
+        half: Starter = starter_from_calibration(
+            of_half, "gelsight-mini", spread=SPREAD["gelsight-mini"], units=("half",)
+        )
+        test = unlabelled(ball, rest)
+        start = start_from(half.for_unit(test.background), test, "auto")
+        cases.append((f"mini-ball, {'odd' if own is halves[0] else 'even'}", test, start))
+    rows: dict[str, Any] = {}
+    for name, test, start in cases:
+        for factor in FACTORS:
+            for one in ball_readings(locate(stated(test, factor)), start):
+                right = one.stated_mm / factor
+                rows[f"{name}, {right:.3g} mm x {factor:g}"] = {
+                    "read_over_right": one.read_mm / right,
+                    "sigmas": one.sigmas,
+                    "alarm": one.sigmas > MOST_SIGMAS,
+                }
+    for name, row in rows.items():
+        print(f"{name}: read {row['read_over_right']:.3f} times as large, {row['sigmas']:.1f} sigma")
+    return rows
+
+
+def simulated() -> dict[str, Any]:
+    """A simulated unit that made nothing, read by the starter of four others."""
+    unit = simulated_unit(UNSEEN)
+    known = labelled(unit)
+    starter = load_starter(f"simulated-{LAYOUT}")
+    found = {
+        "starter": judged(starter.for_unit(known.background), known, 0.8),
+        "its own calibration": _folds(known, 0.8),
+    }
+    print(
+        table(
+            ["simulated unit", *KEYS, "within sigma %"],
+            [[n, *(v[k] for k in (*KEYS, "within_sigma_percent"))] for n, v in found.items()],
+        )
+    )
+    return found
+
+
+PARTS = {"units": units, "presses": presses, "balls": balls, "simulated": simulated}
+
+
+def main(names: Sequence[str]) -> None:
+    """Make the starters, or measure the parts that were named, or all."""
+    if list(names) == ["make"]:
+        make()
+        return
+    results = recorded("starters")
+    for name in names or PARTS:
+        if name != "simulated" and data_is_missing(name):
+            continue
+        results[name] = PARTS[name]()
+        write("starters", results)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
