@@ -29,6 +29,7 @@ from gelform.batch.records import (
 )
 from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
+from made.small_gel import save
 
 
 def test_refused():
@@ -268,3 +269,23 @@ def test_unknown_pixels_are_dark(tmp_path, monkeypatch):
     monkeypatch.setattr("gelform.batch.finish._chosen", lambda *_: [(depth, row)])
     write_sheet(tmp_path, None)
     assert cv2.imread(str(tmp_path / "sheet.png"))[:100, :TILE_PX].max() < 90
+
+
+def test_a_frame_of_which_nothing_is_known_has_no_figures(tree, cal, tmp_path, monkeypatch):
+    save(tree / "frame1.png", np.full((64, 80, 3), 255, np.uint8))
+    run_batch(tree, cal, tmp_path / "out", table="csv")
+    with (tmp_path / "out/frames.csv").open(newline="") as file:
+        first, second = list(csv.DictReader(file))[:2]
+    assert (first["frame"], first["deepest_mm"], first["contact_mm2"], first["error"]) == (
+        "frame1",
+        "",
+        "",
+        "",
+    )
+    assert first["health"]
+    assert float(second["deepest_mm"]) > 0.1
+    texts = []
+    monkeypatch.setattr(cv2, "putText", lambda *arguments: texts.append(arguments[1]))
+    write_sheet(tmp_path / "out", read_manifest(tmp_path / "out"))
+    assert len([text for text in texts if text.startswith("unknown")]) == 1
+    assert not [text for text in texts if text.startswith("0.000")]

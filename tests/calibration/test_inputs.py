@@ -257,3 +257,11 @@ def test_a_gel_that_leaves_the_ball_early_is_named(presses, prepared):
     assert "smaller than stated" not in note
     (alike,) = edge_notes(presses, [replace(press, ball_radius_px=20.0) for press in cut])
     assert "A ball that is smaller than stated looks the same" in alike
+
+
+def test_no_press_at_all_is_said(presses):
+    """Not that all of them are grey."""
+    with pytest.raises(
+        gelform.CalibrationError, match=r"Expected presses of a ball in .*, got none\. Press a ball at 20"
+    ):
+        gelform.calibrate(replace(presses, presses=()))

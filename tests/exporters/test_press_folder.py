@@ -202,12 +202,16 @@ def test_a_folder_with_content_is_refused_and_a_failure_leaves_nothing(tmp_path)
         ({"count": 0}, "count >= 1"),
         ({"ball_diameters_mm": ()}, "a ball"),
         ({"seed": -1}, "seed >= 0"),
+        ({"ball_diameters_mm": (60.0,)}, r"to 18\.5 mm, got 60"),
     ):
         with pytest.raises(ValueError, match=message):
             replace(SET, **change)
     with pytest.raises(DataError, match="holds something"):
         save_simulated_press(tmp_path / "full", SENSOR, Coin(), depth_mm=0.3)
-    deep = replace(SET, ball_diameters_mm=(60.0,))
-    with pytest.raises(ValueError, match="gel's thickness"):
-        save_simulated_set(tmp_path / "deep", deep)
+
+    def interrupted(done, total, what):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_simulated_set(tmp_path / "half", SET, progress=interrupted)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]

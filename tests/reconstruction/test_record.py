@@ -87,3 +87,22 @@ def test_a_notebook_shows_a_picture_and_the_figures(result):
     assert len(shown) < 100_000
     assert "0.750 mm" in repr(replace(result, depth=bump))
     assert "depth: unknown" in repr(replace(result, known=np.zeros_like(result.known)))
+
+
+def test_what_is_not_known_is_no_zero_in_a_notebook(result):
+    """Figures say unknown, the thumbnail is hatched there."""
+    known = np.zeros_like(result.known)
+    shown = replace(result, known=known)._repr_html_()
+    assert shown.count("<td>unknown</td>") == 2  # depth and contacts
+    assert "0.000" not in shown
+    assert len(np.unique(thumbnail(shown).reshape(-1, 3), axis=0)) == 2
+    known[:, : known.shape[1] // 2] = True
+    half = thumbnail(replace(result, known=known)._repr_html_())
+    grey = np.ptp(half.astype(int), axis=-1) == 0
+    assert grey[:, 125:].all()
+    assert not grey[:, :115].any()
+
+
+def thumbnail(html):
+    content = base64.b64decode(html.partition("base64,")[2].partition("'")[0])
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)

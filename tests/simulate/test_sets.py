@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gelform.simulate import (
+    LAYOUTS,
     Ball,
     Coating,
     Pose,
@@ -15,6 +16,7 @@ from gelform.simulate import (
     simulate_sequence,
     slide_poses,
 )
+from gelform.simulate.sets import largest_ball_mm
 from made.sensors import DRAGGED, SMALL
 
 
@@ -71,3 +73,15 @@ def test_frames_are_dropped_as_often_as_said():
     poses = [Pose(0.0)] * 200
     presses = list(simulate_sequence(sensor, Ball(3), poses, rng=np.random.default_rng(0)))
     assert 40 < sum(press is None for press in presses) < 80
+
+
+def test_balls_that_the_gel_cannot_take_are_refused_with_the_range():
+    sensor = LAYOUTS["three-edges"]
+    largest = largest_ball_mm(sensor)
+    simulate_ball_presses(sensor, ball_diameters_mm=[largest], count=2, rng=np.random.default_rng(0))
+    simulate_ball_presses(sensor, ball_diameters_mm=[0.26], count=2, rng=np.random.default_rng(0))
+    for diameter in (1.001 * largest, 0.25, 300):
+        with pytest.raises(ValueError, match=r"from 0\.254 to 18\.5 mm, got"):
+            simulate_ball_presses(
+                sensor, ball_diameters_mm=[6, diameter], count=2, rng=np.random.default_rng(0)
+            )

@@ -97,8 +97,13 @@ def _tile(depth: NDArray[Any], row: dict[str, Any]) -> NDArray[np.uint8]:
         [cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS), np.zeros((LABEL_PX, TILE_PX, 3), np.uint8)]
     )
     name = f"{row['sequence']}/{row['frame']}".encode("ascii", "replace").decode()
-    for text, y in ((name[-32:], 14), (f"{row['deepest_mm']:.3f} mm {row['health']}"[:32], 28)):
+    for text, y in ((name[-32:], 14), (f"{_deepest(row)} {row['health']}"[:32], 28)):
         cv2.putText(
             tile, text, (4, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
         )
     return np.asarray(tile)
+
+
+def _deepest(row: dict[str, Any]) -> str:
+    """How deep, in words; a row has no number where depth is known in no pixel."""
+    return f"{row['deepest_mm']:.3f} mm" if isinstance(row["deepest_mm"], float) else "unknown"

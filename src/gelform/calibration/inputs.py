@@ -14,7 +14,7 @@ from gelform.calibration.circles.find import ContactCircle, find_contact, magnit
 from gelform.calibration.circles.locate import Located
 from gelform.calibration.circles.samples import PreparedPress, contact_samples
 from gelform.calibration.coverage import coverage_notes
-from gelform.calibration.enough import enough
+from gelform.calibration.enough import NEEDED, enough
 from gelform.calibration.presses.press_set import Presses
 from gelform.errors import CalibrationError
 from gelform.sensors.profiles import light_order_of, scale_off_make
@@ -33,14 +33,26 @@ MIN_SINE = 0.3  # sum of the lights' turns; 2.6 for equal angles: less may be no
 
 
 def check_inputs(presses: Presses) -> None:
-    """Refuse grey presses, channels that are reversed against the background, and a background with a contact in it.
+    """Refuse no presses, grey ones, channels reversed against the background, and a background with a contact in it.
 
     The CalibrationError says which images, or where the contact is, and what to do.
     """
+    _check_any(presses)
     _check_flats(presses)
     _check_colored(presses)
     _check_channels(presses)
     _check_untouched(presses)
+
+
+def _check_any(presses: Presses) -> None:
+    if not presses.presses:
+        flats = (
+            f", got {len(presses.flats)} of flat punches, which are only evaluated" if presses.flats else ""
+        )
+        raise CalibrationError(
+            f"Expected presses of a ball in {presses.folder}{flats or ', got none'}. "
+            f"Press a ball at {NEEDED['advised'].presses} places and add a row for each to presses.csv."
+        )
 
 
 def _check_flats(presses: Presses) -> None:

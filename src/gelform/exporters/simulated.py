@@ -28,7 +28,7 @@ from gelform.simulate import (
     simulate_press,
 )
 from gelform.simulate.sensor.sensor import settings_from_sensor
-from gelform.simulate.sets import ball_press_of_set
+from gelform.simulate.sets import ball_press_of_set, check_balls
 
 
 def save_simulated_press(
@@ -132,6 +132,7 @@ class SetOfPresses:
             raise ValueError(f"Expected seed >= 0, got {self.seed}.")
         for diameter in self.ball_diameters_mm:
             check_positive(diameter, "ball_diameter_mm")
+        check_balls(self.sensor, self.ball_diameters_mm)
 
     def press(self, k: int) -> SimulatedPress:
         """The k-th press; it depends on no other."""

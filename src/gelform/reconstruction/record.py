@@ -20,6 +20,11 @@ from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
 from gelform.reconstruction.maps import BESIDE_DEPTH
 
+THUMBNAIL_PX, HATCH_PX = (
+    240,
+    8,
+)  # in a notebook: the picture's width, and between stripes of what is not known
+
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
@@ -194,7 +199,7 @@ class Reconstruction:
     def _repr_html_(self) -> str:
         """What a notebook shows: the depth as a small picture beside its figures; nothing is fetched."""
         findings = ((finding.name, finding.message) for finding in self.health)
-        return _shown_in_notebook(self.depth, (*self._figures().items(), *findings))
+        return _shown_in_notebook(self.depth, self.known, (*self._figures().items(), *findings))
 
     def _figures(self) -> dict[str, str]:
         markers = {} if self.markers is None else {"markers": self.markers.in_words()}
@@ -204,7 +209,9 @@ class Reconstruction:
             return {
                 "height x width": f"{height}x{width} px, scale unknown",
                 "depth": f"{self.depth_px.min():.2f} to {self.depth_px.max():.2f} px" if known else "unknown",
-                "contacts": _counted(int(np.count_nonzero(self.contact)), "px", len(self.contacts)),
+                "contacts": _counted(int(np.count_nonzero(self.contact)), "px", len(self.contacts))
+                if known
+                else "unknown",
                 **markers,
                 "zero": self.zero,
                 "solver": self.solver,
@@ -214,7 +221,7 @@ class Reconstruction:
         return {
             "height x width": f"{height}x{width} px, {height * pitch[1]:.1f}x{width * pitch[0]:.1f} mm",
             "depth": f"{self.depth_mm.min():.3f} to {self.peak_mm:.3f} mm" if known else "unknown",
-            "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)),
+            "contacts": _counted(round(area, 1), "mm^2", len(self.contacts)) if known else "unknown",
             **markers,
             "zero": self.zero,
             "solver": self.solver,
@@ -225,11 +232,13 @@ def _counted(area: float, unit: str, count: int) -> str:
     return f"{count} of {area} {unit}" + (" together" if count > 1 else "") if count else "none"
 
 
-def _shown_in_notebook(depth: NDArray[np.float32], rows: Iterable[tuple[str, str]]) -> str:
-    """HTML of a depth map (H, W) and a table of (name, text); nothing in it is fetched from outside."""
+def _shown_in_notebook(
+    depth: NDArray[np.float32], known: NDArray[np.bool_], rows: Iterable[tuple[str, str]]
+) -> str:
+    """HTML of a depth map (H, W), where it is known, and a table of (name, text); nothing in it is fetched from outside."""
     import html  # its table of characters takes longer to load than a frame
 
-    picture = base64.b64encode(_depth_png(depth)).decode("ascii")
+    picture = base64.b64encode(_depth_png(depth, known)).decode("ascii")
     cells = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
         for name, text in rows
@@ -240,14 +249,19 @@ def _shown_in_notebook(depth: NDArray[np.float32], rows: Iterable[tuple[str, str
     )
 
 
-def _depth_png(depth: NDArray[np.float32], width_px: int = 240) -> bytes:
-    """A small picture of the depth: dark at rest, bright where deep."""
-    low, high = float(depth.min()), float(depth.max())
-    levels = ((depth - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
-    scale = width_px / depth.shape[1]
-    size = (width_px, max(1, round(depth.shape[0] * scale)))
+def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:
+    """A small picture of the depth: dark at rest, bright where deep, hatched where it is not known."""
+    low, high = (float(depth[known].min()), float(depth[known].max())) if known.any() else (0.0, 0.0)
+    levels = np.clip((depth - low) * (255 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)
+    scale = THUMBNAIL_PX / depth.shape[1]
+    size = (THUMBNAIL_PX, max(1, round(depth.shape[0] * scale)))
     small = cv2.resize(levels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    done, png = cv2.imencode(".png", cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
+    colors = np.asarray(cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS))
+    row, col = np.ogrid[: size[1], : size[0]]
+    hatch = np.where((row + col) % HATCH_PX < 2, np.uint8(150), np.uint8(225))
+    unknown = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+    colors[unknown] = hatch[unknown][:, np.newaxis]
+    done, png = cv2.imencode(".png", colors)
     if not done:
         raise DataError(f"OpenCV cannot encode a picture of {depth.shape[0]}x{depth.shape[1]} px as PNG.")
     return bytes(png.tobytes())

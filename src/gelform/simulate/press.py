@@ -124,6 +124,14 @@ def simulate_press(
     return press
 
 
+def check_press_depth(sensor: SimulatedSensor, depth_mm: float) -> None:
+    """Refuse (ValueError) a press through the gel."""
+    if depth_mm >= sensor.gel.thickness_mm:
+        raise ValueError(
+            f"Expected depth_mm less than the gel's thickness, {sensor.gel.thickness_mm:g} mm, got {depth_mm:g}."
+        )
+
+
 def simulate_pose(
     sensor: SimulatedSensor,
     indenter: Indenter,
@@ -141,11 +149,7 @@ def simulate_pose(
     """
     if oversample < 1 or oversample % 2 == 0:
         raise ValueError(f"Expected oversample as an odd number (1, 3, 5), got {oversample}.")
-    if pose.depth_mm >= sensor.gel.thickness_mm:
-        raise ValueError(
-            f"Expected depth_mm less than the gel's thickness, {sensor.gel.thickness_mm:g} "
-            f"mm, got {pose.depth_mm:g}."
-        )
+    check_press_depth(sensor, pose.depth_mm)
     surface = _pressed(sensor, indenter, pose, oversample)
     rest = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px)
     shift = np.zeros_like(rest)

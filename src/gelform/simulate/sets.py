@@ -18,6 +18,13 @@ from gelform.simulate.press import SimulatedPress, simulate_pose, simulate_press
 from gelform.simulate.render import simulate_background
 from gelform.simulate.sensor.sensor import SimulatedSensor
 
+RIM_SLOPES = (0.5, 0.95)  # mm/mm, at the contact's rim: as of a hand that presses a GelSight
+SMALLEST_BALL_PX = 4.0  # px, the diameter: of the flattest press the contact is 1.8 px wide
+MAX_BALL_MM, HALVINGS = (
+    1000.0,
+    40,
+)  # mm; of the interval in which the largest ball is searched for, to 1e-9 mm
+
 
 @dataclass(frozen=True)
 class SimulatedPresses:
@@ -45,6 +52,7 @@ def simulate_ball_presses(
     """
     if count < 1 or len(ball_diameters_mm) == 0:
         raise ValueError(f"Expected count >= 1 and a ball, got {count} and {list(ball_diameters_mm)}.")
+    check_balls(sensor, ball_diameters_mm)
     background_rng, place_rng, *press_rngs = check_is(rng, np.random.Generator, "rng").spawn(count + 2)
     shift = place_rng.random(2)
     presses = []
@@ -52,6 +60,34 @@ def simulate_ball_presses(
         presses.append(_ball_press(sensor, ball_diameters_mm, k, shift, press_rng, oversample))
         progress(k + 1, count, "simulating presses of a ball")
     return SimulatedPresses(sensor, simulate_background(sensor, background_rng), tuple(presses))
+
+
+def check_balls(sensor: SimulatedSensor, ball_diameters_mm: Sequence[float]) -> None:
+    """Refuse (ValueError) balls whose contact is no pixel wide, or that go through the gel; the message says the range."""
+    smallest, largest = SMALLEST_BALL_PX * sensor.mm_per_px, largest_ball_mm(sensor)
+    for diameter in ball_diameters_mm:
+        if not smallest <= diameter <= largest:
+            raise ValueError(
+                f"Expected ball_diameter_mm from {smallest:.3g} to {largest:.3g} mm, got {diameter:g}: pixels of "
+                f"{sensor.mm_per_px:g} mm see none that is smaller, a larger one goes through the gel, "
+                f"{sensor.gel.thickness_mm:g} mm thick."
+            )
+
+
+def largest_ball_mm(sensor: SimulatedSensor) -> float:
+    """The largest diameter, mm, of which the deepest press of a set stays within the gel; at most 1000."""
+    low, high = 0.0, MAX_BALL_MM
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        deep = _depth(sensor, middle / 2, RIM_SLOPES[1]) >= sensor.gel.thickness_mm
+        low, high = (low, middle) if deep else (middle, high)
+    return low
+
+
+def _depth(sensor: SimulatedSensor, radius_mm: float, rim_slope: float) -> float:
+    """How deep a ball is pressed for a slope at its rim, mm."""
+    gel = {"thickness_mm": sensor.gel.thickness_mm, "bulge": sensor.gel.bulge}
+    return depth_of_ball(radius_mm, rim_slope, sensor.relaxation_mm, **gel)
 
 
 def ball_press_of_set(
@@ -73,9 +109,7 @@ def _ball_press(
     oversample: int,
 ) -> SimulatedPress:
     ball = Ball(ball_diameters_mm[k % len(ball_diameters_mm)] / 2)
-    rim_slope = rng.uniform(0.5, 0.95)
-    gel = {"thickness_mm": sensor.gel.thickness_mm, "bulge": sensor.gel.bulge}
-    depth = depth_of_ball(ball.radius_mm, rim_slope, sensor.relaxation_mm, **gel)
+    depth = _depth(sensor, ball.radius_mm, rng.uniform(*RIM_SLOPES))
     return simulate_press(
         sensor, ball, depth_mm=depth, center_mm=_place(sensor, k, shift), rng=rng, oversample=oversample
     )

@@ -9,6 +9,7 @@ import pytest
 from gelform.plots.canvas import save_picture
 from gelform.reconstruction import load_result
 from gelform.sensors.files import read_image
+from made.small_gel import calibration, save
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
 
@@ -128,3 +129,13 @@ def test_it_goes_on_where_it_was(run, calibration_file, press_folder, tmp_path):
     assert said.count(".npz") == 1
     assert load_result(out / "0001.npz")
     assert (out / "0002.npz").read_text() == "mine"
+
+
+def test_a_frame_of_which_nothing_is_known_has_dashes(run, run_json, tmp_path):
+    calibration().save(tmp_path / "cal.npz")
+    save(tmp_path / "white.png", np.full((64, 80, 3), 255, np.uint8))
+    command = ("reconstruct", tmp_path / "white.png", "-c", tmp_path / "cal.npz", "--overwrite", "-o")
+    (row,) = run_json(*command, tmp_path / "out")["results"]
+    assert (row["peak_mm"], row["contact_mm2"], row["contact_px"]) == (None, None, None)
+    line = run(*command, tmp_path / "out")[1].splitlines()[2]
+    assert line.split()[1:3] == ["-", "-"]

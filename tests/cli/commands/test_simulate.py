@@ -177,3 +177,19 @@ def test_the_designs_are_compared(run_json, tmp_path, monkeypatch):
     assert [row["design"] for row in said["designs"]] == ["as given"]
     assert 0 < said["designs"][0]["depth_rmse_um"] < 500
     assert (tmp_path / "study.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--ball-diameter-mm", "300"], "from 0.254 to 18.5 mm, got 300"),
+        (["--height-map", "roof.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "3"], "thickness, 3 mm"),
+    ],
+)
+def test_a_press_through_the_gel_is_usage(run, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    np.save("roof.npy", np.ones((20, 20)))
+    code, _, err = run("simulate", "-o", tmp_path / "out", "--count", "2", *arguments)
+    assert code == 2
+    assert said in " ".join(err.split())
+    assert not (tmp_path / "out").exists()

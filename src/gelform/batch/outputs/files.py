@@ -239,7 +239,13 @@ def attributes_of(name: str, settings: BatchSettings) -> dict[str, Any]:
 
 
 def facts_of(result: Reconstruction) -> dict[str, Any]:
-    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, findings' names."""
+    """Deepest point (mm, and its pixel), area (mm^2) and volume (mm^3) of all contacts, their number, findings' names.
+
+    Where depth is known in no pixel all but the names are left out.
+    """
+    health = " ".join(dict.fromkeys(finding.name for finding in result.health))
+    if not result.known.any():
+        return {"health": health}
     depth_mm = result.depth_mm
     deepest_y, deepest_x = divmod(int(depth_mm.argmax()), depth_mm.shape[1])
     return {
@@ -249,7 +255,7 @@ def facts_of(result: Reconstruction) -> dict[str, Any]:
         "contact_mm2": float(sum(one.area_mm2 or 0.0 for one in result.contacts)),
         "volume_mm3": float(sum(one.volume_mm3 or 0.0 for one in result.contacts)),
         "contacts": len(result.contacts),
-        "health": " ".join(dict.fromkeys(finding.name for finding in result.health)),
+        "health": health,
     }
 
 

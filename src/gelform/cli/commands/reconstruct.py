@@ -136,7 +136,7 @@ def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[s
         "image": str(path),
         "outputs": [str(one) for one in results.values()],
         **_peak(result),
-        "contact_px": int(result.contact.sum()),
+        "contact_px": int(result.contact.sum()) if result.known.any() else None,
         "contacts": [asdict(contact) for contact in result.contacts],
         "markers": None if result.markers is None else result.markers.facts(),
         "curl_rms": result.curl_rms,
@@ -145,9 +145,12 @@ def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[s
 
 
 def _peak(result: Reconstruction) -> dict[str, Any]:
-    """The deepest point and the contact's area, in mm; in pixels where the scale is unknown."""
+    """Deepest point and area of contact, in mm, in pixels where the scale is unknown; None where no depth is known."""
+    known = bool(result.known.any())
     if result.mm_per_px is None:
-        return {"peak_px": float(result.depth_px.max())}
+        return {"peak_px": float(result.depth_px.max()) if known else None}
+    if not known:
+        return {"peak_mm": None, "contact_mm2": None}
     from gelform.foundations.checks import check_mm_per_px
 
     pitch = check_mm_per_px(result.mm_per_px)

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import LAYOUTS, SENSORS, Overwrite, Seed, Shown, listed, number, pitch, usage_errors
+from gelform.cli.options import (
+    LAYOUTS,
+    SENSORS,
+    Overwrite,
+    Seed,
+    Shown,
+    listed,
+    number,
+    pitch,
+    usage_errors,
+)
 from gelform.cli.outputs import check_output
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError
@@ -125,14 +135,18 @@ def simulate(
     with shown.progress() as progress:
         if pressed is not None:
             from gelform.exporters.simulated import save_simulated_press
+            from gelform.simulate.press import check_press_depth
 
+            with usage_errors("--depth-mm"):
+                check_press_depth(made, face.depth_mm)
             save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
         else:
             from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 
             oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's centre
             diameters = tuple(balls.ball_diameter_mm)
-            wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
+            with usage_errors("--ball-diameter-mm"):
+                wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
             save_simulated_set(output, wanted, workers=workers, progress=progress)
     say(f"Wrote {output}.", shown.silent)
     presses = balls.count if pressed is None else 1
