@@ -2,7 +2,10 @@
 
     python docs/check.py            # all pages
     python docs/check.py PAGE.md    # that page alone
-    python docs/check.py --links    # links and commands only: a second
+    python docs/check.py --links    # links, commands and prose only: a second
+    python docs/check.py --prose    # print sentence lengths and problems of each page
+
+The prose keeps the rules of docs/contributing/words.md, which prose.py checks.
 
 A link from a name to a source file, as [`calibrate`](../src/gelform/calibration/fit.py), has to lead to its definition.
 
@@ -19,6 +22,7 @@ import tempfile
 from pathlib import Path
 
 from gelform.cli import command_names
+from prose import prose_problems, table
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -96,11 +100,18 @@ def unknown_commands(page: Path) -> list[str]:
 
 def main() -> int:
     """Check every page; 1 where something is wrong."""
-    named = [Path(name).resolve() for name in sys.argv[1:] if name != "--links"]
+    named = [Path(name).resolve() for name in sys.argv[1:] if not name.startswith("--")]
     pages = named or PAGES
+    if "--prose" in sys.argv:
+        print(table(pages, ROOT))
+        return 0
     wrong = [problem for page in pages for problem in (*broken_links(page), *unknown_commands(page))]
     for problem in wrong:
         print(f"broken: {problem}")
+    badly_said = prose_problems(pages, ROOT)
+    for problem in badly_said:
+        print(f"prose: {problem} (docs/contributing/words.md)")
+    wrong += badly_said
     for page in [] if "--links" in sys.argv else pages:
         with tempfile.TemporaryDirectory() as folder:
             os.chdir(folder)

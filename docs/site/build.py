@@ -41,7 +41,15 @@ SECTIONS = {
         "adding-a-solver",
         "native",
     ],
-    "Reference": ["reference/index", "ARCHITECTURE", "docs/decisions/index", "CONTRIBUTING", "CHANGELOG"],
+    "Reference": [
+        "glossary",
+        "reference/index",
+        "ARCHITECTURE",
+        "docs/decisions/index",
+        "CONTRIBUTING",
+        "docs/contributing/words",
+        "CHANGELOG",
+    ],
 }
 
 

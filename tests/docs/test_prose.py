@@ -1,0 +1,64 @@
+"""The check of prose finds each break of docs/contributing/words.md, and leaves plain English alone."""
+
+from pathlib import Path
+
+import pytest
+
+import prose
+
+ROOT = Path(__file__).parents[2]
+LONG = "The sensor reads " + "slope and " * 15 + "depth."
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("The sensor measures depth.", []),
+        (LONG, ["34 words, at most 30: The sensor reads slope and slope ..."]),
+        (
+            f"| a | b |\n|---|---|\n| {LONG} | x |",
+            ["34 words, at most 30: The sensor reads slope and slope ..."],
+        ),
+        ("Of the slopes 70 % are right.", ["begin with the subject: Of the slopes 70 % are ..."]),
+        ("Of course it works.", []),
+        ("What is rejected has a reason.", 1),
+        ("What is rejected?", []),
+        ("Two files: what is rejected stays.", ["a clause for a noun: ... : what is ..."]),
+        ("Such a pixel is doubted.", ["doubted: low confidence"]),
+        ("The Colour is grey.", ["Colour: color", "grey: gray"]),
+        ("`colour` and [a](colour.md) and\n```\ncolour\n```", []),
+        ("The solver has an anchor.", ["no link to glossary.md, but the term: anchor"]),
+        ("The solver has an [anchor](glossary.md).", []),
+        ("The sensor reads the depth of the gel " * 2 + "once.\n\n" + "It is so. " * 3, []),
+    ],
+)
+def test_problems(text, found):
+    got = prose.problems(text)
+    assert (len(got) if isinstance(found, int) else got) == found
+
+
+def test_long_sentences_on_average():
+    sentence = "The sensor reads the slope and the depth of the gel at each of the pixels and says it. "
+    assert prose.problems(sentence * 5) == ["19.0 words in the mean, at most 18"]
+
+
+def test_a_number_of_problems_may_only_fall(tmp_path, monkeypatch):
+    page = tmp_path / "page.md"
+    page.write_text("The colour. The grey.")
+    monkeypatch.setattr(prose, "NOT_YET", {"page.md": 2})
+    assert prose.prose_problems([page], tmp_path) == []
+    monkeypatch.setattr(prose, "NOT_YET", {"page.md": 1})
+    assert len(prose.prose_problems([page], tmp_path)) == 2
+    monkeypatch.setattr(prose, "NOT_YET", {"page.md": 3})
+    assert "lower it" in prose.prose_problems([page], tmp_path)[0]
+
+
+def test_listed_pages_exist():
+    assert [name for name in prose.NOT_YET if not (ROOT / name).exists()] == []
+
+
+def test_the_table_counts_what_a_reader_sees(tmp_path):
+    (tmp_path / "page.md").write_text(f"# Title of it\n\nOne two `three four`. {LONG}\n\n- A point.\n")
+    assert prose.table([tmp_path / "page.md"], tmp_path).splitlines()[1].split() == [
+        "page.md", "3", "13.0", "34", "33.3%", "1",
+    ]  # fmt: skip
