@@ -23,29 +23,38 @@ from reference import write_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 SECTIONS = {
-    "Start": [
-        "README",
-        "docs/tutorial",
-        "docs/routes",
-        "docs/from-colour-to-depth",
-        "docs/gallery",
-        "examples/index",
-    ],
-    "A sensor": ["press-folder", "calibration-report", "geometry", "background", "importing", "simulator"],
-    "Frames": ["cameras", "recordings", "streams", "live", "batch", "ros", "exporting", "torch"],
-    "What a result says": ["conventions", "confidence", "contacts", "markers", "guarantees"],
-    "Methods": [
-        "choosing-a-color-model",
+    "Tutorials": ["README", "docs/index", "tutorial", "live", "examples/index", "docs/gallery"],
+    "How-to": [
+        "routes",
+        "starters",
+        "press-folder",
+        "geometry",
+        "background",
+        "calibrations",
+        "importing",
+        "cameras",
+        "recordings",
+        "streams",
+        "batch",
+        "exporting",
+        "simulator",
         "choosing-a-solver",
+        "choosing-a-color-model",
         "adding-a-color-model",
         "adding-a-solver",
         "native",
     ],
+    "Robots and learning": ["robots", "ros", "lerobot", "torch"],
+    "Explanation": ["from-color-to-depth", "confidence", "contacts", "markers", "docs/decisions/index"],
     "Reference": [
         "glossary",
+        "conventions",
+        "calibration-report",
+        "accuracy",
+        "limits",
+        "guarantees",
         "reference/index",
         "ARCHITECTURE",
-        "docs/decisions/index",
         "CONTRIBUTING",
         "docs/contributing/words",
         "CHANGELOG",
@@ -95,12 +104,12 @@ def write_index(folder: Path, title: str, names: list[str]) -> None:
 
 
 def write_front(source: Path) -> None:
-    """The first page: README, and the table of contents."""
+    """The first page: README without its figures, and the table of contents."""
     known = sorted(page.stem for page in (source / "docs").glob("*.md"))
     listed = {name.rsplit("/", 1)[-1] for names in SECTIONS.values() for name in names}
     sections = {**SECTIONS, "More": [name for name in known if name not in listed]}
-    said = "Depth in mm from the image of a tactile sensor. [What it is, how to install it](README.md)."
-    parts = [f"# gelform\n\n{said}\n"]
+    readme = (source / "README.md").read_text(encoding="utf-8")
+    parts = [readme.partition("\n## Figures")[0] + "\n"]
     for title, names in sections.items():
         pages = [name if "/" in name or name.isupper() else f"docs/{name}" for name in names]
         if pages:

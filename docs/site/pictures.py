@@ -1,4 +1,4 @@
-"""The pictures of docs/from-colour-to-depth.md, on surfaces whose depth is known.
+"""The pictures of docs/from-color-to-depth.md, on surfaces whose depth is known.
 
 python docs/site/pictures.py docs/images
 """

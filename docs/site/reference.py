@@ -13,9 +13,9 @@ STUB = Path(gelform.__file__).with_name("__init__.pyi")
 IMPORT = re.compile(r"^from \.([\w.]+) import (\w+) as \w+$", re.MULTILINE)
 PAGES = {
     "frames": ("Frames and views", "sensors frames view lens"),
-    "colour": ("Background and colour change", "background markers"),
+    "color": ("Background and color change", "background markers"),
     "path": ("Normals, gradients, depth", "normals gradients depth depth_sigma contact"),
-    "calibration": ("Calibration", "calibration importers calibration_file"),
+    "calibration": ("Calibration", "calibration starters importers calibration_file"),
     "results": ("Results", "reconstruct reconstruction plots metrics exporters"),
     "streams": ("Streams", "streams"),
     "errors": ("Errors", "errors"),

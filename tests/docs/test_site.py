@@ -89,7 +89,7 @@ def test_the_site_is_built(tmp_path):
         capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    theory = (tmp_path / "html" / "docs" / "from-colour-to-depth.html").read_text(encoding="utf-8")
+    theory = (tmp_path / "html" / "docs" / "from-color-to-depth.html").read_text(encoding="utf-8")
     assert theory.count("<math") > 15
     assert "../reference/path.html#gelform.depth_from_gradients" in theory
     assert len(list((tmp_path / "html" / "examples").glob("0*.html"))) >= 8
