@@ -31,6 +31,9 @@ def test_round_trip_gives_the_same_answers(calibration, saved, simulated):
     image = simulated.presses[0].image
     a, b = (gelform.Reconstructor(c)(image) for c in (calibration, again))
     np.testing.assert_array_equal(a.depth_mm, b.depth_mm)
+    assert again.forward.step_sigma is not None
+    for name in ("step_sigma", "residual_scale", "nodes", "covariance", "clipped"):
+        np.testing.assert_array_equal(getattr(again.forward, name), getattr(calibration.forward, name))
 
 
 def test_settings_have_types_and_keep_names_of_others(calibration, saved):
@@ -51,8 +54,7 @@ def test_settings_have_types_and_keep_names_of_others(calibration, saved):
 def test_no_pickles_and_readable_settings(saved):
     with np.load(saved, allow_pickle=False) as file:
         meta = json.loads(str(file["meta"]))
-        assert meta["format"] == "gelform calibration"
-        assert meta["format_version"] == 3
+        assert (meta["format"], meta["format_version"]) == ("gelform calibration", 3)
         assert meta["mm_per_px"] == pytest.approx(0.1153)
         assert file["background"].dtype == np.float32
 
@@ -76,22 +78,18 @@ def test_what_cannot_be_read_or_written_is_a_calibration_error(calibration, save
         gelform.load_calibration(tmp_path / "nothing.npz")
 
 
-def test_a_result_is_no_calibration(calibration, simulated, tmp_path):
+def test_a_result_is_no_calibration_and_a_response_wants_a_frame(calibration, simulated, tmp_path):
     path = tmp_path / "result.npz"
     gelform.save_result(gelform.Reconstructor(calibration)(simulated.presses[0].image), path)
-    with pytest.raises(
-        gelform.CalibrationError, match="Expected a gelform calibration, got a gelform result"
-    ):
+    said = "Expected a gelform calibration, got a gelform result"
+    with pytest.raises(gelform.CalibrationError, match=said):
         gelform.load_calibration(path)
-
-
-def test_forward_response_wants_a_frame(calibration):
     with pytest.raises(ValueError, match="Expected gradients of shape"):
         calibration.color_from_gradients(np.zeros((3, 3, 2)))
 
 
 def test_calibrations_of_every_format_are_read():
-    """Written by earlier releases; their forward responses are translated, and take no step."""
+    """Written by earlier releases; their forward responses, polynomials of the slopes, are translated, and take no step."""
     first, second = (gelform.load_calibration(DATA / f"calibration-version-{k}.npz") for k in (1, 2))
     assert (first.color_model.name, second.color_model.name) == ("polynomial", "hierarchical")
     assert second.slope_sigma.place[0] == (1.0, 1.1, 0.9, 1.0)
@@ -100,23 +98,17 @@ def test_calibrations_of_every_format_are_read():
     gradients = model.gradients_from_color(change)[0][[3, 20], [5, 30]]
     expected = [[0.00278398, 0.02183242], [-0.00439062, 0.03180937]]  # by the release that wrote it
     np.testing.assert_allclose(gradients, expected, rtol=1e-5)
-    for one in (first, second):
+    y, x = (axis.ravel() for axis in np.mgrid[:24, :32])
+    for k, one in enumerate((first, second), 1):
         assert one.forward.step_sigma is None
         assert 0.2 < one.forward.slope_per_change < 5
         assert gelform.Reconstructor(one)(one.background).shape == (24, 32)
-
-
-def test_forward_responses_of_every_format_say_the_same_colours():
-    """Those that stand in the files: polynomials of the slopes in which the first order varies over the image."""
-    for k in (1, 2):
-        path = DATA / f"calibration-version-{k}.npz"
-        with np.load(path) as file:
+        with np.load(DATA / f"calibration-version-{k}.npz") as file:
             known = file["forward_coefficients"]
-        y, x = (axis.ravel() for axis in np.mgrid[:24, :32])
         slopes = np.random.default_rng(k).uniform(-0.4, 0.4, (24 * 32, 2))
         expected = polynomial_terms(slopes, *unit_position(x, y, (24, 32)), (1, 0)) @ known
-        found = gelform.load_calibration(path).color_from_gradients(slopes.reshape(24, 32, 2))
-        np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=0.02 * np.abs(expected).max())
+        found = one.color_from_gradients(slopes.reshape(24, 32, 2)).reshape(-1, 3)
+        np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
 
 
 def older(calibration, knows_depth, **more):
@@ -190,23 +182,15 @@ def test_color_models_that_are_no_more_name_the_release_that_reads_them(calibrat
 
 def test_a_response_that_does_not_fit_together_is_damage(calibration, tmp_path):
     arrays, meta = calibration.contents()
-    for name, damaged in (
-        ("forward_nodes", arrays["forward_nodes"][:, :, :16]),
-        ("forward_covariance", -arrays["forward_covariance"]),
+    nodes, covariance = arrays["forward_nodes"], arrays["forward_covariance"]
+    less = {name: one for name, one in arrays.items() if name != "forward_covariance"}
+    for k, (damaged, said) in enumerate(
+        (
+            ({**arrays, "forward_nodes": nodes[:, :, :16]}, "Expected forward nodes"),
+            ({**arrays, "forward_covariance": -covariance}, "Expected forward nodes"),
+            (less, "'covariance' is missing"),
+        )
     ):
-        path = tmp_path / f"{name}.npz"
-        write_npz(path, {**arrays, name: damaged}, meta, kind=KIND, version=3, error=CalibrationError)
-        with pytest.raises(CalibrationError, match="is damaged: Expected forward nodes"):
-            gelform.load_calibration(path)
-    del arrays["forward_covariance"]
-    write_npz(tmp_path / "less.npz", arrays, meta, kind=KIND, version=3, error=CalibrationError)
-    with pytest.raises(CalibrationError, match="is damaged: 'covariance' is missing"):
-        gelform.load_calibration(tmp_path / "less.npz")
-
-
-def test_the_response_comes_back_with_its_step(calibration, saved):
-    forward, again = calibration.forward, gelform.load_calibration(saved).forward
-    assert again.step_sigma == forward.step_sigma is not None
-    assert again.residual_scale == forward.residual_scale
-    for name in ("nodes", "covariance", "clipped"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(forward, name))
+        write_npz(tmp_path / f"{k}.npz", damaged, meta, kind=KIND, version=3, error=CalibrationError)
+        with pytest.raises(CalibrationError, match=f"is damaged: {said}"):
+            gelform.load_calibration(tmp_path / f"{k}.npz")

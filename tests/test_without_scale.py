@@ -25,12 +25,11 @@ def image(simulated):
     return simulated.presses[1].image
 
 
-def test_depth_in_pixels_and_none_in_mm(bare, calibration, image):
+def test_depth_in_pixels_and_none_in_mm(bare, image):
     result = gelform.Reconstructor(bare)(image)
-    with pytest.raises(gelform.GelformError, match=r"scale .* unknown.*depth_px.*--mm-per-px"):
-        result.depth_mm  # noqa: B018
-    with pytest.raises(gelform.GelformError, match="scale"):
-        result.peak_mm  # noqa: B018
+    for name in ("depth_mm", "peak_mm"):
+        with pytest.raises(gelform.GelformError, match=r"scale .* unknown.*depth_px.*--mm-per-px"):
+            getattr(result, name)
     assert result.mm_per_px is None
     scaled = gelform.Reconstructor(replace(bare, mm_per_px=0.1153))(image)
     np.testing.assert_array_equal(result.observed_gradients, scaled.observed_gradients)
@@ -38,6 +37,8 @@ def test_depth_in_pixels_and_none_in_mm(bare, calibration, image):
     np.testing.assert_array_equal(scaled.depth_px, scaled.depth_mm / np.float32(0.1153))
     assert np.abs(result.depth_px - scaled.depth_px).max() < 0.02 * scaled.depth_px.max()
     assert scaled.depth_px.max() > 3
+    assert scaled.contact.any()
+    assert np.count_nonzero(result.contact ^ scaled.contact) < 0.05 * np.count_nonzero(scaled.contact)
 
 
 def test_depth_in_pixels_is_the_least_squares_surface_of_the_slopes(bare, image):
@@ -45,13 +46,6 @@ def test_depth_in_pixels_is_the_least_squares_surface_of_the_slopes(bare, image)
     wanted = gelform.depth_from_gradients(result.observed_gradients, mm_per_px=1.0, solver="dct")
     found = result.depth_px - result.depth_px.mean()
     np.testing.assert_allclose(found, wanted - wanted.mean(), atol=2e-4 * np.ptp(wanted))
-
-
-def test_contact_is_where_it_is_with_a_scale(bare, image):
-    found = gelform.Reconstructor(bare)(image).contact
-    scaled = gelform.Reconstructor(replace(bare, mm_per_px=0.1153))(image).contact
-    assert scaled.any()
-    assert np.count_nonzero(found ^ scaled) < 0.05 * np.count_nonzero(scaled)
 
 
 def test_no_claim_of_confidence_but_for_clipped_pixels(bare, image):
@@ -76,32 +70,26 @@ def test_the_file_of_a_bare_calibration(bare, image, tmp_path):
     np.testing.assert_array_equal(a, b)
 
 
-def test_the_file_of_a_result_in_pixels(bare, image, tmp_path):
-    result = gelform.Reconstructor(bare)(image)
+def test_the_file_of_a_result_in_pixels_and_of_one_in_mm(bare, calibration, image, tmp_path):
     path = tmp_path / "result.npz"
-    gelform.save_result(result, path)
-    with np.load(path) as file:
-        assert "depth_mm" not in file.files
-        assert "mm_per_px" not in file.files
-        np.testing.assert_array_equal(file["depth_px"], result.depth_px)
-        assert json.loads(str(file["meta"]))["format_version"] == 4
-    again = gelform.load_result(path)
-    np.testing.assert_array_equal(again.depth_px, result.depth_px)
-    assert again.mm_per_px is None
-    with pytest.raises(gelform.GelformError, match="scale"):
-        again.depth_mm  # noqa: B018
-
-
-def test_a_result_in_mm_is_as_before(calibration, image, tmp_path):
-    result = gelform.Reconstructor(calibration)(image)
-    gelform.save_result(result, tmp_path / "result.npz")
-    with np.load(tmp_path / "result.npz") as file:
-        assert json.loads(str(file["meta"]))["format_version"] == 4
-        np.testing.assert_array_equal(file["depth_mm"], result.depth_mm)
-        assert "depth_px" not in file.files
-    uneven = replace(result, mm_per_px=(0.1, 0.2))
+    for known, there, absent in (
+        (bare, "depth_px", {"depth_mm", "mm_per_px"}),
+        (calibration, "depth_mm", {"depth_px"}),
+    ):
+        result = gelform.Reconstructor(known)(image)
+        gelform.save_result(result, path, overwrite=True)
+        with np.load(path) as file:
+            assert not absent & set(file.files)
+            np.testing.assert_array_equal(file[there], getattr(result, there))
+            assert json.loads(str(file["meta"]))["format_version"] == 4
+        again = gelform.load_result(path)
+        np.testing.assert_array_equal(again.depth_px, result.depth_px)
+        assert again.mm_per_px == known.mm_per_px
+        if known is bare:
+            with pytest.raises(gelform.GelformError, match="scale"):
+                again.depth_mm  # noqa: B018
     with pytest.raises(gelform.GelformError, match="square pixels"):
-        uneven.depth_px  # noqa: B018
+        replace(result, mm_per_px=(0.1, 0.2)).depth_px  # noqa: B018
 
 
 def test_shown_in_pixels(bare, image):
