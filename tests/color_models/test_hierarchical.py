@@ -3,6 +3,7 @@
 import gc
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,13 +19,18 @@ def rms(model, samples):
     return np.sqrt(np.mean((found - samples.gradients) ** 2))
 
 
+def part_of(samples, which=slice(None)):
+    """Some of the samples, in arrays of their own, of which nothing is remembered."""
+    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
+    return replace(samples, **{part: getattr(samples, part)[which].copy() for part in parts})
+
+
 def at_few_places(samples, count=6, seed=0):
     """The samples within 6 px of a few places, as few presses give."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(5, SHAPE[1] - 5, count), rng.uniform(5, SHAPE[0] - 5, count)
     near = (np.hypot(samples.x_px[:, None] - x, samples.y_px[:, None] - y) < 6).any(axis=1)
-    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
-    return replace(samples, **{part: getattr(samples, part)[near] for part in parts})
+    return part_of(samples, near)
 
 
 def test_it_follows_lights_that_turn_over_the_image():
@@ -43,21 +49,15 @@ def test_few_presses_leave_less_error_elsewhere_than_in_a_free_polynomial():
 
 def test_the_light_tells_what_the_place_does_not():
     """Colour that weakens with the light, unlike any polynomial of the place: stripes."""
-    stripes = 1 + 0.6 * np.sign(np.sin(np.arange(SHAPE[1]) / 6.0))
-    background = np.broadcast_to(80 * stripes[None, :, None], (*SHAPE, 3)).astype(np.float32)
     wide = (96, 128)
-    background = np.kron(background, np.ones((2, 2, 1))).astype(np.float32)[: wide[0], : wide[1]]
-    import cv2
-
+    stripes = 80 * (1 + 0.6 * np.sign(np.sin(np.arange(wide[1]) // 2 / 6.0)))
+    background = np.broadcast_to(stripes[:, None], (*wide, 3)).astype(np.float32)
     smooth = cv2.GaussianBlur(background, (0, 0), 8.0)[48, :, 0]
 
     def change(gradients, x, y):
-        light = np.log(smooth[np.clip(2 * x, 0, wide[1] - 1).astype(int)])
-        return (
-            gradients
-            @ np.array([[1.0, 0.2, -0.7], [0.1, 0.9, 0.8]])
-            / (1 + 0.3 * light[:, None] / light.mean())
-        )
+        light = np.log(smooth[np.clip(2 * x, 0, wide[1] - 1).astype(int)])[:, None]
+        mixed = gradients @ np.array([[1.0, 0.2, -0.7], [0.1, 0.9, 0.8]])
+        return mixed / (1 + 0.3 * light / light.mean())
 
     samples, unseen = (ball_samples(change, seed=s) for s in (0, 6))
     samples, unseen = (replace(s, x_px=2 * s.x_px, y_px=2 * s.y_px, shape=wide) for s in (samples, unseen))
@@ -69,14 +69,9 @@ def test_the_light_tells_what_the_place_does_not():
 
 def test_more_ridge_is_less_slope():
     samples = ball_samples(lambertian_change)
-    sizes = [
-        np.abs(
-            HierarchicalModel.fit(samples, ridge=ridge).gradients_at(
-                samples.color_change, samples.x_px, samples.y_px
-            )
-        ).mean()
-        for ridge in (1e-6, 1e-1, 1e3)
-    ]
+    at = samples.color_change, samples.x_px, samples.y_px
+    models = [HierarchicalModel.fit(samples, ridge=ridge) for ridge in (1e-6, 1e-1, 1e3)]
+    sizes = [np.abs(model.gradients_at(*at)).mean() for model in models]
     assert sizes[0] > sizes[1] > sizes[2]
     assert sizes[2] < 0.01
 
@@ -154,34 +149,24 @@ def test_a_start_is_corrected_by_what_it_does_not_explain():
     np.testing.assert_allclose(held.nodes, start.nodes, atol=1e-3)
 
 
-def anew(samples):
-    """The same in arrays of their own, of which nothing is remembered."""
-    parts = ("color_change", "x_px", "y_px", "gradients", "weight")
-    return replace(samples, **{part: getattr(samples, part).copy() for part in parts})
-
-
 def test_fits_one_after_the_other_are_those_of_each_alone():
     """What is worked out for one ridge is there for the next, and for nothing else."""
     samples = ball_samples(lambertian_change)
     turned = replace(samples, gradients=-samples.gradients)
     lighter = replace(samples, weight=samples.weight * np.linspace(0.1, 1, len(samples.weight)))
     moved = replace(samples, x_px=samples.x_px[::-1].copy())
-    first = HierarchicalModel.fit(anew(samples), position_degrees=(2, 1))
+    first = HierarchicalModel.fit(part_of(samples), position_degrees=(2, 1))
     start = replace(first, nodes=0.5 * first.nodes)
+    asked = [((2, 1), 1e-3, None), ((2, 1), 1e-5, None), ((2, 1), 1e-5, start), ((1,), 1e-3, None)]
     for one in (samples, turned, samples, lighter, moved, samples):
-        for degrees, ridge, begun in (
-            ((2, 1), 1e-3, None),
-            ((2, 1), 1e-5, None),
-            ((2, 1), 1e-5, start),
-            ((1,), 1e-3, None),
-        ):
-            found = HierarchicalModel.fit(one, position_degrees=degrees, ridge=ridge, start=begun)
-            alone = HierarchicalModel.fit(anew(one), position_degrees=degrees, ridge=ridge, start=begun)
+        for degrees, ridge, begun in asked:
+            how = {"position_degrees": degrees, "ridge": ridge, "start": begun}
+            found, alone = (HierarchicalModel.fit(given, **how) for given in (one, part_of(one)))
             np.testing.assert_array_equal(found.nodes, alone.nodes)
 
 
 def test_columns_are_worked_out_once_and_do_not_keep_their_samples():
-    samples = anew(ball_samples(lambertian_change))
+    samples = part_of(ball_samples(lambertian_change))
     HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=1e-3)
     regression = hierarchical._last[3]
     HierarchicalModel.fit(samples, position_degrees=(2, 1), ridge=1e-4)

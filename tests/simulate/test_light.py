@@ -35,6 +35,16 @@ def sensor_with(*leds, **settings):
     return SimulatedSensor(leds, **{"shape": (40, 50), "mm_per_px": 0.1} | settings)
 
 
+def exact(sensor, ball_mm=3.0, **settings):
+    """A press without noise and rounding."""
+    return simulate_press(
+        sensor, Ball(ball_mm), **{"depth_mm": 0.5, "rng": None, "quantise": False} | settings
+    )
+
+
+LEDS = Led((4, 1, 5), (90, 10, 0)), Led((-3, 2, 4), (0, 50, 20)), Led((0, -5, 6), (5, 0, 70))
+
+
 def plane(x, y, slope_x, slope_y):
     z = slope_x * x + slope_y * y
     gradients = np.empty((*z.shape, 2))
@@ -58,25 +68,16 @@ def test_one_light_on_a_plane_is_lamberts_law(slope_x, slope_y):
 
 
 def test_lights_add_up():
-    leds = (Led((4, 1, 5), (90, 10, 0)), Led((-3, 2, 4), (0, 50, 20)), Led((0, -5, 6), (5, 0, 70)))
-    settings = {"depth_mm": 0.5, "rng": None, "quantise": False}
-    together = simulate_press(sensor_with(*leds), Ball(3), **settings).image
-    apart = sum(simulate_press(sensor_with(led), Ball(3), **settings).image for led in leds)
-    np.testing.assert_allclose(together, apart, rtol=1e-12, atol=1e-15)
+    apart = sum(exact(sensor_with(led)).image for led in LEDS)
+    np.testing.assert_allclose(exact(sensor_with(*LEDS)).image, apart, rtol=1e-12, atol=1e-15)
 
 
 def test_turning_lights_and_scene_turns_the_picture():
-    leds = (Led((4, 1, 5), (90, 10, 0)), Led((-3, 2, 4), (0, 50, 20)))
-    turned = tuple(
-        Led((-led.position_mm[1], led.position_mm[0], led.position_mm[2]), led.color) for led in leds
+    turned = tuple(Led((-y, x, z), led.color) for led in LEDS for x, y, z in [led.position_mm])
+    image, again = (
+        exact(sensor_with(*leds, shape=(41, 41)), 2.0, center_mm=center).image
+        for leds, center in ((LEDS, (0.7, 0.3)), (turned, (-0.3, 0.7)))
     )
-    settings = {"depth_mm": 0.5, "rng": None, "quantise": False}
-    image = simulate_press(
-        sensor_with(*leds, shape=(41, 41)), Ball(2), center_mm=(0.7, 0.3), **settings
-    ).image
-    again = simulate_press(
-        sensor_with(*turned, shape=(41, 41)), Ball(2), center_mm=(-0.3, 0.7), **settings
-    ).image
     np.testing.assert_allclose(again, np.rot90(image, k=-1), rtol=1e-10)
 
 
@@ -91,14 +92,11 @@ def test_no_light_from_behind():
 
 def test_far_lights_agree_with_the_packages_own_shading():
     directions = np.array([[0.6, 0.1, 0.8], [-0.3, 0.5, 0.8], [-0.2, -0.6, 0.77]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     far = 1e6
-    leds = tuple(
-        Led(tuple(far * d / np.linalg.norm(d)), tuple(far**2 * 100 * np.eye(3)[c]))
-        for c, d in enumerate(directions)
-    )
-    press = simulate_press(sensor_with(*leds), Ball(3), depth_mm=0.8, rng=None, oversample=1, quantise=False)
-    lights = 100 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    np.testing.assert_allclose(press.image, image_from_normals(press.normals, lights), atol=2e-3)
+    leds = (Led(tuple(far * d), tuple(far**2 * 100 * np.eye(3)[c])) for c, d in enumerate(directions))
+    press = exact(sensor_with(*leds), depth_mm=0.8, oversample=1)
+    np.testing.assert_allclose(press.image, image_from_normals(press.normals, 100 * directions), atol=2e-3)
 
 
 def test_a_pixel_is_the_mean_of_its_subpixels():
@@ -124,24 +122,15 @@ def test_a_beam_falls_off_with_its_power_of_the_cosine():
 
 
 def test_gloss_is_brightest_where_the_surface_mirrors_the_light():
-    led = Led((-20, 0, 20), (1e5, 0, 0))
-    sensor = replace(PLAIN, leds=(led,), shape=(61, 81))
-    press = simulate_press(
-        replace(sensor, coating=Coating(specular=0.5, shininess=64)),
-        Ball(3),
-        depth_mm=1.0,
-        rng=None,
-        quantise=False,
-    )
-    matte = simulate_press(sensor, Ball(3), depth_mm=1.0, rng=None, quantise=False)
+    sensor = replace(PLAIN, leds=(Led((-20, 0, 20), (1e5, 0, 0)),), shape=(61, 81))
+    matte = exact(sensor, depth_mm=1.0)
+    press = exact(replace(sensor, coating=Coating(specular=0.5, shininess=64)), depth_mm=1.0)
     gloss = press.image[..., 0] - matte.image[..., 0]
     row, column = np.unravel_index(np.argmax(gloss), gloss.shape)
-    normal = press.normals[row, column]
-    to_light = np.array([-20, 0, 20]) - np.array(
-        [(column - 40) * 0.1, (row - 30) * 0.1, press.depth_mm[row, column]]
-    )
+    place = (column - 40) * 0.1, (row - 30) * 0.1, press.depth_mm[row, column]
+    to_light = np.array([-20, 0, 20]) - place
     half = to_light / np.linalg.norm(to_light) + np.array([0, 0, 1])
-    assert normal @ half / np.linalg.norm(half) > 0.999
+    assert press.normals[row, column] @ half / np.linalg.norm(half) > 0.999
     assert gloss.min() > -1e-9
 
 
@@ -201,19 +190,13 @@ def test_scattering_keeps_the_light_and_interreflection_adds_to_it():
     assert bounced.sum() == pytest.approx(1.2 * light.sum(), rel=0.01)
 
 
-def levels(sensor, **settings):
-    return simulate_press(
-        sensor, Ball(2), **{"depth_mm": 0.5, "rng": None, "quantise": False, "oversample": 1} | settings
-    ).image
-
-
 def test_a_far_low_light_casts_the_shadow_that_geometry_says():
-    sensor = replace(
-        PLAIN, leds=(Led((-1e4, 0, 5e3), (1e9, 1e9, 1e9), size_mm=0),), shape=(61, 161), mm_per_px=0.05
+    led = Led((-1e4, 0, 5e3), (1e9, 1e9, 1e9), size_mm=0)
+    sensor = replace(PLAIN, leds=(led,), shape=(61, 161), mm_per_px=0.05)
+    free, dark = (
+        exact(one, 1.0, center_mm=(-2.0, 0.0), depth_mm=0.8, oversample=1)
+        for one in (sensor, replace(sensor, cast_shadows=True))
     )
-    settings = {"center_mm": (-2.0, 0.0), "depth_mm": 0.8, "rng": None, "quantise": False, "oversample": 1}
-    free = simulate_press(sensor, Ball(1.0), **settings)
-    dark = simulate_press(replace(sensor, cast_shadows=True), Ball(1.0), **settings)
     row, x = free.depth_mm[30], sensor.grid_mm()[0][0]
     horizon = np.maximum.accumulate(row + 0.5 * x)  # light comes from the left, falling 0.5 mm per mm
     hidden = row + 0.5 * x < horizon - 0.02
@@ -237,10 +220,10 @@ def test_larger_lights_cast_softer_shadows():
 
 def test_shadows_take_light_and_never_give():
     for name, sensor in LAYOUTS.items():
-        free = levels(sensor, depth_mm=0.8)
-        dark = levels(replace(sensor, cast_shadows=True), depth_mm=0.8)
+        shadowed = replace(sensor, cast_shadows=True)
+        free, dark = (exact(one, 2.0, depth_mm=0.8, oversample=1).image for one in (sensor, shadowed))
         assert np.all(dark <= free + 1e-6), name
-        background = simulate_background(replace(sensor, cast_shadows=True), None, quantise=False)
+        background = simulate_background(shadowed, None, quantise=False)
         np.testing.assert_array_equal(background, simulate_background(sensor, None, quantise=False))
 
 
