@@ -11,17 +11,23 @@ BALL_MM = 3.0
 SHAPE = (120, 160)
 
 
-def pressed_ball(center=(80.3, 59.6), contact_px=30.0):
-    """Depth, gradients and contact of a ball's cap on a flat gel."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
-    radius = BALL_MM / MM_PER_PX
-    square = (x - center[0]) ** 2 + (y - center[1]) ** 2
-    inside = square < contact_px**2
-    height = np.sqrt(np.where(inside, radius**2 - square, 1))
-    rim = np.sqrt(radius**2 - contact_px**2)
-    depth = np.where(inside, (height - rim) * MM_PER_PX, 0)
-    gradients = ball_gradients(x, y, center, radius) * inside[..., None]
-    return depth, gradients, inside
+CIRCLE = (80.3, 59.6, 30.0)
+Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
+away_px = np.hypot(X - CIRCLE[0], Y - CIRCLE[1])  # from the centre
+
+
+def pressed_ball(contact_px=30.0):
+    """Depth and gradients of a ball's cap on a flat gel."""
+    radius, inside = BALL_MM / MM_PER_PX, away_px < contact_px
+    height = np.sqrt(np.where(inside, radius**2 - away_px**2, 1))
+    depth = np.where(inside, (height - np.sqrt(radius**2 - contact_px**2)) * MM_PER_PX, 0)
+    return depth, ball_gradients(X, Y, CIRCLE[:2], radius) * inside[..., None]
+
+
+def errors_of(depth, gradients, circle=CIRCLE, **more):
+    return press_errors(
+        depth, gradients, circle_px=circle, ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX, **more
+    )
 
 
 def test_angles():
@@ -32,10 +38,7 @@ def test_angles():
 
 
 def test_perfect_press_has_no_error():
-    depth, gradients, _ = pressed_ball()
-    errors = press_errors(
-        depth, gradients, circle_px=(80.3, 59.6, 30.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
-    )
+    errors = errors_of(*pressed_ball())
     assert errors.normal_deg < 1e-3
     assert errors.normal_free_deg < 1e-2
     assert errors.cap_um < 1e-3
@@ -44,81 +47,52 @@ def test_perfect_press_has_no_error():
 
 
 def test_errors_are_those_put_in():
-    depth, gradients, _inside = pressed_ball()
-    scaled = press_errors(
-        1.1 * depth,
-        1.1 * gradients,
-        circle_px=(80.3, 59.6, 30.0),
-        ball_radius_mm=BALL_MM,
-        mm_per_px=MM_PER_PX,
-    )
+    depth, gradients = pressed_ball()
+    scaled, lifted = errors_of(1.1 * depth, 1.1 * gradients), errors_of(depth + 0.02, gradients)
     assert scaled.radius_percent == pytest.approx(-8.0, abs=2.0)  # too deep: the sphere is too small
     assert scaled.cap_um > 5
     assert scaled.normal_deg > 0.5
-    lifted = press_errors(
-        depth + 0.02, gradients, circle_px=(80.3, 59.6, 30.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
-    )
     assert lifted.off_contact_um == pytest.approx(20.0)
     assert lifted.cap_um < 1e-3  # the offset is free, the scale is not
 
 
 def test_a_flat_rim_is_left_out_inside_the_edge():
     """Beyond it the gel has left the ball: the rim's error alone counts it, and without an edge all are up to the rim."""
+    depth, gradients = pressed_ball()
     for ratio in [0.7, 0.85]:
-        depth, gradients, _ = pressed_ball()
-        y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-        rim = np.hypot(x - 80.3, y - 59.6) > (ratio + 0.02) * 30.0
-        flat = np.where(rim[..., None], 0.5 * gradients, gradients)
-        known = {"circle_px": (80.3, 59.6, 30.0), "ball_radius_mm": BALL_MM, "mm_per_px": MM_PER_PX}
-        errors = press_errors(depth, flat, **known, contact_radius_ratio=ratio)
+        flat = np.where((away_px > (ratio + 0.02) * 30.0)[..., None], 0.5 * gradients, gradients)
+        errors = errors_of(depth, flat, contact_radius_ratio=ratio)
         assert max(errors.normal_deg, errors.normal_free_deg) < 0.3 < 0.7 < errors.normal_rim_deg
-        whole = press_errors(depth, flat, **known)
+        whole = errors_of(depth, flat)
         assert whole.normal_free_deg == whole.normal_rim_deg > 0.7
 
 
 def test_depth_is_compared_inside_the_edge_too():
     """A gel that stands off the ball beyond it is neither a wrong cap nor a wrong radius."""
-    depth, gradients, _ = pressed_ball()
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    away = np.hypot(x - 80.3, y - 59.6)
-    lower = depth - 0.002 * np.maximum(away - 0.7 * 30, 0) ** 2 * (away < 30)
-    known = {"circle_px": (80.3, 59.6, 30.0), "ball_radius_mm": BALL_MM, "mm_per_px": MM_PER_PX}
-    inside, whole = (
-        press_errors(lower, gradients, **known, contact_radius_ratio=ratio) for ratio in (0.7, 1.0)
-    )
+    depth, gradients = pressed_ball()
+    lower = depth - 0.002 * np.maximum(away_px - 0.7 * 30, 0) ** 2 * (away_px < 30)
+    inside, whole = (errors_of(lower, gradients, contact_radius_ratio=ratio) for ratio in (0.7, 1.0))
     assert inside.cap_um < 1 < 10 < whole.cap_um
     assert abs(inside.radius_percent) < 0.5 < 3 < abs(whole.radius_percent)
 
 
 def test_the_edge_is_3_px_inside_the_visible_rim_at_least():
-    depth, gradients, _ = pressed_ball()
-    known = {"circle_px": (80.3, 59.6, 30.0), "ball_radius_mm": BALL_MM, "mm_per_px": MM_PER_PX}
-    near, at = (press_errors(depth, gradients, **known, contact_radius_ratio=ratio) for ratio in (0.99, 1.0))
+    near, at = (errors_of(*pressed_ball(), contact_radius_ratio=ratio) for ratio in (0.99, 1.0))
     assert near == at
     with pytest.raises(ValueError, match="contact_radius_ratio"):
-        press_errors(depth, gradients, **known, contact_radius_ratio=1.1)
+        errors_of(*pressed_ball(), contact_radius_ratio=1.1)
 
 
 def test_a_deep_press_is_scored_where_the_gel_follows_the_ball():
     """A visible circle wider than the ball: slopes beyond 0.75 of its radius are not the ball's and count for nothing."""
-    depth, gradients, _ = pressed_ball(contact_px=40.0)
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    beyond = np.hypot(x - 80.3, y - 59.6) > 0.75 * BALL_MM / MM_PER_PX
-    errors = press_errors(
-        depth,
-        np.where(beyond[..., None], 0, gradients),
-        circle_px=(80.3, 59.6, 55.0),
-        ball_radius_mm=BALL_MM,
-        mm_per_px=MM_PER_PX,
-    )
+    depth, gradients = pressed_ball(contact_px=40.0)
+    followed = np.where((away_px > 0.75 * BALL_MM / MM_PER_PX)[..., None], 0, gradients)
+    errors = errors_of(depth, followed, (*CIRCLE[:2], 55.0))
     assert max(errors.normal_deg, errors.normal_rim_deg, errors.normal_free_deg) < 0.01
 
 
 def test_wrong_circle_costs_the_label_but_not_the_free_centre():
-    depth, gradients, _ = pressed_ball()
-    errors = press_errors(
-        depth, gradients, circle_px=(81.8, 59.6, 28.0), ball_radius_mm=BALL_MM, mm_per_px=MM_PER_PX
-    )
+    errors = errors_of(*pressed_ball(), (81.8, 59.6, 28.0))
     assert errors.normal_deg > 1.0
     assert errors.normal_free_deg < 0.2
     assert errors.cap_free_um < 1 < errors.cap_um

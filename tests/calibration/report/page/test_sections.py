@@ -16,21 +16,13 @@ from gelform.calibration.report.page.sections import (
 )
 
 
-def test_digits_keep_their_zeros():
+def test_figures_stand_with_their_intervals_and_one_that_does_not_exist_is_a_dash(content):
     assert [digits(v) for v in (2.0, 19.0, 0.5, 123.4)] == ["2.00", "19.0", "0.500", "123"]
-
-
-def test_figures_stand_with_their_intervals(content):
     drawn = figures_section(content)
     one = content["figures"]["normal_free_deg"]
-    assert (
-        f"<b>{digits(one['value'])}° <small>{digits(one['interval'][0])} – {digits(one['interval'][1])}"
-        in drawn
-    )
+    value, low, high = (digits(v) for v in (one["value"], *one["interval"]))
+    assert f"<b>{value}° <small>{low} – {high}" in drawn
     assert drawn.count("<tr>") == len(content["checks"]) + 1
-
-
-def test_a_figure_that_does_not_exist_is_a_dash(content):
     figures = {name: one for name, one in content["figures"].items() if name != "off_contact_um"}
     assert "no press leaves room for it" in figures_section({**content, "figures": figures})
 
@@ -57,12 +49,9 @@ def test_every_figure_of_a_candidate_is_rendered():
     assert "decides" not in models_section({"candidates": rows[:1]})
 
 
-def test_places_are_said_in_words():
+def test_places_to_press_are_said_in_words_in_their_order(content):
     place = {"name": "top left", "x_px": 10, "y_px": 20}
     assert place_in_words(place, 0.1) == "top left: (10, 20) px, 1.0 mm from the left, 2.0 mm from the top"
-
-
-def test_places_to_press_are_listed_in_order(content):
     drawn = coverage_section(content)
     assert drawn.count("<li>") >= 3
     assert place_in_words(content["coverage"]["next"][0], content["calibration"]["mm_per_px"]) in drawn
@@ -91,21 +80,15 @@ WHERE = {
 }
 
 
-def test_slopes_stand_in_their_rows_and_a_missing_bin_is_a_dash():
+def test_slopes_and_places_stand_in_their_rows_and_a_missing_bin_is_a_dash():
     page = where_section({"where": WHERE})
-    assert (
-        "2.12° inside the edge of the contact, at 0.84 of the visible radius; 3.36° up to 3 px inside" in page
-    )
-    assert "<td>0.1 – 0.2</td><td>1.11°</td><td>1.99°</td><td>1.02</td><td>500</td>" in page
-    assert "<td>0.7 – 0.8</td><td>4.44°</td><td>–</td><td>0.91</td><td>90</td>" in page
-
-
-def test_places_stand_row_by_row():
-    page = where_section({"where": WHERE})
-    assert (
-        "<tr><td>1.00° / 1.50°</td><td>2.00° / 2.60°</td></tr><tr><td>– / 7.00°</td><td>3.00° / –</td></tr>"
-        in page
-    )
+    for said in (
+        "2.12° inside the edge of the contact, at 0.84 of the visible radius; 3.36° up to 3 px inside",
+        "<td>0.1 – 0.2</td><td>1.11°</td><td>1.99°</td><td>1.02</td><td>500</td>",
+        "<td>0.7 – 0.8</td><td>4.44°</td><td>–</td><td>0.91</td><td>90</td>",
+        "<tr><td>1.00° / 1.50°</td><td>2.00° / 2.60°</td></tr><tr><td>– / 7.00°</td><td>3.00° / –</td></tr>",
+    ):
+        assert said in page
 
 
 @pytest.mark.parametrize(
