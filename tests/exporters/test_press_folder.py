@@ -18,6 +18,7 @@ from gelform.exporters.folders import write_csv, write_png, write_sensor_toml, w
 from gelform.exporters.press_folder import save_press_folder, save_simulated_presses
 from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 from gelform.sensors import read_sensor_toml, sensor_from_settings
+from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
 
 if sys.version_info >= (3, 11):
@@ -215,3 +216,13 @@ def test_a_folder_with_content_is_refused_and_a_failure_leaves_nothing(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         save_simulated_set(tmp_path / "half", SET, progress=interrupted)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
+
+
+def test_the_serial_is_in_sensor_toml(tmp_path):
+    image = np.zeros((8, 8, 3), np.uint8)
+    made = {"images": [image], "ball_diameters_mm": [6], "mm_per_px": 0.1, "name": 'a "gel"'}
+    save_press_folder(tmp_path / "a", background=image, serial="D\\20", **made)
+    settings = read_sensor_toml(tmp_path / "a/sensor.toml")
+    assert (settings.name, settings.serial) == ('a "gel"', "D\\20")
+    save_press_folder(tmp_path / "b", background=image, **made)
+    assert read_sensor_toml(tmp_path / "b/sensor.toml").serial == ""

@@ -59,10 +59,16 @@ def check_room(folder: Path) -> None:
         probe.write(bytes(PROBE_BYTES))
 
 
-def write_sensor_toml(path: Path, name: str, mm_per_px: float) -> None:
-    """Write the least that a `sensor.toml` says: a name and the width of a pixel, mm."""
-    escaped = name.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    path.write_text(f'name = "{escaped}"\nmm_per_px = {float(mm_per_px)!r}\n', encoding="utf-8")
+def write_sensor_toml(path: Path, name: str, mm_per_px: float, serial: str = "") -> None:
+    """Write the least that a `sensor.toml` says: a name, the width of a pixel, mm, and the serial where there is one."""
+    unit = f"serial = {_toml_text(serial)}\n" if serial else ""
+    content = f"name = {_toml_text(name)}\nmm_per_px = {float(mm_per_px)!r}\n{unit}"
+    path.write_text(content, encoding="utf-8")
+
+
+def _toml_text(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:

@@ -31,6 +31,7 @@ def save_press_folder(
     ball_diameters_mm: Sequence[float],
     mm_per_px: float,
     name: str,
+    serial: str = "",
     centers_px: Sequence[tuple[float, float]] | None = None,
     contact_radii_px: Sequence[float] | None = None,
     truths: Sequence[Mapping[str, ArrayLike]] | None = None,
@@ -49,6 +50,7 @@ def save_press_folder(
     ball_diameters_mm : N numbers
     mm_per_px : float, mm
     name : str, of the sensor
+    serial : of the camera; empty where it has none
     centers_px, contact_radii_px : N labels, known for simulated presses
     truths : N times named arrays, such as depth_mm and gradients
     progress : called with (done, total, what)
@@ -78,7 +80,7 @@ def save_press_folder(
                 write_npz(partial / "truth" / f"{k:04d}.npz", truths[k])
             progress(k + 1, len(images), "writing presses")
         write_csv(partial / "presses.csv", rows)
-        write_sensor_toml(partial / "sensor.toml", name, pitch)
+        write_sensor_toml(partial / "sensor.toml", name, pitch, serial)
     return target
 
 

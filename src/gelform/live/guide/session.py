@@ -150,6 +150,7 @@ class GuideSession:
             ball_diameters_mm=[press.ball_diameter_mm for press in presses.presses],
             mm_per_px=presses.mm_per_px,
             name=presses.sensor_name,
+            serial=presses.serial or "",
         )
         calibration.save(folder / "calibration.npz")
         with written_file(folder / "report.html") as handle:
