@@ -16,24 +16,24 @@ def check():
     return module
 
 
-@pytest.mark.parametrize(
-    ("link", "right"),
-    [
-        ("[a](other.md)", True),
-        ("[a](gone.md)", False),
-        ("[a](other.md#its-heading-twice)", True),
-        ("[a](other.md#no-heading)", False),
-        ("[`found`](code.py)", True),
-        ("[`lost`](code.py)", False),
-        ("[a](https://e.org/gone)", True),
-        ("```\n[a](gone.md)\n```", True),
-    ],
-)
-def test_links(check, tmp_path, link, right):
-    (tmp_path / "page.md").write_text(f"# Page\n\n{link}\n")
+LINKS = {
+    "[a](other.md)": True,
+    "[a](gone.md)": False,
+    "[a](other.md#its-heading-twice)": True,
+    "[a](other.md#no-heading)": False,
+    "[`found`](code.py)": True,
+    "[`lost`](code.py)": False,
+    "[a](https://e.org/gone)": True,
+    "```\n[a](gone.md)\n```": True,
+}
+
+
+def test_links(check, tmp_path):
     (tmp_path / "other.md").write_text("# Other\n\n## Its `heading`, twice\n")
     (tmp_path / "code.py").write_text("def found():\n    pass\n")
-    assert (check.broken_links(tmp_path / "page.md", tmp_path) == []) == right
+    for link, right in LINKS.items():
+        (tmp_path / "page.md").write_text(f"# Page\n\n{link}\n")
+        assert (check.broken_links(tmp_path / "page.md", tmp_path) == []) == right, link
 
 
 def test_every_page_s_links(check):

@@ -44,11 +44,8 @@ def test_all_arguments_odd(name, tmp_path, monkeypatch):
     """Of its signature, so that nobody has to write down what a function takes."""
     monkeypatch.chdir(tmp_path)
     function = EXPORTS[name]
-    named = [
-        (p.name, p.default is p.empty)
-        for p in inspect.signature(function).parameters.values()
-        if p.name != "progress"
-    ]
+    parameters = inspect.signature(function).parameters.values()
+    named = [(p.name, p.default is p.empty) for p in parameters if p.name != "progress"]
 
     @cases(10)
     @given(data=st.data())

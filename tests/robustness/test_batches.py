@@ -18,6 +18,7 @@ import pytest
 from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.errors import DataError
 from hostile.budget import FACTOR
+from live_waiting import until
 from made.small_gel import Touch, calibration, image_of, save
 
 IMAGES, PART_FRAMES = 24, 3
@@ -60,8 +61,8 @@ def visible(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def started(work, output, workers):
-    command = [sys.executable, work / "driver.py", work / "in", work / "cal.npz", output, workers]
+def started(work, output, workers, driver=None):
+    command = [sys.executable, driver or work / "driver.py", work / "in", work / "cal.npz", output, workers]
     return subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL)
 
 
@@ -140,10 +141,8 @@ def test_one_of_a_pool_killed_at_random_moments(work, tmp_path, who):
             if Path(f"/proc/{number}").exists():
                 os.kill(number, signal.SIGKILL)
         process.wait(60)
-        deadline = time.monotonic() + 20
-        while any(Path(f"/proc/{number}/cmdline").exists() for number in workers):
-            assert time.monotonic() < deadline, "a worker outlived its driver"
-            time.sleep(0.01)
+        for number in workers:  # none outlives its driver
+            until(lambda number=number: not Path(f"/proc/{number}/cmdline").exists(), 20)
         assert_only_whole_files(work, output)
         assert_goes_on(work, output)
 
@@ -151,18 +150,14 @@ def test_one_of_a_pool_killed_at_random_moments(work, tmp_path, who):
 def test_a_worker_killed_while_it_starts(work, tmp_path):
     """The driver ends all the same, though what it hands over (a background, too) is larger than a pipe holds."""
     save(work / "rest.png", image_of(None))
-    program = (
-        (work / "driver.py").read_text().replace("engine=", f"background={str(work / 'rest.png')!r}, engine=")
-    )
-    (tmp_path / "driver.py").write_text(program)
-    command = [sys.executable, tmp_path / "driver.py", work / "in", work / "cal.npz", tmp_path / "out", 2]
-    process = subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while not (workers := workers_of(process)) and time.monotonic() < deadline:
-        time.sleep(0.001)
+    rest = f"background={str(work / 'rest.png')!r}, engine="
+    driver = tmp_path / "driver.py"
+    driver.write_text((work / "driver.py").read_text().replace("engine=", rest))
+    process = started(work, tmp_path / "out", 2, driver)
+    workers = until(lambda: workers_of(process), 60)
     os.kill(workers[0], signal.SIGKILL)
     assert process.wait(60) != 0
-    assert subprocess.run(list(map(str, command)), timeout=60).returncode == 0
+    assert started(work, tmp_path / "out", 2, driver).wait(60) == 0
     assert verify_output(tmp_path / "out") == (IMAGES, 2, [])
 
 

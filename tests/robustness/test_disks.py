@@ -57,19 +57,11 @@ def said_by(arguments, capfd):
     return said
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name):
-    with disk(tmp_path / "disk", 0) as out:
-        before = contents(out)
-        assert "No space left on device" in said_by(commands(work, out)[name], capfd)
-        assert contents(out) == before
+FILLS_UP = [("reconstruct", 60), ("simulate", 40), ("import", 40), ("compare", 40)]
 
 
-@pytest.mark.parametrize(
-    ("name", "kilobytes"),
-    [("reconstruct", 60), ("simulate", 40), ("import", 40), ("compare", 40)],
-)
-def test_a_disk_that_fills_up_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name, kilobytes):
+@pytest.mark.parametrize(("name", "kilobytes"), [*((name, 0) for name in WRITERS), *FILLS_UP])
+def test_a_full_disk_is_one_sentence_and_nothing_stays(work, tmp_path, capfd, name, kilobytes):
     with disk(tmp_path / "disk", kilobytes) as out:
         before = contents(out)
         assert "No space left on device" in said_by(commands(work, out)[name], capfd)
@@ -95,11 +87,7 @@ def test_no_home_and_no_cache_are_no_matter(work, tmp_path):
     """Pictures are drawn all the same, and nothing is said of it."""
     nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"), "/dev/null/none")
     command = [*commands(work, tmp_path)["reconstruct"], "--format", "npz,png", "--quiet"]
-    done = subprocess.run(
-        [sys.executable, "-m", "gelform", *map(str, command)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **nowhere},
-    )
+    program = [sys.executable, "-m", "gelform", *map(str, command)]
+    done = subprocess.run(program, capture_output=True, text=True, env={**os.environ, **nowhere})
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert len(list((tmp_path / "results").glob("*.png"))) == 3

@@ -33,24 +33,22 @@ def reconstruct():
     return gelform.Reconstructor(calibration())
 
 
+def spoilt(image, where, level):
+    image[where] = level
+    return image
+
+
+def as_image(values):
+    return np.clip(values, 0, 255).astype(np.uint8)
+
+
 def part_lost(image, amount, level, rng):
     """Rows or columns, at one end, of one level; of columns at least a block's width, as they are not sent by column."""
     count = round(amount * (SHAPE[0] - 1)) + 1
     wide = max(count, 32)
-    side = [np.s_[:count], np.s_[-count:], np.s_[:, :wide], np.s_[:, -wide:]][rng.integers(4)]
-    image[side] = level
-    return image
-
-
-def row_repeated(image, amount, level, rng):
-    image[-round(amount * 40) - 2 :] = image[-round(amount * 40) - 3]
-    return image
-
-
-def band_copied(image, amount, level, rng):
-    count = max(2, round(amount * 30))
-    image[-count:] = image[:count]
-    return image
+    return spoilt(
+        image, [np.s_[:count], np.s_[-count:], np.s_[:, :wide], np.s_[:, -wide:]][rng.integers(4)], level
+    )
 
 
 def rows_shifted(image, amount, level, rng):
@@ -60,61 +58,56 @@ def rows_shifted(image, amount, level, rng):
     return image
 
 
-def exposed(image, amount, level, rng):
-    return np.clip(image * (0.3 + 1.4 * amount), 0, 255).astype(np.uint8)
-
-
-def channel_off(image, amount, level, rng):
-    image[..., rng.integers(3)] = level
-    return image
-
-
-def channels_turned(image, amount, level, rng):
-    return image[..., rng.permutation(3)]
-
-
-def speckled(image, amount, level, rng):
-    image[rng.random(SHAPE) < 0.1 * amount] = level
-    return image
-
-
-def noisier(image, amount, level, rng):
-    return np.clip(image + rng.normal(0, 3 * amount, image.shape), 0, 255).astype(np.uint8)
-
-
 def compressed(image, amount, level, rng):
     _, content = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 30 + int(69 * amount)])
     return cv2.imdecode(content, cv2.IMREAD_COLOR)[..., ::-1]
 
 
-def turned(image, amount, level, rng):
-    return [image[::-1], image[:, ::-1], image[::-1, ::-1]][rng.integers(3)]
+def band_copied(image, amount, level, rng):
+    count = max(2, round(amount * 30))
+    return spoilt(image, np.s_[-count:], image[:count])
 
 
-def of_other_values(image, amount, level, rng):
-    return rng.integers(0, level + 1, image.shape).astype(np.uint8)
+def row_repeated(image, amount, level, rng):
+    count = round(amount * 40) + 2
+    return spoilt(image, np.s_[-count:], image[-count - 1])
 
 
-def constant(image, amount, level, rng):
-    image[:] = level
-    return image
+DEGRADATIONS = {
+    "part lost": part_lost,
+    "row repeated": row_repeated,
+    "band copied": band_copied,
+    "rows shifted": rows_shifted,
+    "compressed": compressed,
+    "exposed": lambda image, amount, *_: as_image(image * (0.3 + 1.4 * amount)),
+    "noisier": lambda image, amount, _, rng: as_image(image + rng.normal(0, 3 * amount, image.shape)),
+    "channel off": lambda image, _, level, rng: spoilt(image, np.s_[..., rng.integers(3)], level),
+    "channels turned": lambda image, amount, level, rng: image[..., rng.permutation(3)],
+    "speckled": lambda image, amount, level, rng: spoilt(image, rng.random(SHAPE) < 0.1 * amount, level),
+    "turned": lambda image, amount, level, rng: np.flip(image, [(0,), (1,), (0, 1)][rng.integers(3)]),
+    "of other values": lambda image, _, level, rng: rng.integers(0, level + 1, image.shape).astype(np.uint8),
+    "constant": lambda image, amount, level, rng: spoilt(image, np.s_[:], level),
+    "as it is": lambda image, *_: image,
+}
 
 
-def as_it_is(image, amount, level, rng):
-    return image
+def degraded(image, how, *settings):
+    return np.ascontiguousarray(DEGRADATIONS[how](image, *settings))
 
 
-DEGRADATIONS = [
-    part_lost, row_repeated, band_copied, rows_shifted, exposed, channel_off, channels_turned, speckled, noisier, compressed,
-    turned, of_other_values, constant, as_it_is,
-]  # fmt: skip
+HOW = {
+    "how": st.sampled_from(list(DEGRADATIONS)),
+    "amount": AMOUNT,
+    "level": LEVEL,
+    "seed": st.integers(0, 99),
+}
 
 
 @cases(250)
-@given(touch=TOUCHES, how=st.sampled_from(DEGRADATIONS), amount=AMOUNT, level=LEVEL, seed=st.integers(0, 99))
+@given(touch=TOUCHES, **HOW)
 def test_a_degraded_frame(reconstruct, touch, how, amount, level, seed):
-    frame = np.ascontiguousarray(how(image_of(touch), amount, level, np.random.default_rng(seed)))
-    case = f"frame {how.__name__} {amount:.2f} level {level} seed {seed} of {touch}"
+    frame = degraded(image_of(touch), how, amount, level, np.random.default_rng(seed))
+    case = f"frame {how} {amount:.2f} level {level} seed {seed} of {touch}"
     judge(case, lambda: reconstruct(frame), lambda result: depth_error(result.depth_mm, touch))
 
 
@@ -125,24 +118,22 @@ def test_what_is_no_frame(reconstruct, touch, which):
     judge(f"no frame {which}", lambda: reconstruct(frame), lambda result: depth_error(result.depth_mm, touch))
 
 
-@cases(60)
-@given(touch=TOUCHES, how=st.sampled_from(DEGRADATIONS), amount=AMOUNT, level=LEVEL, seed=st.integers(0, 99))
-def test_a_degraded_background(touch, how, amount, level, seed):
-    rest = np.ascontiguousarray(how(image_of(None), amount, level, np.random.default_rng(seed)))
+def judge_background(case, rest, touch):
     judge(
-        f"background {how.__name__} {amount:.2f} level {level} seed {seed}",
+        f"background {case}",
         lambda: gelform.Reconstructor(calibration(), background=rest)(image_of(touch)),
         lambda result: depth_error(result.depth_mm, touch),
     )
+
+
+@cases(60)
+@given(touch=TOUCHES, **HOW)
+def test_a_degraded_background(touch, how, amount, level, seed):
+    rest = degraded(image_of(None), how, amount, level, np.random.default_rng(seed))
+    judge_background(f"{how} {amount:.2f} level {level} seed {seed}", rest, touch)
 
 
 @cases(30)
 @given(which=st.integers(0, 47))
 def test_what_is_no_background(which):
-    rest = odd_arrays(image_of(None))[which]
-    touch = Touch()
-    judge(
-        f"no background {which}",
-        lambda: gelform.Reconstructor(calibration(), background=rest)(image_of(touch)),
-        lambda result: depth_error(result.depth_mm, touch),
-    )
+    judge_background(f"that is none {which}", odd_arrays(image_of(None))[which], Touch())
