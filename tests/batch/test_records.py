@@ -48,13 +48,10 @@ def test_refused():
             BatchSettings(**wrong)
 
 
-def test_every_map_can_be_kept_and_said_in_json():
+def test_every_map_can_be_kept_and_sigma_of_slopes_comes_where_it_is_used():
     facts = BatchSettings(keep=KEPT).facts()
     assert json.loads(json.dumps(facts)) == facts
     assert facts["keep"] == list(KEPT)
-
-
-def test_sigma_of_slopes_where_it_is_used():
     for asked, needed in [
         ({}, True),
         ({"solver": "dct"}, True),

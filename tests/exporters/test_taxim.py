@@ -89,16 +89,12 @@ def test_new_presses_are_rendered_as_well_as_the_forward_response_does(
 
 
 @pytest.mark.slow
-def test_a_level_gel_is_the_background(calibration, exported):
+def test_a_level_gel_is_the_background_and_the_importer_reads_it(calibration, exported):
     flat = rendered(exported, np.zeros(calibration.image_shape), "bgr")
     np.testing.assert_allclose(flat, calibration.background, atol=4)  # JPEG
     real = np.load(exported / "real_bg.npy")
     np.testing.assert_array_equal(real[..., ::-1], calibration.background)
     assert f"numBins = {BINS}" in (exported / "settings.txt").read_text()
-
-
-@pytest.mark.slow
-def test_it_is_what_the_importer_reads(exported):
     tables = read_taxim_forward(exported / "polycalib.npz")
     assert tables.table.shape == (BINS, BINS, 3, 6)
 
@@ -110,9 +106,6 @@ def test_what_cannot_be_written_is_said(calibration, tmp_path):
     (tmp_path / "full" / "mine").write_text("x")
     with pytest.raises(DataError, match="holds something"):
         save_taxim(calibration, tmp_path / "full")
-
-
-def test_a_calibration_without_forward_response_or_scale_is_refused(calibration, tmp_path):
     network = torch_file(tmp_path / "nnmodel.pth", network_arrays((5, 32, 32, 32, 2)))
     rest = np.rint(calibration.background).astype(np.uint8)
     blind = gelform.import_calibration(network, "gs_sdk", background=rest, mm_per_px=0.1)

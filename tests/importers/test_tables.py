@@ -123,7 +123,8 @@ def save(path, **changes):
     return path
 
 
-def test_the_bins_are_those_of_angle_direction_and_place():
+def test_the_bins_are_those_of_angle_direction_uphill_and_place():
+    """Right of a ball's middle the slope is negative in x: Taxim's atan2(-y, -x) is 180 degrees there."""
     gradients = np.zeros((4, 5, 2))
     gradients[1, 3] = np.tan(np.deg2rad(30.2)) * np.array([np.cos(1.0), np.sin(1.0)])
     change = TaximTables(tables()).level_change(gradients)
@@ -132,19 +133,24 @@ def test_the_bins_are_those_of_angle_direction_and_place():
     x, y = 3.5 * 640 / 5 - 0.5, 1.5 * 480 / 4 - 0.5
     assert change[1, 3, 2] == pytest.approx(1e-3 * x + 1e-2 * y)
     assert np.all(change[0, :, 0] == 0)
-
-
-def test_the_direction_is_uphill_towards_the_middle_of_a_ball():
-    """Right of a ball's middle the slope is negative in x: Taxim's atan2(-y, -x) is 180 degrees there."""
     right, below = (np.broadcast_to(slope, (3, 4, 2)) for slope in ((-0.5, 0), (0, -0.5)))
     assert abs(TaximTables(tables()).level_change(right)[0, 0, 1]) == pytest.approx(180, abs=2)
     assert TaximTables(tables()).level_change(below)[0, 0, 1] == pytest.approx(-90, abs=2)
 
 
-def test_members_are_read_blue_first(tmp_path):
+def test_tables_are_read_blue_first_and_bad_ones_refused(tmp_path):
     path = save(tmp_path / "polycalib.npz")
     np.testing.assert_array_equal(read_taxim_forward(path).table, tables())
     assert is_taxim_forward(path)
+    for changes, message in (
+        ({"grad_g": None}, "lacks grad_g"),
+        ({"bins": 7}, r"shape \(bins, bins, 6\)"),
+        ({"grad_r": np.zeros((BINS, BINS, 5))}, r"shape \(bins, bins, 6\)"),
+        ({"grad_r": np.full((BINS, BINS, 6), np.nan)}, "finite tables"),
+        ({"bins": np.array("many")}, "damaged"),
+    ):
+        with pytest.raises(DataError, match=message):
+            read_taxim_forward(save(tmp_path / "bad.npz", **changes))
 
 
 def test_an_untouched_look_is_its_background_and_a_pressed_one_is_the_tables(tmp_path):
@@ -163,18 +169,6 @@ def test_an_untouched_look_is_its_background_and_a_pressed_one_is_the_tables(tmp
     for shape, mm_per_px, said in (((64, 48), 0.1, r"np\.rot90\(image, -1\)"), ((48, 64), 0.0, "mm_per_px")):
         with pytest.raises(ValueError, match=said):
             TaximLook(TaximTables(tables()), np.zeros((*shape, 3), np.float32), mm_per_px, np.zeros(3))
-
-
-def test_bad_tables_are_refused(tmp_path):
-    for changes, message in (
-        ({"grad_g": None}, "lacks grad_g"),
-        ({"bins": 7}, r"shape \(bins, bins, 6\)"),
-        ({"grad_r": np.zeros((BINS, BINS, 5))}, r"shape \(bins, bins, 6\)"),
-        ({"grad_r": np.full((BINS, BINS, 6), np.nan)}, "finite tables"),
-        ({"bins": np.array("many")}, "damaged"),
-    ):
-        with pytest.raises(DataError, match=message):
-            read_taxim_forward(save(tmp_path / "bad.npz", **changes))
 
 
 def test_what_is_no_table_is_said(tmp_path):

@@ -11,14 +11,11 @@ from gelform.robots import depth_from_lerobot_levels, lerobot_levels_from_depth
 EVERY_LEVEL = np.arange(1, 65536, dtype=np.uint16).reshape(1, -1)
 
 
-def test_every_level_comes_back_also_between_two():
+def test_every_level_comes_back_also_those_that_the_page_names():
     depth_mm = depth_from_lerobot_levels(EVERY_LEVEL)
     assert depth_mm.dtype == np.float32
     np.testing.assert_array_equal(lerobot_levels_from_depth(depth_mm), EVERY_LEVEL)
     assert depth_from_lerobot_levels(np.array([[1000.5]])) == pytest.approx(0.0005)
-
-
-def test_the_values_that_the_page_names():
     depth_mm = np.array([[0.0, 0.001, -0.999, 1.0, 64.535]], np.float32)
     levels = lerobot_levels_from_depth(depth_mm)
     assert levels.dtype == np.uint16

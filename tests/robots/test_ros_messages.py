@@ -15,7 +15,7 @@ from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
 
 
-def test_a_name_is_made_of_any_text():
+def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
     for text, name in [
         ("GelSight Mini", "gelsight_mini"),
         ("digit", "digit"),
@@ -26,21 +26,15 @@ def test_a_name_is_made_of_any_text():
     ]:
         assert sensor_name_from(text) == name
         assert check_sensor_name(name) == name
-
-
-def test_what_ros_refuses_is_refused():
     for name in ["", "Left", "a__b", "_a", "a_", "3a", "a-b", "a/b", "a b", "a\n"]:
         with pytest.raises(ValueError, match="name of ROS"):
             check_sensor_name(name)
 
 
-def test_whole_topic_names():
+def test_topics_have_whole_names_and_come_in_the_tables_order():
     names = [topic.of("left") for topic in TOPICS.values()]
     assert names == ["/left/image_raw", "/left/indentation", "/left/points", "/diagnostics"]
     assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
-
-
-def test_topics_come_in_the_tables_order_once():
     assert check_topics(["points", "image", "points"]) == ("image", "points")
     assert check_topics("points") == ("points",)
     for wrong in ([], ["depth"], ["image", "camera_info"]):

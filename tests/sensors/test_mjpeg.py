@@ -31,13 +31,16 @@ def channel(frame):
     return int(frame.image[10, 10].argmax())
 
 
-def test_frames_in_rgb_as_they_come():
+def test_frames_in_rgb_as_they_come_large_ones_reduced():
     frames, source = taken([part(RED), SEEN, part(GREEN), SEEN, part(BLUE)], 3)
     assert [channel(frame) for frame in frames] == [0, 1, 2]
     assert [frame.index for frame in frames] == [0, 1, 2]
     assert frames[1].encoded == GREEN
     assert source.settings == {"width": 64, "height": 48, "reduced": 1}
     assert 0 <= time.monotonic() - frames[0].time_s < WAIT_S
+    frames, source = taken([part(jpeg((960, 1280)))], 1)
+    assert frames[0].image.shape == (480, 640, 3)
+    assert source.settings == {"width": 1280, "height": 960, "reduced": 2}
 
 
 def test_of_many_that_wait_the_newest_is_taken():
@@ -70,12 +73,6 @@ def test_a_server_that_names_no_kind_is_read_by_its_first_line_and_a_page_refuse
     assert [channel(frame) for frame in frames] == [0, 1]
     with pytest.raises(SensorError, match="not of the page"):
         taken([b"<html>", None], 1, kind.format("text/html").encode())
-
-
-def test_large_pictures_are_decoded_at_reduced_size():
-    frames, source = taken([part(jpeg((960, 1280)))], 1)
-    assert frames[0].image.shape == (480, 640, 3)
-    assert source.settings == {"width": 1280, "height": 960, "reduced": 2}
 
 
 def test_closing_wakes_a_waiting_reader():

@@ -97,15 +97,12 @@ def png_of_stream(stream, header=(32, 24, 8, 2, 0, 0, 0), extra=b""):
     return b"".join([png_bytes.SIGNATURE, *chunks, chunk(b"IEND", b"")])
 
 
-def test_every_filter_is_undone():
+def test_every_filter_is_undone_in_one_chunk_or_several():
     for filters in [[kind] * 24 for kind in range(5)] + [[k % 5 for k in range(24)]]:
         content = png_of(filtered(IMAGE, filters).tobytes())
         np.testing.assert_array_equal(pixels_of_png(content), IMAGE)
         decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(decoded[..., ::-1], IMAGE)
-
-
-def test_pixels_in_several_chunks_as_opencv_reads_them():
     smooth = np.repeat(np.arange(0, 240, 2, dtype=np.uint8)[:, None, None], 160, 1).repeat(3, 2)
     smooth[..., 1] += np.arange(160, dtype=np.uint8) % 17
     for image in (IMAGE, smooth, smooth[:, :1], smooth[:1]):
@@ -131,16 +128,13 @@ def test_a_damaged_stream_is_read_alike_whatever_decompresses_it():
     assert True in outcomes
 
 
-def test_other_kinds_are_left_to_the_decoder():
+def test_other_kinds_and_wrong_rows_are_left_to_the_decoder():
     rows = filtered(IMAGE, [0] * 24).tobytes()
     for kind in ((24, 16, 2, 0, 0, 0), (24, 8, 6, 0, 0, 0), (24, 8, 2, 0, 0, 1)):
         assert pixels_of_png(png_of(rows, (32, *kind))) is None
     assert pixels_of_png(png_of(rows, (0, 24, 8, 2, 0, 0, 0))) is None
     assert pixels_of_png(png_of(rows, extra=chunk(b"tRNS", bytes(6)))) is None
     assert pixels_of_png(png_of(rows)) is not None
-
-
-def test_rows_that_are_too_many_too_few_or_of_no_filter():
     rows = filtered(IMAGE, [0] * 24)
     assert pixels_of_png(png_of(rows.tobytes()[:-1])) is None
     assert pixels_of_png(png_of(rows.tobytes() + b"x")) is None

@@ -116,14 +116,11 @@ def test_paced_frames_come_at_their_time_on_our_clock():
     assert all(abs(time.time_ns() - frame.wall_time_ns) < 10e9 for frame in taken)
 
 
-def test_a_late_reader_of_paced_frames_gets_the_one_that_is_due():
+def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():
     reader = iter(Playback(frames(60), name="x", rate_hz=50.0, paced=True))
     next(reader)
     time.sleep(0.3)
     assert next(reader).index >= 14
-
-
-def test_closing_ends_the_loop():
     with Playback(frames(60), name="x") as source:
         reader = iter(source)
         next(reader)

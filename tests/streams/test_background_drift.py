@@ -257,15 +257,12 @@ def fitted(seen, rest, free, rounds=8):
     return light
 
 
-def test_a_cubic_is_found_exactly():
+def test_a_cubic_is_found_exactly_and_pixels_and_blocks_are_of_one_light():
+    """A block's light is the mean of its pixels': places are counted alike."""
     rest = rest_levels()
     seen, truth = drifted(rest)
     light = fitted(seen, rest, np.ones(LIGHT_BLOCKS, bool))
     np.testing.assert_allclose(light.at(LIGHT_BLOCKS), truth, atol=1e-4)
-
-
-def test_pixels_and_blocks_are_of_one_light():
-    """A block's light is the mean of its pixels': places are counted alike."""
     rest = rest_levels()
     light = fitted(drifted(rest)[0], rest, np.ones(LIGHT_BLOCKS, bool))
     pixels = light.at((LIGHT_BLOCKS[0] * 8, LIGHT_BLOCKS[1] * 8))

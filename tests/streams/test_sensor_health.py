@@ -37,12 +37,9 @@ def other(row):
     return image
 
 
-def test_noise_in_one_pixel_is_life_and_a_frame_that_comes_twice_too():
+def test_one_image_for_a_while_is_frozen_until_the_next_and_noise_is_life():
     assert not any(names([IMAGE if i % 2 else other(17) for i in range(40)], 25))
     assert not any(names([image for row in range(30) for image in (other(row), other(row).copy())], 25))
-
-
-def test_one_image_for_a_while_is_frozen_until_the_next():
     found = names([other(3)] + [IMAGE.copy()] * 20, 25)
     assert found.index(True) == 8  # 0.25 s after the first of them
     assert all(found[8:])
@@ -123,19 +120,16 @@ def test_another_exposure_is_a_finding_of_the_stream(calibration, at_rest):
         assert "exposure 200.0 instead of 100.0" in finding.message
 
 
-def test_the_same_or_unknown_settings_are_none(calibration):
-    check = CameraCheck(taken_with(calibration, exposure=100.0))
-    assert check(camera(exposure=100.0)) == check(camera()) == ()
-    assert CameraCheck(calibration)(camera(exposure=100.0)) == ()
-
-
-def test_another_unit_is_named_where_both_serials_are_known(calibration):
+def test_another_unit_is_named_and_the_same_or_unknown_settings_are_none(calibration):
     check = CameraCheck(replace(calibration, serial="D1"))
     (finding,) = check(camera("D2"))
     assert finding.name == "other_camera"
     assert "serial is D2, the calibration is of D1" in finding.message
     unknown = CameraCheck(replace(calibration, serial=None))
     assert check(camera("D1")) == check(camera()) == unknown(camera("D2")) == ()
+    check = CameraCheck(taken_with(calibration, exposure=100.0))
+    assert check(camera(exposure=100.0)) == check(camera()) == ()
+    assert CameraCheck(calibration)(camera(exposure=100.0)) == ()
 
 
 def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibration, at_rest):
@@ -270,14 +264,11 @@ def test_the_same_gel_in_its_place_and_one_touched_all_over(gel):
     assert looks(gel.rest, [image] * 3, touched=0.9) == [()] * 3
 
 
-def test_a_camera_that_moved(gel):
+def test_a_camera_that_moved_and_another_gel(gel, sensor):
     image = moved(gel.rest, np.random.default_rng(3))
     found = looks(gel.rest, [image])[0]
     assert found[0].name == "camera_moved"
     assert 1 <= found[0].figure <= 4.5
-
-
-def test_another_gel_and_frames_that_differ_for_long(gel, sensor):
     found = looks(gel.rest, noisy(Gel.drawn(sensor, np.random.default_rng(2))))
     assert (found[0], found[-1][0].name) == ((), "other_gel")
     found = looks(gel.rest, noisy(gel), different=1.0)

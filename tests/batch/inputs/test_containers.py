@@ -28,13 +28,10 @@ THERE = {
 }
 
 
-def test_kinds_of_frames():
+def test_kinds_of_frames_and_what_is_refused():
     png = cv2.imencode(".png", IMAGE[..., ::-1])[1].reshape(-1)
     for values in (IMAGE, IMAGE.astype(np.float32), np.concatenate([png, np.zeros(9, np.uint8)])):
         np.testing.assert_array_equal(image_from_values(values), IMAGE)
-
-
-def test_refused():
     for values, said in (
         (IMAGE / 255, "Expected whole numbers from 0 to 255"),
         (IMAGE.astype(np.float32) * 2, "Expected whole numbers from 0 to 255"),

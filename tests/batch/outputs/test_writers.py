@@ -79,11 +79,14 @@ def result(cal, images):
     return gelform.Reconstructor(cal).from_image(images[3])
 
 
-def test_blank_maps_are_of_the_same_kind(result):
+def test_blank_maps_are_of_the_same_kind_and_one_that_is_not_there_is_said(result, cal, images):
     for settings in [BatchSettings(keep=KEPT), BatchSettings("zarr", dtype="uint16")]:
         maps, blank = maps_of(result, settings), blank_maps(settings, SHAPE)
         kinds, blank_kinds = ([(n, m.shape, m.dtype) for n, m in one.items()] for one in (maps, blank))
         assert kinds == blank_kinds
+    without = gelform.Reconstructor(cal, depth_sigma=False).from_image(images[0])
+    with pytest.raises(DataError, match="gives no depth_sigma_mm"):
+        maps_of(without, BatchSettings(keep=("depth_sigma",)))
 
 
 def test_levels_turn_into_mm_by_their_attributes(result):
@@ -91,12 +94,6 @@ def test_levels_turn_into_mm_by_their_attributes(result):
     told, levels = attributes_of("depth_mm", settings), maps_of(result, settings)["depth_mm"]
     depth = levels[result.known] * told["scale_factor"] + told["add_offset"]
     assert np.abs(depth - result.depth_mm[result.known]).max() <= 0.51e-4
-
-
-def test_a_map_that_is_not_there_is_said(cal, images):
-    without = gelform.Reconstructor(cal, depth_sigma=False).from_image(images[0])
-    with pytest.raises(DataError, match="gives no depth_sigma_mm"):
-        maps_of(without, BatchSettings(keep=("depth_sigma",)))
 
 
 def test_figures_of_a_ball(result):

@@ -174,7 +174,8 @@ def driver(request, buffer):
         raise OSError(22, "Invalid argument") from None
 
 
-def test_every_format_size_and_rate_is_listed():
+def test_every_format_size_and_rate_is_listed_by_the_kernels_requests():
+    """_IOWR('V', number, size), asm-generic/ioctl.h."""
     assert list(modes_from_answers(driver)) == [
         Mode("YUYV", (240, 320), 60.0),
         Mode("YUYV", (240, 320), 30.0),
@@ -182,22 +183,15 @@ def test_every_format_size_and_rate_is_listed():
         Mode("YUYV", (480, 640), 15.0),
         Mode("MJPG", (2464, 3280), 25.0),
     ]
-
-
-def test_the_requests_are_those_of_the_kernel():
-    """_IOWR('V', number, size), asm-generic/ioctl.h."""
     for (request, size), number in ((FORMATS, 2), (SIZES, 74), (INTERVALS, 75)):
         assert request == (3 << 30) | (size << 16) | (ord("V") << 8) | number
 
 
-def test_a_driver_that_never_ends_is_not_asked_for_ever():
+def test_a_driver_that_never_ends_and_what_is_no_camera(tmp_path):
     def endless(request, buffer):
         driver(request, buffer) if request != FORMATS[0] else struct.pack_into("<I", buffer, 44, YUYV)
 
     assert 0 < len(list(modes_from_answers(endless))) <= 64 * 4
-
-
-def test_what_is_no_camera_has_no_modes(tmp_path):
     (tmp_path / "file").write_text("")
     assert modes_of(str(tmp_path / "file")) == []
     assert modes_of(str(tmp_path / "none")) == []

@@ -23,12 +23,9 @@ from made.recorded import frames
 from made.ros_images import raw_message
 
 
-def test_facts_survive_their_json():
+def test_facts_survive_their_json_and_damaged_ones_say_so():
     facts = RecordingFacts("DIGIT D1", "D1", {"gain": 3.0, "fourcc": "YUYV"}, 60.0, "abc", "0.1")
     assert RecordingFacts.from_json(facts.to_json(), "x") == facts
-
-
-def test_damaged_facts_say_so():
     for text in ("", "[]", '{"format_version": 1, "colour": 3}', '{"name": "x"}'):
         with pytest.raises(DataError, match="x is damaged"):
             RecordingFacts.from_json(text, "x")
@@ -83,15 +80,12 @@ def test_the_bytes_are_those_of_cdr():
     assert message == by_hand
 
 
-def test_there_and_back():
+def test_there_and_back_and_torn_or_foreign_ones_refused():
     content = bytes(range(256))
     for frame_id in ("", "a", "camera", "Kamera ü"):
         for kind in ("png", "jpeg"):
             message = message_from_picture(content, kind, WHEN_NS, frame_id)
             assert picture_from_message(message) == (content, WHEN_NS)
-
-
-def test_torn_and_foreign_messages_are_refused():
     message = message_from_picture(b"\xaa" * 50, "png", WHEN_NS, "cam")
     for end in (0, 3, 10, 20, len(message) - 1):
         with pytest.raises(ValueError, match="Expected"):

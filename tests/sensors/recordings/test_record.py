@@ -81,12 +81,9 @@ def test_a_damaged_attachment_is_said(name, tmp_path, calibration):
         attached_background(path)
 
 
-def test_images_beside_a_plain_folder_are_not_attachments(tmp_path):
+def test_what_is_no_attachment_or_of_no_size_is_refused(tmp_path, monkeypatch):
     (tmp_path / "background.png").write_bytes(b"x")
     assert attached_to(tmp_path) == {}
-
-
-def test_an_attachment_of_no_size_is_refused(tmp_path, monkeypatch):
     path = written(tmp_path / "a.mcap", {"calibration.npz": bytes(2000)})
     monkeypatch.setattr("gelform.sensors.recordings.record.MAX_ATTACHMENT_BYTES", 1000)
     with pytest.raises(DataError, match="at most"):
