@@ -18,7 +18,6 @@ from gelform.exporters.folders import write_csv, write_png, write_sensor_toml, w
 from gelform.exporters.press_folder import save_press_folder, save_simulated_presses
 from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 from gelform.sensors import read_sensor_toml, sensor_from_settings
-from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
 
 if sys.version_info >= (3, 11):
