@@ -34,6 +34,8 @@ def test_images_come_out_as_uint8_or_float32():
     assert check_image(IMAGE) is IMAGE
     assert check_image(IMAGE.astype(np.float64)).dtype == np.float32
     assert check_image(np.zeros((2, 2, 3))).dtype == np.float32  # black is no 0-1 range
+    with pytest.raises(ValueError, match=r"of 8x9 px \(height x width\), got 4x5"):
+        check_image(IMAGE, shape=(8, 9))
 
 
 @pytest.mark.parametrize(
@@ -53,11 +55,6 @@ def test_images_come_out_as_uint8_or_float32():
 def test_what_is_no_image(image, error, message):
     with pytest.raises(error, match=message):
         check_image(image)
-
-
-def test_image_of_another_size():
-    with pytest.raises(ValueError, match=r"of 8x9 px \(height x width\), got 4x5"):
-        check_image(IMAGE, shape=(8, 9))
 
 
 def test_gradients_say_where_the_components_belong():
@@ -136,16 +133,13 @@ def test_the_range_is_that_of_numpy(shape):
     assert checks.value_range(values[:0]) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("path", ["", "a\0b", "x" * 300, "a/" * 3000])
-def test_paths_that_no_file_has(path):
-    with pytest.raises(ValueError, match="which no file can be called"):
-        check_path(path)
-
-
-@pytest.mark.parametrize("path", [None, 3, b"x", ["x"]])
-def test_what_is_no_path(path):
-    with pytest.raises(TypeError, match="as text or a Path"):
-        check_path(path)
+def test_what_is_no_path():
+    for path in ("", "a\0b", "x" * 300, "a/" * 3000):
+        with pytest.raises(ValueError, match="which no file can be called"):
+            check_path(path)
+    for path in (None, 3, b"x", ["x"]):
+        with pytest.raises(TypeError, match="as text or a Path"):
+            check_path(path)
 
 
 def test_things_of_a_kind():
@@ -160,12 +154,9 @@ def test_lists():
     assert len(check_list(np.zeros((3, 2)), "images")) == 3
     with pytest.raises(TypeError, match="Expected each of names as str, got int"):
         check_list(["a", 1], "names", str)
-
-
-@pytest.mark.parametrize("values", ["text", b"bytes", 3, None, np.array(1), {}, iter([1]), object()])
-def test_what_is_no_list(values):
-    with pytest.raises(TypeError, match="Expected images as a list, got"):
-        check_list(values, "images")
+    for values in ("text", b"bytes", 3, None, np.array(1), {}, iter([1]), object()):
+        with pytest.raises(TypeError, match="Expected images as a list, got"):
+            check_list(values, "images")
 
 
 @pytest.mark.parametrize(
@@ -175,19 +166,25 @@ def test_pitch_of_square_and_other_pixels(given_, pair):
     assert check_mm_per_px(given_) == pair
 
 
-@pytest.mark.parametrize("pitch", [0, -1, np.nan, np.inf, (0.1, 0)])
-def test_pitch_must_be_positive(pitch):
-    with pytest.raises(ValueError, match=r"mm_per_px > 0 \(mm per pixel, not pixels per mm\)"):
+@pytest.mark.parametrize(
+    ("pitch", "error", "message"),
+    [
+        *(
+            (bad, ValueError, r"mm_per_px > 0 \(mm per pixel, not pixels per mm\)")
+            for bad in (0, -1, (0.1, 0))
+        ),
+        *(
+            (bad, ValueError, r"mm_per_px > 0 \(mm per pixel, not pixels per mm\)")
+            for bad in (np.nan, np.inf)
+        ),
+        (None, ValueError, "got None"),
+        ("small", TypeError, "number or"),
+        ((1, 2, 3), ValueError, "shape"),
+    ],
+)
+def test_what_is_no_pitch(pitch, error, message):
+    with pytest.raises(error, match=message):
         check_mm_per_px(pitch)
-
-
-def test_pitch_missing_or_in_words():
-    with pytest.raises(ValueError, match="got None"):
-        check_mm_per_px(None)
-    with pytest.raises(TypeError, match="number or"):
-        check_mm_per_px("small")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="shape"):
-        check_mm_per_px((1, 2, 3))
 
 
 def test_positive_numbers():

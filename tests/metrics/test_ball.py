@@ -25,12 +25,6 @@ def cap(contact_px=30.0):
     return np.where(inside, height * MM_PER_PX, 0), ball_gradients(x, y, CENTER, radius), inside
 
 
-def test_ball_slopes_fall_away_from_the_middle():
-    slopes = ball_gradients([70.0, 90.0], [60.0, 60.0], (80.0, 60.0), 50.0)
-    np.testing.assert_allclose(slopes[:, 0], [10 / np.sqrt(2400), -10 / np.sqrt(2400)])
-    np.testing.assert_allclose(slopes[:, 1], 0)
-
-
 def test_ball_slopes_are_those_of_its_depth():
     depth, gradients, inside = cap()
     numeric = np.stack(np.gradient(depth, MM_PER_PX)[::-1], axis=-1)

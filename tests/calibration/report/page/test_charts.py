@@ -20,19 +20,14 @@ from gelform.calibration.report.page.charts import (
 )
 
 
-def test_axes_run_right_and_up():
+def test_axes_run_right_and_up_and_a_band_stays_in_the_plot():
     axes = Axes((0, 10), (0, 1))
     assert axes.x(0) < axes.x(5) < axes.x(10)
     assert axes.y(0) > axes.y(0.5) > axes.y(1)
     assert axes.x(5) - axes.x(0) == pytest.approx(axes.x(10) - axes.x(5))
-
-
-def test_a_band_stays_in_the_plot():
-    axes = Axes((0, 1), (0, 1))
-    drawn = axes.band((0, 1), (-5, -5), (9, 9), "x")
+    drawn = axes.band((0, 10), (-5, -5), (9, 9), "x")
     ys = [float(pair.split(",")[1]) for pair in drawn.split('points="')[1].split('"')[0].split()]
-    assert min(ys) == pytest.approx(axes.y(1), abs=0.1)
-    assert max(ys) == pytest.approx(axes.y(0), abs=0.1)
+    assert (min(ys), max(ys)) == pytest.approx((axes.y(1), axes.y(0)), abs=0.1)
 
 
 def test_titles_are_escaped():
@@ -46,16 +41,20 @@ def circles(drawn, kind):
     return [(float(c.get("cx")), float(c.get("cy"))) for c in root.iter("circle") if c.get("class") == kind]
 
 
-def test_a_gain_below_one_is_drawn_below_the_line():
-    bins = [
-        {"slope_from": 0.1 * k, "slope_to": 0.1 * k + 0.1, "gain": 1.1 - 0.1 * k, "interval": [0.5, 1.3]}
-        for k in range(3)
+def bins_of(name, values):
+    """Bins of slopes a tenth wide, with a figure each."""
+    return [
+        {"slope_from": 0.1 * k, "slope_to": 0.1 * k + 0.1, name: value, "interval": [0.5, 1.3]}
+        for k, value in enumerate(values)
     ]
+
+
+def test_a_gain_below_one_is_drawn_below_the_line():
+    bins, beyond = bins_of("gain", (1.1, 1.0, 0.9)), bins_of("gain", (0.8, 0.7, 0.6))
     dots = circles(gain_chart({"contact": bins, "rim": []}), "dot-first")
     assert [x for x, _ in dots] == sorted(x for x, _ in dots)
     assert dots[0][1] < dots[1][1] < dots[2][1]
     assert gain_chart({"contact": [], "rim": []}) == ""
-    beyond = [{**one, "gain": one["gain"] - 0.3} for one in bins]
     both = gain_chart({"contact": bins, "rim": beyond})
     for first, second in zip(circles(both, "dot-first"), circles(both, "dot-second")):
         assert first[0] == second[0]
@@ -71,10 +70,7 @@ def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
 
 
 def test_shares_far_off_stand_out():
-    bins = [
-        {"slope_from": 0.1 * k, "slope_to": 0.1 * k + 0.1, "share": s} for k, s in enumerate((0.68, 0.5, 0.2))
-    ]
-    root = ElementTree.fromstring(sigma_chart({"by_slope": bins}))
+    root = ElementTree.fromstring(sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))}))
     assert [rect.get("class") for rect in root.iter("rect")] == ["bar", "bar off", "bar far"]
     assert sigma_chart({"by_slope": []}) == ""
 
@@ -88,10 +84,10 @@ def test_markers_lie_between_their_limits():
 
 
 def test_ranges_share_a_scale():
-    one, two = ({"normal_free_deg": v, "chosen": False} for v in (2.0, 4.0))
-    assert circles(range_bar(two, 5), "dot-first")[0][0] == pytest.approx(
-        2 * circles(range_bar(one, 5), "dot-first")[0][0]
+    one, two = (
+        circles(range_bar({"normal_free_deg": v, "chosen": False}, 5), "dot-first")[0][0] for v in (2.0, 4.0)
     )
+    assert two == pytest.approx(2 * one)
 
 
 SHAPE = (60, 80)
@@ -115,19 +111,14 @@ def test_a_petal_is_empty_where_no_press_was():
     assert opacities[0] < opacities[1] < opacities[2] == opacities[3]
 
 
-def test_the_next_press_is_drawn_at_its_place():
-    mark = elements(coverage_map(coverage([[0] * 8] * 2), SHAPE), "circle", "next")[0]
-    scale = MAP_WIDTH / 80
-    assert float(mark.get("cx")) == pytest.approx(60 * scale, abs=0.1)
-    assert float(mark.get("cy")) == pytest.approx(15 * scale, abs=0.1)
-    assert float(mark.get("r")) == pytest.approx(10 * scale, abs=0.1)
-
-
-def test_octant_zero_points_to_the_right():
-    first = elements(coverage_map(coverage([[1] * 8] * 2), SHAPE), "path", "petal")[0].get("d")
-    start = [float(v) for v in first[1:].split("L")[0].split()]
-    line = [float(v) for v in first.split("L")[1].split("A")[0].split()]
-    assert line[0] > start[0]
+def test_the_next_press_is_drawn_at_its_place_and_octant_zero_points_to_the_right():
+    drawn = coverage_map(coverage([[1] * 8] * 2), SHAPE)
+    mark, scale = elements(drawn, "circle", "next")[0], MAP_WIDTH / 80
+    place = [float(mark.get(name)) for name in ("cx", "cy", "r")]
+    assert place == pytest.approx([60 * scale, 15 * scale, 10 * scale], abs=0.1)
+    first = elements(drawn, "path", "petal")[0].get("d")
+    start, line = (float(first.split(letter)[1].split()[0]) for letter in "ML")
+    assert line > start
 
 
 def test_arrows_point_along_the_error_and_empty_cells_stay_blank():
