@@ -67,7 +67,6 @@ NOT_YET: dict[str, int] = {
     "docs/background.md": 12,
     "docs/batch.md": 12,
     "docs/calibration-report.md": 14,
-    "docs/calibrations.md": 3,
     "docs/cameras.md": 2,
     "docs/choosing-a-color-model.md": 24,
     "docs/choosing-a-solver.md": 15,
