@@ -144,6 +144,8 @@ def test_another_make_a_mirrored_image_and_bgr_are_refused():
         calibration_from_background(mini[..., ::-1], "gelsight-mini")
     with pytest.raises(CalibrationError, match="turned or mirrored"):
         calibration_from_background(digit[:, ::-1], "digit")
+    with pytest.raises(SensorError, match="which lie"):
+        calibration_from_background(np.rot90(digit), "digit")
     with pytest.raises(SensorError, match="with a starter, digit, gelsight-mini"):
         calibration_from_background(mini, "gelslim")
 

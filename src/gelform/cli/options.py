@@ -137,6 +137,12 @@ OptionalCalibration = Annotated[
         help="The sensor's calibration; else the newest of its serial in the library.",
     ),
 ]
+StarterSensor = Annotated[
+    str | None,
+    Option(
+        "--sensor", metavar="NAME", help=f"Never calibrated: the starter of its make, {listed(STARTERS)}."
+    ),
+]
 Sensor = Annotated[
     str | None, Option(metavar="PROFILE", help=f"Sensor profile: {listed(tuple(PROFILES))}; crop and scale.")
 ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from gelform.live.recorder import Recorder, named_by_time
 from gelform.live.recorder import share as share_file
 from gelform.live.setup import BACKGROUND_FRAMES, Setup
 from gelform.live.shown import Shown
+from gelform.live.starter import starter_calibration, starter_of_station
 from gelform.live.station import NEVER_S, Opening, Station
 from gelform.sensors.profiles import profile_named
 from gelform.sensors.recordings.indexed import indexed
@@ -35,17 +37,64 @@ if TYPE_CHECKING:
     from gelform.live.guide.session import GuideSession
 
 ZERO_FRAMES = 8  # that are averaged
+ON_THEIR_WAY = 4  # frames that a simulated sensor made before it was told to rest
 
 
 def take_background(hub: Hub, station: int) -> None:
     """Take the next frames as the untouched gel of today."""
     chosen = hub.station(station)
-    _check_calibrated(chosen.setup.calibration)
+    calibration = chosen.setup.calibration
+    _check_calibrated(calibration)
+    if calibration is not None and calibration.settings.starter is not None:
+        take_starter(hub, station, calibration.settings.starter["sensor"])
+        return
     images = [shown.image for shown in _frames(chosen, BACKGROUND_FRAMES)]
     taken = background_from_frames(images)
     # In whole grey levels: what the file background.png of a snapshot or a recording holds is what was used.
     chosen.setup = chosen.setup.with_background(np.rint(taken.background).astype(np.float32))
     hub.notice(f"Background taken: the average of {len(images) - len(taken.left_out)} frames.")
+
+
+def take_starter(hub: Hub, station: int, sensor: str) -> None:
+    """Take the next frames as the untouched gel of a unit that was never calibrated; its make's starter reads it then.
+
+    Parameters
+    ----------
+    sensor : the starter's name; "": that of the camera's make
+    """
+    chosen = hub.station(station)
+    hub.check_idle(station)
+    name = sensor or starter_of_station(chosen)
+    if not name:
+        raise GelformError("This camera is of no make that has a starter. Say which sensor it is.")
+    try:
+        with _at_rest(chosen):
+            frames = [shown.frame for shown in _frames(chosen, BACKGROUND_FRAMES)]
+        serial = None if chosen.source is None else chosen.source.serial
+        calibration, origin = starter_calibration(name, frames, serial, chosen.setup.calibration)
+        listed = f"starter {calibration.sensor_name}, sensor {station + 1}"
+        chosen.setup = chosen.setup.with_calibration(calibration, listed, calibration.background)
+    except GelformError as problem:
+        chosen.starter_problem = str(problem)  # the page shows it until it succeeds
+    else:
+        chosen.starter_problem = ""
+        hub.calibrations.put(listed, calibration, origin)
+    hub.changed()
+
+
+@contextmanager
+def _at_rest(station: Station) -> Iterator[None]:
+    """Nothing touches a simulated sensor meanwhile; others are left alone by who looks at them."""
+    source: Any = station.source
+    if not hasattr(source, "press_at"):
+        yield
+        return
+    source.rest()
+    try:
+        wait_for_frames(station, ON_THEIR_WAY)
+        yield
+    finally:
+        source.rest(False)
 
 
 def own_background(hub: Hub, station: int) -> None:
@@ -332,6 +381,10 @@ def _asked(station: Station, ball_diameter_mm: float, profile: str, mm_per_px: f
         diameter = check_ball_diameter(ball_diameter_mm)
         if hasattr(source, "press_at"):
             return Asked(diameter, source.sensor.mm_per_px, None, View(), source.sensor.name, source.serial)
+        begun = station.setup.calibration
+        if begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
+            known_scale = begun.known_mm_per_px, begun.mm_per_px_sigma, begun.view
+            return Asked(diameter, *known_scale, begun.sensor_name, source.serial)
         if profile:
             known = profile_named(profile)
             view = known.view((shape[0], shape[1]))

@@ -19,6 +19,7 @@ from gelform.live.lists import Calibrations, Recordings
 from gelform.live.recorder import Recorder
 from gelform.live.shown import Shown
 from gelform.live.snapshots import Snapshots
+from gelform.live.starter import starter_facts, starters
 from gelform.live.station import Station
 from gelform.live.web.pages import Pages
 from gelform.sensors.profiles import PROFILES
@@ -141,7 +142,11 @@ class Hub:
         return {
             "version": __version__,
             "now_s": time.monotonic(),
-            "stations": [station.facts() | camera_facts(station) for station in self.stations],
+            "stations": [
+                station.facts() | camera_facts(station) | {"starter": starter_facts(station)}
+                for station in self.stations
+            ],
+            "starters": starters(),
             "calibrations": self.calibrations.names,
             "solvers": ["auto", *SOLVERS],
             "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},

@@ -94,9 +94,12 @@ class Setup:
 
     # -- another setup ---------------------------------------------------------------------------------------------
 
-    def with_calibration(self, calibration: Calibration, name: str) -> Setup:
-        """The same with another calibration, its own background, nothing compared."""
-        return Setup(Memory(Reconstructor(calibration, solver=self.solver)), name, self.solver)
+    def with_calibration(
+        self, calibration: Calibration, name: str, background: NDArray[np.float32] | None = None
+    ) -> Setup:
+        """The same with another calibration, its own background or one that was taken live, nothing compared."""
+        run = Reconstructor(calibration, background=background, solver=self.solver)
+        return Setup(Memory(run), name, self.solver, background)
 
     def with_background(self, background: NDArray[np.float32] | None) -> Setup:
         """The same with today's background; None: the calibration's own.

@@ -38,12 +38,14 @@ class Options:
     calibrations : files, one for all sources or one for each
     folder : whose calibrations the page offers too
     rate_hz : frames a second of simulated sensors
+    sensor : the make of those without a calibration, whose starter is used; None: that of the camera
     """
 
     sources: Sequence[str] = (SIMULATED,)
     calibrations: Sequence[Path] = ()
     folder: Path | None = None
     rate_hz: float = RATE_HZ
+    sensor: str | None = None
 
 
 def start(options: Options) -> Hub:
@@ -76,6 +78,7 @@ def start(options: Options) -> Hub:
         recording = indexed(Path(spec)) if sensor is None and is_recording(spec) else None
         opening = _opening(hub, spec, sensor or recording, options.rate_hz, number)
         station = Station(number, spec, opening, hub.changed, hub.watched)
+        station.sensor = options.sensor or ""
         hub.stations.append(station)
         if names:
             name = names[number % len(names)]
@@ -85,7 +88,7 @@ def start(options: Options) -> Hub:
         if not names and station.setup.calibration is None:
             _take_known(hub, station, spec)
         station.start()
-        if sensor is not None and station.setup.calibration is None:
+        if sensor is not None and station.setup.calibration is None and not options.sensor:
             hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")
     return hub
 

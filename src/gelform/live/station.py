@@ -76,6 +76,8 @@ class Station:
     newest : Shown or None
     taps : called with what is shown, in the station's thread: guides
     paused : whether a sensor's picture is held
+    sensor : the name of the starter that was asked for; "" for that of the camera's make
+    starter_problem : why no starter's calibration could be made of it; "" where there is nothing to say
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class Station:
         self.newest: Shown | None = None
         self.taps: list[Callable[[Shown], None]] = []
         self.paused = False
+        self.sensor = self.starter_problem = ""
         self._given = self._opening = opening if isinstance(opening, Opening) else Opening(opening)
         self._given_setup = self._setup
         self._on_shown, self._watched = on_shown, watched
@@ -133,7 +136,7 @@ class Station:
         """Show another source in place of the one it was started with."""
         if not self.opened:
             self._given_setup = self._setup
-        self._opening, self._setup = opening, setup
+        self._opening, self._setup, self.starter_problem = opening, setup, ""
         self._switched.set()
 
     def show_given(self) -> None:

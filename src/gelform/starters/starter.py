@@ -68,10 +68,18 @@ class Starter:
         Raises
         ------
         SensorError
-            Frames have another aspect than the make's.
+            Frames have another aspect than the make's, or lie: a view cannot turn them upright.
         """
         profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
-        return View() if profile is None else profile.view(frame_shape)
+        view = View() if profile is None else profile.view(frame_shape)
+        wanted, got = self.calibration.image_shape, view.shape or frame_shape
+        if got == wanted[::-1] != wanted:
+            raise SensorError(
+                f"Expected upright frames of a {self.make}, of the aspect of {wanted[0]}x{wanted[1]} px (height x width), "
+                f"got {frame_shape[0]}x{frame_shape[1]}, which lie. Turn them by 90 degrees before (numpy.rot90), or "
+                "calibrate with presses of a ball as they are."
+            )
+        return view
 
     def for_unit(
         self,

@@ -9,7 +9,7 @@ import typer
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import Quiet, positive
+from gelform.cli.options import STARTERS, Quiet, StarterSensor, one_of, positive
 from gelform.cli.process import mistakes_in
 from gelform.errors import GelformError
 
@@ -31,6 +31,7 @@ def live(
             help="The sensor's; one for each; else the newest of its serial.",
         ),
     ] = None,
+    sensor: StarterSensor = None,
     folder: Annotated[
         Path, Option(metavar="DIR", help="Whose calibrations are offered, where recordings go.")
     ] = Path("."),
@@ -50,23 +51,28 @@ def live(
 ) -> None:
     """Show depth in the browser, calibrate with a ball, record.
 
-    Without SOURCE a simulated sensor is shown: nothing has to be plugged in.
+    Without SOURCE a simulated sensor is shown: nothing has to be plugged in. A GelSight Mini or a DIGIT that was never
+    calibrated is read by its make's starter, once the page has taken its untouched gel; --sensor names the make of
+    another camera.
 
     \b
     Examples:
       gelform live
       gelform live 2BKRXXXX -c mini.npz
       gelform live left right -c left.npz -c right.npz --port 8080
+      gelform live http://robot:8080/stream --sensor digit
       gelform live session.mp4 -c mini.npz
       gelform live --sink rerun
     """
+    if sensor is not None:
+        one_of(sensor, STARTERS, "--sensor")
     from gelform.live.sinks import feed
     from gelform.live.start import Options, start
     from gelform.live.web.server import listen
 
     server = listen(host, port, token=token)
     with mistakes_in("live"):
-        hub = start(Options(sources or ["simulated"], calibration or [], folder, rate))
+        hub = start(Options(sources or ["simulated"], calibration or [], folder, rate, sensor))
     try:
         with mistakes_in("--sink"):
             feeders, said = feed(hub, sink or [])

@@ -10,6 +10,7 @@ import { drawControls, startControls } from "./panels/controls.js";
 import { drawCamera, drawDevices } from "./panels/devices.js";
 import { drawGuide, drawGuideCircles } from "./panels/guide.js";
 import { drawFiles, drawReplay, startReplay } from "./panels/replay.js";
+import { drawStarter } from "./panels/starter.js";
 import { drawContacts, drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
 import { Connection, signIn } from "./server/connection.js";
 import { Frame, SPAN_S } from "./server/frame.js";
@@ -99,6 +100,7 @@ function drawPanels() {
   drawControls(station(), facts);
   drawStatus(station(), connection.open, look);
   sayOld();
+  drawStarter(station(), facts?.starters, facts?.work[number], { send, calibrate: () => choosePage("calibrate") });
   if (station()) drawGuide(facts.guides[number], station(), facts, { send });
   if (calmly) drawFacts(station(), look);
   drawFiles(station(), facts.files, { send });

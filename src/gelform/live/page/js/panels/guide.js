@@ -42,7 +42,7 @@ export function drawGuide(guide, station, facts, does) {
   const at = STEPS.findIndex(([name]) => name === step);
   byId("steps").replaceChildren(...STEPS.map(([, title], k) => element("li", { class: k < at ? "done" : k === at ? "now" : "", "aria-current": k === at ? "step" : false, text: title })));
   setText(byId("guide-hint"), guide?.hint ?? "Calibrate with a ball");
-  const key = step === "start" ? `start${station.number}${station.simulated}` : JSON.stringify([step, guide.count, guide.untouched, guide.forecast, guide.enough, work, Math.round(guide.still * 10)]);
+  const key = step === "start" ? `start${station.number}${station.simulated}${station.starter?.state}` : JSON.stringify([step, guide.count, guide.untouched, guide.forecast, guide.enough, work, Math.round(guide.still * 10)]);
   if (key === shownKey) return;
   shownKey = key;
   byId("guide-body").replaceChildren(...{ start: startForm, background, press, fit, report }[step](guide, station, facts, does, work));
@@ -56,8 +56,9 @@ function startForm(_, station, facts, does) {
   const show = () => (scale.hidden = profile.value !== "");
   profile.addEventListener("change", show);
   show();
-  const begin = (event) => { event.preventDefault(); does.send("guide_start", { ball_diameter_mm: Number(ball.value), profile: station.simulated ? "" : profile.value, mm_per_px: Number(pitch.value) }); };
-  const sensor = station.simulated ? [element("p", { text: "The simulated sensor knows its scale, and is pressed by itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
+  const begin = (event) => { event.preventDefault(); does.send("guide_start", { ball_diameter_mm: Number(ball.value), profile: begun ? begun.sensor : station.simulated ? "" : profile.value, mm_per_px: Number(pitch.value) }); };
+  const begun = station.starter?.state === "used" ? station.starter : null;
+  const sensor = begun ? [element("p", { text: `A ${begun.make}, as the starter knows it. Five presses are enough to begin with, twelve are good.` })] : station.simulated ? [element("p", { text: "The simulated sensor knows its scale, and is pressed by itself where the guide asks." })] : [element("label", {}, "Sensor", profile), scale];
   return [element("form", { onsubmit: begin }, element("p", { text: HELP.start }), element("label", {}, "Diameter of the ball, mm", ball), ...sensor, element("button", { class: "main", id: "guide-start", text: "Start" }))];
 }
 

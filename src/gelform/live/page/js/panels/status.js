@@ -47,6 +47,7 @@ function emptyContent(frame, station, work) {
   }
   if (frame?.header.problem) return [element("strong", { text: "This frame cannot be reconstructed" }), element("span", { text: frame.header.problem })];
   if (!frame) return [element("strong", { text: station?.state === "missing" ? "No sensor" : "Waiting for the first picture" }), element("span", { text: station?.state === "missing" ? ADVICE.missing : "" })];
+  if (station?.starter?.sensor && !station.calibration) return [element("strong", { text: "Nothing touches the gel?" }), element("span", { text: "Take the background, above." })];
   if (station && !station.calibration) return [element("strong", { text: "No calibration yet" }), element("span", { text: "Choose one at the right, or make one in ten minutes with a ball: Calibrate." })];
   return [];
 }

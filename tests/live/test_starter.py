@@ -1,0 +1,139 @@
+"""A station that was never calibrated asks for its untouched gel; a starter reads it then, and says that it is one."""
+
+import numpy as np
+import pytest
+
+import gelform
+from gelform.errors import GelformError
+from gelform.live import actions
+from gelform.live.hub import Hub
+from gelform.live.start import Options, start
+from gelform.live.station import Station
+from gelform.simulate import LAYOUTS, Ball, Pose, simulate_pose
+from gelform.starters import load_starter
+from live_waiting import until
+from made.sources import ImageSource
+
+MAKE = "simulated-three-edges"
+
+
+@pytest.fixture(scope="session")
+def unit(made_once):
+    """An image of a unit of the make untouched, and one of a ball 0.4 mm deep."""
+    rng, layout = np.random.default_rng(41), LAYOUTS["three-edges"]
+
+    def image(depth_mm):
+        return simulate_pose(layout, Ball(2.5), Pose(depth_mm), rng=rng, oversample=1).image
+
+    return made_once("live_unit", lambda _: {mm: [image(mm) for _ in range(3)] for mm in (0.0, 0.4)})
+
+
+@pytest.fixture
+def never(unit):
+    """A hub whose one station is a camera that was never calibrated; its `source.images` are what it shows."""
+    made, source = Hub(), ImageSource(unit[0.0], rate_hz=40)
+    source.serial = "S1"
+    station = Station(0, "camera", lambda: source, made.changed)
+    made.stations.append(station)
+    station.start()
+    until(lambda: station.newest)
+    yield made, source
+    made.close()
+
+
+def said(hub):
+    return hub.facts()["stations"][0]["starter"]
+
+
+def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unit):
+    hub, source = never
+    station = hub.stations[0]
+    assert said(hub) == {"state": "ask", "sensor": "", "make": "", "said": []}
+    with pytest.raises(GelformError, match="Say which sensor it is"):
+        actions.take_starter(hub, 0, "")
+    station.sensor = MAKE
+    assert said(hub)["sensor"] == said(hub)["make"] == MAKE
+    actions.take_starter(hub, 0, "")
+    source.images = unit[0.4]
+    until(lambda: station.newest.measures and station.newest.measures.peak > 0.3)
+    assert said(hub)["state"] == "used"
+    assert said(hub)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
+    assert "starter" in [name for name, *_ in station.newest.header()["health"]]
+    assert station.setup.calibration.serial == "S1"
+    assert hub.calibrations.names == [station.setup.name]
+
+
+def test_something_that_moves_is_said_and_it_is_taken_again(never, unit):
+    hub, source = never
+    source.images = [*unit[0.0], *unit[0.4]]
+    actions.take_starter(hub, 0, MAKE)
+    assert said(hub)["state"] == "ask"
+    assert "Something moves" in said(hub)["said"][0]
+    source.images = unit[0.0]
+    actions.take_starter(hub, 0, MAKE)
+    assert said(hub)["said"] == []
+    first = hub.stations[0].setup.calibration
+    source.images = [image // 2 for image in unit[0.0]]
+    actions.take_background(hub, 0)  # the lamps are half as bright: the starter is brought to them
+    second = hub.stations[0].setup.calibration
+    assert second.background.mean() < 0.6 * first.background.mean()
+    assert len(hub.calibrations.names) == 1
+
+
+def test_another_make_is_said(never):
+    hub, _ = never
+    actions.take_starter(hub, 0, "digit")
+    assert "which lie" in said(hub)["said"][0]
+    actions.take_starter(hub, 0, "gelsight-mini")
+    assert "background of a GelSight Mini" in said(hub)["said"][0]
+    assert said(hub)["state"] == "ask"
+
+
+def test_a_scratched_gel_is_said_beside_the_depth(never, unit):
+    hub, source = never
+    scratched = [image.copy() for image in unit[0.0]]
+    for image in scratched:
+        image[::6, :, :] //= 4
+        image[1::6, :, :] //= 4
+        image[:, ::40] //= 8
+        image[60:180, 80:240] //= 2
+    source.images = scratched
+    actions.take_starter(hub, 0, MAKE)
+    assert any("scratched" in one for one in said(hub)["said"])
+
+
+def test_the_guide_takes_its_scale(never):
+    hub, _ = never
+    actions.take_starter(hub, 0, MAKE)
+    actions.guide_start(hub, 0, 5.0, MAKE, 0.5)
+    asked = hub.guides[0].guide.asked
+    assert asked.mm_per_px == load_starter(MAKE).calibration.mm_per_px
+    assert (asked.sensor_name, asked.serial) == (MAKE, "S1")
+
+
+def test_what_python_says_makes_it_again(never, tmp_path):
+    from gelform.plots.canvas import save_picture
+
+    hub, _ = never
+    actions.take_starter(hub, 0, MAKE)
+    calibration = hub.stations[0].setup.calibration
+    save_picture(tmp_path / "background.png", calibration.background.astype(np.uint8))
+    origin = hub.calibrations.origin_of(hub.stations[0].setup.name)
+    namespace = {"gelform": gelform}
+    exec("\n".join(origin.imports), namespace)
+    again = eval(origin.expression.replace("background.png", str(tmp_path / "background.png")), namespace)
+    assert again.background_digest == calibration.background_digest
+    assert again.view == calibration.view
+
+
+def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():
+    hub = start(Options(rate_hz=30, sensor=MAKE))
+    try:
+        assert not hub.work
+        assert said(hub)["sensor"] == MAKE
+        until(lambda: hub.stations[0].newest, 30)
+        actions.take_starter(hub, 0, "")  # the simulated sensor rests meanwhile
+        assert said(hub)["state"] == "used"
+        until(lambda: hub.stations[0].newest.result)
+    finally:
+        hub.close()
