@@ -67,29 +67,23 @@ def test_without_a_response_the_colour_is_that_of_the_slope(calibration, tmp_pat
     np.savez(tmp_path / "polycalib.npz", **taxim_arrays())
     table = read_taxim(tmp_path / "polycalib.npz", np.zeros((*calibration.image_shape, 3), dtype=np.float32))
     imported = replace(calibration, forward=None, color_model=table)
-    look = CalibratedLook(imported)
     gradients = np.full((*imported.image_shape, 2), 0.2, dtype=np.float32)
-    depth = np.full(imported.image_shape, 0.3)
-    found = look.color_change(gradients, depth)
+    found = CalibratedLook(imported).color_change(gradients, np.full(imported.image_shape, 0.3))
     assert np.abs(found).max() > 0.05
     np.testing.assert_array_equal(found, imported.color_from_gradients(gradients))
 
 
-def test_the_noise_is_that_of_the_images(calibration, presses):
-    look = CalibratedLook(calibration)
-    np.testing.assert_array_equal(look.noise, calibration.settings["image_noise"])
-    flat = Pose(0.0)
-    noisy = Twin(calibration).press(Ball(3), flat, rng=np.random.default_rng(0)).image.astype(float)
-    apart = (noisy - calibration.background).std(axis=(0, 1))
-    np.testing.assert_allclose(apart, np.sqrt(look.noise**2 + 1 / 12), rtol=0.1)
-    uneven = CalibratedLook(replace(calibration, settings={"image_noise": [1.0, 2.0, 4.0]}))
-    noisy = Twin(uneven).press(Ball(3), flat, rng=np.random.default_rng(0)).image.astype(float)
-    apart = (noisy - calibration.background).std(axis=(0, 1))
-    np.testing.assert_allclose(apart, np.sqrt(np.array([1, 4, 16]) + 1 / 12), rtol=0.1)
+def test_the_noise_is_that_of_the_images(calibration):
+    uneven = replace(calibration, settings={"image_noise": [1.0, 2.0, 4.0]})
+    for known in (calibration, uneven):
+        look = CalibratedLook(known)
+        np.testing.assert_array_equal(look.noise, known.settings["image_noise"])
+        noisy = Twin(look).press(Ball(3), Pose(0.0), rng=np.random.default_rng(0)).image.astype(float)
+        apart = (noisy - calibration.background).std(axis=(0, 1))
+        np.testing.assert_allclose(apart, np.sqrt(look.noise**2 + 1 / 12), rtol=0.1)
     older = {k: v for k, v in calibration.settings.items() if k != "image_noise"}
-    np.testing.assert_array_equal(
-        CalibratedLook(replace(calibration, settings=older)).noise, calibration.background_noise
-    )
+    plain = CalibratedLook(replace(calibration, settings=older))
+    np.testing.assert_array_equal(plain.noise, calibration.background_noise)
 
 
 def test_the_same_seed_gives_the_same_presses_with_noise(calibration):
@@ -102,11 +96,8 @@ def test_the_same_seed_gives_the_same_presses_with_noise(calibration):
     assert np.any(one.presses[1].image != other.presses[1].image)
 
 
-def test_pixels_that_are_not_square_are_refused(calibration):
+def test_what_is_no_look_is_refused(calibration):
     with pytest.raises(ValueError, match="square pixels"):
         Twin(replace(calibration, mm_per_px=(0.06, 0.07)))
-
-
-def test_a_path_is_told_how_to_become_a_calibration():
     with pytest.raises(TypeError, match=r"Expected a Calibration or a look .* got str.*load_calibration"):
         Twin("mini.npz")

@@ -59,19 +59,14 @@ def test_every_usable_pixel_of_the_zone_is_taken_up_to_the_border(center, marked
     np.testing.assert_array_equal(taken, within(contact, 12.0) & (True if usable is None else usable))
 
 
-def test_the_steepest_rim_of_a_ball_is_left_out():
-    contact = ContactCircle(40.0, 30.0, 15.0, 1.0, 9.0)
-    rows, cols = press_of(ball_radius_px=12.0).pixels(contact, 1.0)
-    assert np.hypot(cols - 40, rows - 30).max() < 12.0
-
-
-def test_a_count_thins_the_pixels_evenly():
+def test_a_count_thins_the_pixels_evenly_and_the_steepest_rim_of_a_ball_is_left_out():
     contact = ContactCircle(40.0, 30.0, 25.0, 1.0, 9.0)
     rows, cols = press_of().pixels(contact, 1.0, 300)
     assert 250 < len(rows) < 400
-    left, above = np.mean(cols < 40), np.mean(rows < 30)
-    assert abs(left - 0.5) < 0.05
-    assert abs(above - 0.5) < 0.05
+    assert np.mean(cols < 40) == pytest.approx(0.5, abs=0.05)
+    assert np.mean(rows < 30) == pytest.approx(0.5, abs=0.05)
+    rows, cols = press_of(ball_radius_px=12.0).pixels(contact, 1.0)
+    assert np.hypot(cols - 40, rows - 30).max() < 12.0
 
 
 def test_presses_share_the_samples_and_rest_gives_half_as_many():
@@ -117,9 +112,4 @@ def test_nothing_trains_beyond_the_edge_of_the_contact(ratio):
     assert 0.95 * ratio * 20 - 1 < away.max() < 0.95 * ratio * 20
     deep = replace(press, ball_radius_px=15.0)
     assert deep.contact_radius(contact) == ratio * followed_radius(20.0, 15.0) < ratio * 15
-    assert press_without_a_ratio().contact_radius_ratio == USUAL_EDGE
-
-
-def press_without_a_ratio():
-    change = np.zeros((*SHAPE, 3), np.float32)
-    return PreparedPress("one", change, change[..., 0], 40.0)
+    assert PreparedPress("one", press.color_change, press.size, 40.0).contact_radius_ratio == USUAL_EDGE

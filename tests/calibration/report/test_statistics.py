@@ -34,14 +34,11 @@ def test_a_gain_is_found_in_every_bin_whatever_the_noise(sample, gain):
 
 
 def test_intervals_are_over_presses_not_pixels(sample):
-    """Presses that differ make a wide interval, however many pixels each has."""
+    """Presses that differ make a wide interval, however many pixels each has; bins of few are left out."""
     alike = gain_curve([sample(k, gain=1.0) for k in range(8)], np.random.default_rng(0))
     differ = gain_curve([sample(k, gain=0.8 + 0.05 * k) for k in range(8)], np.random.default_rng(0))
     width = [b["interval"][1] - b["interval"][0] for b in (alike[2], differ[2])]
     assert width[0] < 1e-3 < 0.1 < width[1]
-
-
-def test_bins_of_few_presses_are_left_out(sample):
     assert gain_curve([sample(0), sample(1)], np.random.default_rng(0)) == []
 
 

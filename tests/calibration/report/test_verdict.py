@@ -19,12 +19,14 @@ def test_levels_change_at_their_limits(limit):
     assert level_of(limit, None) == level_of(limit, float("nan")) == "fair"
 
 
-def test_all_good_is_to_be_used():
+def test_all_good_is_to_be_used_and_what_is_not_known_is_said():
     verdict = verdict_of(checks_of(GOOD))
     assert verdict["headline"] == "Good: normals 3.0°, radius 3.0 %, held out"
     assert verdict["next"].startswith("Use it.")
     assert verdict["because"] is None
     assert verdict["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0}
+    unknown = verdict_of(checks_of({**GOOD, "scale_percent": None}))
+    assert unknown["because"] == "uncertainty of the scale: not known, fair"
 
 
 def test_the_worse_of_normals_and_radius_is_the_level():
@@ -67,8 +69,3 @@ def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
     )
     unusual = verdict_of(checks_of({**GOOD, "scale_off_percent": 25.0}))
     assert unusual["headline"].endswith("; unusual mm_per_px for this sensor")
-
-
-def test_what_is_not_known_is_said():
-    verdict = verdict_of(checks_of({**GOOD, "scale_percent": None}))
-    assert verdict["because"] == "uncertainty of the scale: not known, fair"

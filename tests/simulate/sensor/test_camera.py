@@ -18,26 +18,23 @@ from kernel_agreement import assert_kernel_agrees
 from made.sensors import PLAIN, SMALL
 
 
-def test_exposure_times_light_and_noise_with_it():
-    quiet = simulate_background(PLAIN, None, quantise=False)
-    twice = simulate_background(replace(PLAIN, optics=Optics(exposure=2.0)), None, quantise=False)
-    np.testing.assert_allclose(twice, 2 * quiet, rtol=1e-9)
+def clean(sensor=PLAIN, **settings):
+    """The untouched gel without noise and rounding."""
+    return simulate_background(replace(sensor, **settings), None, quantise=False)
 
 
-def test_shading_is_a_gain_over_the_image():
+def test_exposure_and_shading_are_gains_and_the_response_a_power():
+    np.testing.assert_allclose(clean(optics=Optics(exposure=2.0)), 2 * clean(), rtol=1e-9)
     shading = ((2, 0.1, 0, 0, 0, 0), (1, 0, -0.2, 0, 0, 0), (1, 0, 0, 0.1, 0.05, 0.3))
-    ratio = simulate_background(replace(PLAIN, shading=shading), None, quantise=False) / simulate_background(
-        PLAIN, None, quantise=False
-    )
+    ratio = clean(shading=shading) / clean()
     np.testing.assert_allclose(ratio[0, -1, :2], [2 * 1.1, 1.2], rtol=1e-9)
     np.testing.assert_allclose(ratio[-1, 0, 2], 1 + 0.1 - 0.05 + 0.3, rtol=1e-9)
+    curved = 255 * (clean() / 255) ** (1 / 2.2)
+    np.testing.assert_allclose(clean(optics=Optics(response_gamma=2.2)), curved, rtol=1e-6)
 
 
 def test_vignetting_darkens_the_corners():
-    plain = replace(SMALL, vignetting=0.0, blur_px=0.0)
-    ratio = simulate_background(replace(plain, vignetting=0.4), None, quantise=False) / simulate_background(
-        plain, None, quantise=False
-    )
+    ratio = clean(SMALL, vignetting=0.4, blur_px=0.0) / clean(SMALL, vignetting=0.0, blur_px=0.0)
     np.testing.assert_allclose(ratio[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6, rtol=1e-9)
     assert ratio[24, 32].min() > 0.99
 
@@ -79,20 +76,16 @@ def test_distortion_moves_points_as_its_formula_says(k1):
 
 def test_noise_is_as_asked_and_quantisation_rounds():
     sensor = replace(SMALL, noise_sd=1.5, noise_gain=0.02)
-    clean = simulate_background(sensor, None, quantise=False)
     noisy = simulate_background(sensor, np.random.default_rng(0), quantise=False)
-    scaled = (noisy - clean) / np.sqrt(1.5**2 + 0.02 * clean)
+    scaled = (noisy - clean(sensor)) / np.sqrt(1.5**2 + 0.02 * clean(sensor))
     assert scaled.std() == pytest.approx(1, abs=0.03)
     assert scaled.mean() == pytest.approx(0, abs=0.03)
     rounded = simulate_background(sensor, None)
     assert rounded.dtype == np.uint8
-    np.testing.assert_array_equal(rounded, np.rint(clean))
-
-
-def test_a_seed_is_no_generator_with_noise_and_without():
-    for sensor in (SMALL, replace(SMALL, noise_sd=0.0, noise_gain=0.0)):
+    np.testing.assert_array_equal(rounded, np.rint(clean(sensor)))
+    for one in (sensor, replace(SMALL, noise_sd=0.0, noise_gain=0.0)):
         with pytest.raises(TypeError, match="Expected rng as Generator, got int"):
-            simulate_background(sensor, 3)
+            simulate_background(one, 3)
 
 
 def test_noise_is_normal():
@@ -103,12 +96,6 @@ def test_noise_is_normal():
     assert np.mean(np.abs(drawn) > 2.5758) == pytest.approx(0.01, rel=0.1)
     neighbours = drawn[: 4 * 100_000].reshape(-1, 4)
     np.testing.assert_allclose(np.corrcoef(neighbours.T), np.eye(4), atol=0.015)
-
-
-def test_the_response_curve_is_a_power():
-    linear = simulate_background(PLAIN, None, quantise=False)
-    curved = simulate_background(replace(PLAIN, optics=Optics(response_gamma=2.2)), None, quantise=False)
-    np.testing.assert_allclose(curved, 255 * (linear / 255) ** (1 / 2.2), rtol=1e-6)
 
 
 @pytest.mark.parametrize("gamma", [0.6, 1.2, 2.2])

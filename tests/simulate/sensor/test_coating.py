@@ -26,15 +26,12 @@ def test_markers_are_as_large_as_said():
 
 
 def test_roughness_shades_but_is_no_depth():
-    rough = replace(PLAIN, coating=Coating(roughness=0.05, scratches=3, seed=1))
-    press = simulate_press(rough, Ball(2), depth_mm=0.5, rng=None)
-    smooth = simulate_press(PLAIN, Ball(2), depth_mm=0.5, rng=None)
-    np.testing.assert_array_equal(press.depth_mm, smooth.depth_mm)
-    change = press.image.astype(float) - smooth.image
-    assert 0.5 < change.std() < 30
-    other = simulate_press(
-        replace(rough, coating=Coating(roughness=0.05, scratches=3, seed=2)), Ball(2), depth_mm=0.5, rng=None
+    press, other, smooth = (
+        simulate_press(replace(PLAIN, coating=coating), Ball(2), depth_mm=0.5, rng=None)
+        for coating in (*(Coating(roughness=0.05, scratches=3, seed=k) for k in (1, 2)), Coating())
     )
+    np.testing.assert_array_equal(press.depth_mm, smooth.depth_mm)
+    assert 0.5 < (press.image.astype(float) - smooth.image).std() < 30
     assert np.any(other.image != press.image)
 
 
