@@ -29,19 +29,15 @@ def test_turning_the_frame_swaps_the_slopes():
     assert variance_within_blocks(0.5, 4) == pytest.approx((y, x))
 
 
-@pytest.mark.parametrize("length", [2.0, 5.0, 20.0])
+@pytest.mark.parametrize("length", [2.0, 5.0, 20.0, 100.0])
 def test_cells_keep_the_power_at_low_frequencies(length):
-    """Variance times the area over which errors hang together."""
+    """Variance times the area over which errors hang together; long errors are the same to cells."""
     of_cells, power = correlation_of_blocks(length, 4)
     assert power * 2 * np.pi * (4 * of_cells) ** 2 == pytest.approx(2 * np.pi * length**2, rel=0.01)
     assert of_cells > length / 4
     assert power < 1
-
-
-def test_long_errors_are_the_same_to_cells():
-    of_cells, power = correlation_of_blocks(100.0, 4)
-    assert of_cells == pytest.approx(25, rel=1e-3)
-    assert power == pytest.approx(1, rel=2e-3)
+    if length == 100:
+        assert (of_cells, power) == pytest.approx((25, 1), rel=2e-3)
 
 
 @pytest.mark.parametrize("aspect", [1.0, 1.6])
