@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import takewhile
 from typing import Any
 
 from gelform.errors import GelformError
@@ -25,7 +26,7 @@ from gelform.streams.feed import NewestFrames
 from gelform.streams.memory import Timed, Work
 from gelform.streams.pipeline import Pipeline
 
-KEPT_NUMBERS = 600  # results whose numbers are kept for the curves: ten seconds at 60 a second
+KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 a second
 RETRY_S = 1.0  # between attempts to open a source that is not there
 WAIT_S = 0.25  # for a result, before it is looked whether to go on
 RATE_OVER, STALE_S = 60, 1.0  # results that the rate is taken of; without one for so long it is 0
@@ -186,7 +187,8 @@ class Station:
 
     def numbers_since(self, serial: int) -> list[tuple[float, ...]]:
         """(serial, time_s, peak, area, volume) of each result after the one of that serial; all that are kept."""
-        return [row for row in tuple(self._numbers) if row[0] > serial]
+        newest_first = takewhile(lambda row: row[0] > serial, reversed(self._numbers.copy()))
+        return list(newest_first)[::-1]
 
     def facts(self) -> dict[str, Any]:
         """How the station is doing, as the page shows it."""

@@ -207,7 +207,7 @@ def test_a_lost_connection_is_said_and_comes_back(page):
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path):
-    """With all that the page can show: two sensors, a recording that is held, the guide."""
+    """With all that the page can show: two sensors, a recording that is held, the ruler, a message, the guide."""
     if not AXE.is_file():
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
@@ -221,6 +221,8 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
     until(lambda: page.locator(".chooser").count() == 2)
     page.click(".chooser >> nth=1")
     until(lambda: page.is_visible("#replay"), 20)
+    page.click("#measure")
+    hub.notice("The camera is set otherwise than it was calibrated.", "warning")
     page.evaluate(AXE.read_text(encoding="utf-8"))
     if page.evaluate("document.documentElement.dataset.theme") != theme:
         page.click("#theme")

@@ -13,6 +13,7 @@ from websockets.sync.client import connect
 
 from gelform.live.station import Station
 from gelform.live.web.app import MAX_CLIENTS
+from gelform.live.web.client import MAX_NUMBERS, MAX_OLDER, thinned
 from gelform.live.web.wire import read_message
 from gelform.sensors.simulated.source import SimulatedSource
 from live_waiting import until
@@ -103,6 +104,19 @@ def test_depth_is_the_results(running, hub):
     levels = np.frombuffer(planes["depth"], np.uint16).reshape(plane["height"], plane["width"])
     depth = (levels.astype(float) - plane["zero"]) * plane["step"]
     np.testing.assert_allclose(depth, hub.stations[0].newest.result.depth, atol=0.51e-4)
+
+
+def test_older_numbers_are_thinned_to_their_deepest():
+    rows = [(k, k / 60, (k * 37) % 101 / 100, 0.0, 0.0) for k in range(MAX_NUMBERS + 3 * MAX_OLDER + 1)]
+    kept = thinned(rows)
+    assert kept[-MAX_NUMBERS:] == rows[-MAX_NUMBERS:]
+    assert len(kept) <= MAX_NUMBERS + MAX_OLDER
+    times_s = [row[1] for row in kept]
+    assert times_s == sorted(times_s)
+    assert times_s[0] < 4 / 60
+    assert max(row[2] for row in kept[:-MAX_NUMBERS]) == max(row[2] for row in rows[:-MAX_NUMBERS])
+    assert thinned(rows[:50]) == rows[:50]
+    assert thinned([]) == []
 
 
 def test_the_state_comes_by_itself_and_answers_to_buttons(running):

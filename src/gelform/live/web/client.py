@@ -10,7 +10,9 @@ import asyncio
 import json
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -27,7 +29,10 @@ SURFACE = ("depth", "unknown")  # planes of stations of which no more is shown
 MAX_REPLIES = 32  # that wait for a client
 STATE_EVERY_S = 0.25  # how often a client hears how things are
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # of a client: a page that draws 60 times a second sends 70
-MAX_NUMBERS = 240  # rows of a frame for the curves
+MAX_NUMBERS, MAX_OLDER = (
+    240,
+    1200,
+)  # rows of a frame for the curves: each one, and of those before as many groups
 POLICY, TOO_MANY = 1008, 1013  # codes of a close: RFC 6455, 7.4.1
 
 
@@ -186,11 +191,19 @@ def _ping(content: dict[str, Any]) -> float:
 
 
 def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> bytes:
-    numbers = station.numbers_since(before)[-MAX_NUMBERS:]
+    numbers = thinned(station.numbers_since(before))
     header = {**shown.header(), "station": station.number, "numbers": [list(row[1:]) for row in numbers]}
     header["sent_s"] = time.monotonic()
     planes = SURFACE if station.number in watched.few else watched.planes
     return message(header, shown.planes(planes, watched.encoding))
+
+
+def thinned(rows: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """Rows (serial, time_s, peak, ...) for the curves: the newest ones, and the deepest of each group of those before."""
+    newest, older = list(rows[-MAX_NUMBERS:]), rows[:-MAX_NUMBERS]
+    size = -(-len(older) // MAX_OLDER) or 1
+    deepest = [max(older[k : k + size], key=itemgetter(2)) for k in range(0, len(older), size)]
+    return deepest + newest
 
 
 def _json(content: dict[str, Any]) -> str:

@@ -1,11 +1,12 @@
 // The page: what comes from the server is kept here and drawn once per screen refresh.
 
-import { drawChart, drawNumbers, drawProfile, NUMBERS, startNumbers } from "./maps/charts.js";
+import { drawChart, drawNumbers, drawProfile, NUMBERS, startNumbers, thinned } from "./maps/charts.js";
 import { drawMarkers, Pane } from "./maps/pane.js";
 import { Painting } from "./maps/painting.js";
+import { startRuler } from "./maps/ruler.js";
 import { VIEWS } from "./maps/views.js";
 import { byId, element, setText } from "./page/dom.js";
-import { Cadence, showCode, showKeys, startKeys, startTabs, startTheme, toast } from "./page/page.js";
+import { Cadence, showCode, showKeys, startKeys, startTabs, startTheme, startWhole, toast } from "./page/page.js";
 import { drawControls, startControls } from "./panels/controls.js";
 import { drawCamera, drawDevices } from "./panels/devices.js";
 import { drawGuide, drawGuideCircles } from "./panels/guide.js";
@@ -13,19 +14,19 @@ import { drawFiles, drawReplay, startReplay } from "./panels/replay.js";
 import { drawStarter } from "./panels/starter.js";
 import { drawContacts, drawEmpty, drawFacts, drawFindings, drawStatus } from "./panels/status.js";
 import { Connection, signIn } from "./server/connection.js";
-import { Frame, SPAN_S } from "./server/frame.js";
+import { Frame } from "./server/frame.js";
 import { Stage } from "./surface/stage.js";
 
 const LOOPBACK = ["127.0.0.1", "localhost", "[::1]"];
-const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, missing: (view) => missing(view), extra: drawMarkers };
+const settings = { colors: "viridis", outlines: true, range: 0.3, cursor: null, ruler: null, missing: (view) => missing(view), extra: drawMarkers };
 const look = { ageMs: 0, drawnHz: 0, surfaces: 0, bytesPerS: 0, renderer: "", encoding: LOOPBACK.includes(location.hostname) ? "raw" : "small" };
 const connection = new Connection();
 const stages = [], draped = new Painting();
 // Between two drawings where the processor does it: of pictures; of surfaces; of numbers and curves. A picture is asked for so long before it is drawn.
-const SOFTWARE_MS = 46, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000;
+const SOFTWARE_MS = 46, SURFACE_MS = 75, CURVES_MS = 200, ASKED_MS = 20, FACTS_MS = 1000, CURVE_PARTS = 600;
 const surfaces = new Cadence(SURFACE_MS, schedule), curves = new Cadence(CURVES_MS, schedule), running = new Cadence(FACTS_MS, () => {});
 const stale = { pictures: true, surfaces: true, curves: true, panels: false };
-let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false, stateKey = "";
+let facts = null, number = 0, due = 0, drawnAt = 0, nextAt = 0, owed = 0, drawn = [], panes = [], guidePane = null, page = "live", choosePage = null, guided = false, stateKey = "", drawRulerLine = () => {};
 
 const station = () => facts?.stations[number] ?? null;
 const stage = () => stages[number];
@@ -75,7 +76,7 @@ function draw() {
 
 function drawPage(frame) {
   if (stale.panels) drawPanels();
-  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
+  if (frame && page === "calibrate" && stale.pictures) guidePane.draw(frame, { ...settings, plain: true, outlines: false, cursor: null, ruler: null, extra: (context, _, px) => drawGuideCircles(context, facts?.guides[number], px) });
   if (page === "live") {
     if (frame && stale.pictures) drawPictures(frame);
     if (frame && stale.curves && (!inSoftware() || curves.due(drawnAt))) drawNumbersAndCurves(frame);
@@ -111,12 +112,14 @@ function drawPanels() {
 function drawPictures(frame) {
   settings.range = stage().range;
   settings.cursor = stage().pointer.at(frame);
+  settings.ruler = stage().ruler;
   for (const pane of panes) pane.draw(frame, settings);
 }
 
 function drawNumbersAndCurves(frame) {
   stale.curves = false;
   for (const label of document.querySelectorAll(".whose")) setText(label, stages.length > 1 ? `of sensor ${number + 1}` : "");
+  drawRulerLine(frame);
   drawProfile(byId("profile"), byId("profile-at"), frame, settings.cursor);
   drawTime(frame, stage().series);
   drawNumbers(frame, stage().series);
@@ -140,7 +143,8 @@ function drawStages() {
 function drawTime(frame, series) {
   const key = byId("against").value, { name, power, least } = NUMBERS[key], last = series.time[series.time.length - 1];
   if (last === undefined) return;
-  drawChart(byId("time"), [{ x: series.time.map((t) => t - last), y: series[key], color: "series-a" }], { xUnit: "s", yUnit: frame.unit + power, xRange: [-SPAN_S, 0], yLeast: least, name });
+  const spanS = Number(byId("span").value), all = series.recent(key, spanS), { time, values } = thinned(all.time, all.values, CURVE_PARTS);
+  drawChart(byId("time"), [{ x: time.map((t) => t - last), y: values, color: "series-a" }], { xUnit: "s", yUnit: frame.unit + power, xRange: [-spanS, 0], yLeast: least, name });
 }
 
 /** Give the credit back, and count how often and how late pictures are drawn. */
@@ -207,12 +211,14 @@ function choose(chosen) {
   number = chosen;
   settings.cursor = frameNow() ? stage().pointer.at(frameNow()) : null;
   sayFollowing();
+  sayMeasuring();
   curves.hurry();
   watch();
   redraw();
 }
 
 function pointed(x, y, kind, view) {
+  if (kind === "click" && page === "live" && stage().ruler.on) return stage().ruler.click(x, y);
   if (kind === "click" && view === "image" && station()?.simulated) return send("press", { x_px: x, y_px: y });
   stage().pointer.pointed(x, y, kind);
   sayFollowing();
@@ -224,6 +230,17 @@ function follow() {
 }
 
 function sayFollowing() { byId("follow").setAttribute("aria-pressed", String(stage().pointer.following)); }
+
+/** Two clicks on a map measure instead of choosing a profile or pressing. */
+function measure() {
+  stage().ruler.toggle();
+  sayMeasuring();
+}
+
+function sayMeasuring() {
+  byId("measure").setAttribute("aria-pressed", String(stage().ruler.on));
+  drawRulerLine(frameNow());
+}
 
 function code(view) {
   const [x, y] = (frameNow() && stage().pointer.at(frameNow())) ?? [0, 0];
@@ -246,6 +263,8 @@ const KEYS = [
   [".", "of a recording: one frame on", replayed("step", () => ({ by: 1 }))],
   ["l", "of a recording: begin again at its end, or not", replayed("loop", () => ({ loop: !station().replay.loop }))],
   ["f", "profile through the deepest point", follow],
+  ["m", "measure between two points of a map, or not", measure],
+  ["x", "surface over the whole screen, or not", () => byId("whole").click()],
   ["1", "page Live", () => choosePage("live")],
   ["2", "page Calibrate", () => choosePage("calibrate")],
   ["n", "the next sensor", () => choose((number + 1) % stages.length)],
@@ -278,6 +297,10 @@ function startPage() {
   byId("drape").addEventListener("change", () => { watch(); redraw(); });
   byId("against").addEventListener("change", redraw);
   byId("follow").addEventListener("click", follow);
+  byId("measure").addEventListener("click", measure);
+  drawRulerLine = startRuler(byId("ruler"), () => stage().ruler);
+  byId("span").addEventListener("change", redraw);
+  startWhole(byId("stage"), byId("whole"));
   byId("reset-view").addEventListener("click", () => stages.forEach((one) => one.surface.orbit.reset()));
   for (const button of document.querySelectorAll("button.code[data-view]")) button.addEventListener("click", () => code(button.dataset.view));
   document.addEventListener("laidout", redraw);

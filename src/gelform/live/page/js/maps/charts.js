@@ -72,6 +72,23 @@ function legend(context, lines, width, ink) {
   });
 }
 
+/** The least and the largest of the values in each of so many parts of their time: as good as all of them on a screen. */
+export function thinned(time, values, parts) {
+  if (values.length <= 2 * parts) return { time, values };
+  const kept = [], from = time[0], per = (time[time.length - 1] - from) / parts || 1;
+  for (let start = 0; start < time.length; ) {
+    const part = Math.floor((time[start] - from) / per);
+    let low = start, high = start, k = start;
+    for (; k < time.length && Math.floor((time[k] - from) / per) === part; k++) {
+      if (values[k] < values[low]) low = k;
+      if (values[k] > values[high]) high = k;
+    }
+    kept.push(...(low === high ? [low] : [Math.min(low, high), Math.max(low, high)]));
+    start = k;
+  }
+  return { time: kept.map((k) => time[k]), values: kept.map((k) => values[k]) };
+}
+
 /** A line without axes. */
 function drawSpark(canvas, values, least) {
   const { context, width, height } = prepared(canvas);
@@ -156,6 +173,6 @@ export function drawNumbers(frame, series) {
     const number = frame?.header[key], tile = tiles[key];
     setText(tile.value, number === undefined ? "–" : number.toFixed(digits));
     setText(tile.unit, number === undefined ? "" : `${frame.unit}${power}`);
-    if (number !== undefined) drawSpark(tile.line, series[key], least);
+    if (number !== undefined) drawSpark(tile.line, series.recent(key).values, least);
   }
 }

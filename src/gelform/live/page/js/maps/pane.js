@@ -1,6 +1,7 @@
 // A pane: one view of the frame, with what is drawn over it, and its legend.
 
 import { HATCH, Painting } from "./painting.js";
+import { drawRuler } from "./ruler.js";
 import { ramp, VIEWS } from "./views.js";
 import { element, fit } from "../page/dom.js";
 
@@ -157,6 +158,7 @@ export class Pane {
     if (settings.outlines) drawOutlines(context, frame, px);
     if (settings.cursor) drawCross(context, frame, settings.cursor, px);
     if (settings.outlines) drawDeepest(context, frame, px);
+    drawRuler(context, settings.ruler, px);
     settings.extra(context, frame, px);
     drawScaleBar(context, frame, px);
   }

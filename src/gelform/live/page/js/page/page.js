@@ -121,3 +121,19 @@ export class Cadence {
   /** Draw it the next time in any case. */
   hurry() { this.at = -Infinity; }
 }
+
+/** A button that gives a part of the page the whole screen, where the browser can do that, and else the whole window. */
+export function startWhole(part, button) {
+  const show = (whole) => {
+    part.classList.toggle("whole", whole);
+    button.setAttribute("aria-pressed", String(whole));
+  };
+  button.addEventListener("click", async () => {
+    const whole = !part.classList.contains("whole");
+    show(whole);
+    if (!whole && document.fullscreenElement) await document.exitFullscreen();
+    else if (whole) await part.requestFullscreen?.().catch(() => {}); // not allowed here: the window it is
+  });
+  document.addEventListener("fullscreenchange", () => { if (!document.fullscreenElement) show(false); });
+  document.addEventListener("keydown", (event) => { if (event.key === "Escape" && !document.getElementById("dialog").open) show(false); });
+}

@@ -55,6 +55,14 @@ export class Frame {
     return plane ? { ...plane, scale: this.width / plane.width } : null;
   }
 
+  /** The depth at a pixel of the image; NaN where it is not known, or beside the image. */
+  depthAt(x, y) {
+    const map = this.map("depth");
+    if (!map || x < 0 || y < 0 || x > this.width - 1 || y > this.height - 1) return NaN;
+    const column = Math.min(map.width - 1, Math.round(x / map.scale)), row = Math.min(map.height - 1, Math.round((y * map.height) / this.height)), at = row * map.width + column;
+    return (this.planes.unknown?.values[at] ?? 0) & 1 ? NaN : (map.values[at] - map.zero) * map.step;
+  }
+
   /** Width and height of a pixel of a map, in the unit of the depth. */
   pitch(map) {
     const [x, y] = this.header.mm_per_px ?? [1, 1];
@@ -62,7 +70,8 @@ export class Frame {
   }
 }
 
-export const SPAN_S = 10;
+export const SPAN_S = 10, LONGEST_S = 300; // of the curves: at first, and what is kept
+const SPLICED = 256; // rows that are too old are taken out so many at once
 const NAMES = ["time", "peak", "area", "volume"];
 
 /** Every result's numbers, whether its picture was drawn or not. */
@@ -71,13 +80,30 @@ export class Series {
 
   clear() { for (const name of NAMES) this[name] = []; }
 
+  /** The place of the first row that is not before a time. */
+  firstSince(timeS) {
+    let low = 0, high = this.time.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.time[middle] < timeS) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /** {time, values} of a number over the last `spanS`. */
+  recent(name, spanS = SPAN_S) {
+    const from = this.firstSince(this.time[this.time.length - 1] - spanS);
+    return { time: this.time.slice(from), values: this[name].slice(from) };
+  }
+
   /** Rows [time_s, peak, area, volume], in the order of time. */
   add(rows) {
     for (const row of rows) {
       if (this.time.length && row[0] <= this.time[this.time.length - 1]) continue;
       NAMES.forEach((name, k) => this[name].push(row[k]));
     }
-    const last = this.time[this.time.length - 1], old = this.time.findIndex((t) => t >= last - SPAN_S);
-    if (old > 0) for (const name of NAMES) this[name].splice(0, old);
+    const last = this.time[this.time.length - 1], old = this.firstSince(last - LONGEST_S);
+    if (old > SPLICED) for (const name of NAMES) this[name].splice(0, old);
   }
 }

@@ -3,6 +3,7 @@
 import { eachNormal, packedRamp } from "../maps/views.js";
 import { element, fit, setText } from "../page/dom.js";
 import { Pointer } from "../maps/charts.js";
+import { Ruler } from "../maps/ruler.js";
 import { Series } from "../server/frame.js";
 import { Surface } from "./surface.js";
 
@@ -45,6 +46,7 @@ export class Stage {
     this.frame = null;
     this.series = new Series();
     this.pointer = new Pointer(does.redraw); // where its profile goes through
+    this.ruler = new Ruler(does.redraw);
     this.range = 0.3;
     const id = number ? `surface-${number}` : "surface";
     this.canvas = element("canvas", { id, tabindex: 0, role: "img", "aria-label": "Surface of the gel in three dimensions. Arrow keys turn it, plus and minus zoom." });

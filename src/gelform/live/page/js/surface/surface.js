@@ -4,6 +4,7 @@ import { ramp } from "../maps/views.js";
 import { fit } from "../page/dom.js";
 import { LINE_FRAGMENT, LINE_VERTEX, SURFACE_VERTEX, surfaceFragment } from "./shaders.js";
 
+const ZOOM = 1 / Math.tan(0.35), FILLED = 0.94, TURNS = 32; // of the lens; how much of the screen is filled; directions that are tried
 const FIRST = { turn: -0.5, tilt: 0.88, distance: 2.95, x: 0, y: 0 };
 
 /** Turned by mouse, finger and keys. */
@@ -54,17 +55,28 @@ class Orbit {
     return [across * Math.sin(this.turn), -across * Math.cos(this.turn), Math.cos(this.tilt) * this.distance];
   }
 
-  /** 4x4 matrix, column by column, from the surface's space to the screen. */
-  matrix(aspect) {
+  /** By how much a picture from the first distance has to be made larger, and moved up, so that the surface fills the screen however it is turned. */
+  fitted(aspect, radius) {
+    const { sin, cos, PI } = Math, rising = sin(this.tilt), up = cos(this.tilt);
+    const seen = Array.from({ length: TURNS }, (_, k) => {
+      const x = radius * cos((2 * PI * k) / TURNS), y = radius * sin((2 * PI * k) / TURNS), away = FIRST.distance + rising * y;
+      return [(ZOOM * x) / away / aspect, (ZOOM * up * y) / away];
+    });
+    const low = Math.min(...seen.map(([, y]) => y)), high = Math.max(...seen.map(([, y]) => y)), wide = Math.max(...seen.map(([x]) => x));
+    return { scale: FILLED / Math.max(wide, (high - low) / 2), middle: (low + high) / 2 };
+  }
+
+  /** 4x4 matrix, column by column, from the surface's space, where it lies in a circle of that radius, to the screen. */
+  matrix(aspect, radius) {
     const eye = this.eye, length = Math.hypot(...eye), back = eye.map((v) => v / length);
     const side = [Math.cos(this.turn), Math.sin(this.turn), 0];
     const up = [back[1] * side[2] - back[2] * side[1], back[2] * side[0] - back[0] * side[2], back[0] * side[1] - back[1] * side[0]];
-    const zoom = 1 / Math.tan(0.35) / Math.max(1, 1.4 / aspect), near = 0.05, far = 30;
+    const { scale, middle } = this.fitted(aspect, radius), zoom = ZOOM * scale, near = 0.05, far = 30;
     const rows = [side, up, back].map((axis) => [...axis, -axis.reduce((sum, v, k) => sum + v * eye[k], 0)]);
     rows[0][3] -= this.x;
     rows[1][3] -= this.y;
     const [a, b, c] = rows, deep = (far + near) / (near - far), shift = (2 * far * near) / (near - far);
-    return new Float32Array([0, 1, 2, 3].flatMap((k) => [(zoom / aspect) * a[k], zoom * b[k], deep * c[k] + (k === 3 ? shift : 0), -c[k]]));
+    return new Float32Array([0, 1, 2, 3].flatMap((k) => [(zoom / aspect) * a[k], zoom * b[k] + scale * middle * c[k], deep * c[k] + (k === 3 ? shift : 0), -c[k]]));
   }
 }
 
@@ -76,7 +88,7 @@ export class Surface {
   constructor(canvas, redraw) {
     this.canvas = canvas;
     this.software = inSoftware();
-    const gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: true, powerPreference: "low-power" });
+    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
     if (!gl) throw new Error("this browser has no WebGL2");
     this.gl = gl;
     this.lost = false;
@@ -116,7 +128,7 @@ export class Surface {
     this.upload(map, look);
     this.uploadUnknown(frame.planes.unknown, map);
     this.clear();
-    const camera = this.orbit.matrix(this.canvas.width / this.canvas.height), extent = spans.map((span) => span * unit);
+    const extent = spans.map((span) => span * unit), camera = this.orbit.matrix(this.canvas.width / this.canvas.height, Math.hypot(...extent) / 2);
     this.drawSurface(map, camera, extent, unit * look.lift, look);
     this.drawFrame(camera, extent, look.ink);
   }

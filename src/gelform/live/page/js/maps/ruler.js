@@ -1,0 +1,79 @@
+// A ruler between two points of the maps: how far they are apart along the gel, and how much deeper one is than the other.
+
+import { element, setText } from "../page/dom.js";
+
+const NAMES = ["A", "B"], COLOR = "#ffd166", HALO = "rgb(0 0 0 / 70%)";
+
+export class Ruler {
+  constructor(changed) {
+    this.changed = changed;
+    this.on = false;
+    this.ends = []; // [x, y] in px of the image, whole numbers at the pixels' centres
+  }
+
+  toggle() { this.on = !this.on; this.changed(); }
+
+  /** The first click is one end, the second the other; a third begins anew. */
+  click(x, y) {
+    this.ends = [...(this.ends.length < 2 ? this.ends : []), [Math.round(x), Math.round(y)]];
+    this.changed();
+  }
+
+  /** An end's coordinates, typed. */
+  set(nth, axis, value) {
+    while (this.ends.length <= nth) this.ends.push([0, 0]);
+    this.ends[nth][axis] = value;
+    this.changed();
+  }
+
+  /** {distance, rise} in the frame's unit; rise is how much deeper B is, NaN where either is not known. null without two ends or a depth. */
+  measured(frame) {
+    if (this.ends.length < 2 || !frame?.has("depth")) return null;
+    const [a, b] = this.ends, [x, y] = frame.header.mm_per_px ?? [1, 1];
+    return { distance: Math.hypot((b[0] - a[0]) * x, (b[1] - a[1]) * y), rise: frame.depthAt(...b) - frame.depthAt(...a) };
+  }
+
+  /** In words. */
+  said(frame) {
+    const found = this.measured(frame);
+    if (!found) return this.ends.length < 2 ? `Click ${this.ends.length ? "the other point" : "two points"} on a map, or type them.` : "There is no depth.";
+    const { distance, rise } = found, height = Number.isNaN(rise) ? "height not known" : `B ${Math.abs(rise).toFixed(3)} ${frame.unit} ${rise < 0 ? "less deep" : "deeper"}`;
+    return `${distance.toFixed(2)} ${frame.unit} apart, ${height}`;
+  }
+}
+
+/** Over a map; `px` is the width of a pixel of the style sheet in pixels of the image. */
+export function drawRuler(context, ruler, px) {
+  if (!ruler?.on) return;
+  for (const [width, color] of [[4 * px, HALO], [2 * px, COLOR]]) {
+    context.lineWidth = width;
+    context.strokeStyle = color;
+    context.beginPath();
+    ruler.ends.forEach(([x, y], k) => context[k ? "lineTo" : "moveTo"](x, y));
+    for (const [x, y] of ruler.ends) { context.moveTo(x + 5 * px, y); context.arc(x, y, 5 * px, 0, 2 * Math.PI); }
+    context.stroke();
+  }
+  context.font = `700 ${13 * px}px system-ui, sans-serif`;
+  context.lineWidth = 3 * px;
+  context.strokeStyle = HALO;
+  context.fillStyle = COLOR;
+  ruler.ends.forEach(([x, y], k) => { context.strokeText(NAMES[k], x + 8 * px, y - 6 * px); context.fillText(NAMES[k], x + 8 * px, y - 6 * px); });
+}
+
+/** The line below the profile: the ends as numbers, which can be typed, and what is measured. `chosen` gives the ruler. */
+export function startRuler(box, chosen) {
+  const inputs = NAMES.map((name, nth) => ["x", "y"].map((axis, k) => element("input", { type: "number", min: 0, step: 1, "aria-label": `${name}, ${axis} in pixels`, oninput: ({ target }) => target.value !== "" && chosen().set(nth, k, Math.round(Number(target.value))) })));
+  const said = element("output", {});
+  box.append(...NAMES.flatMap((name, nth) => [element("b", { text: name }), ...inputs[nth]]), said);
+  return (frame) => {
+    const ruler = chosen();
+    box.hidden = !ruler.on;
+    if (!ruler.on) return;
+    inputs.forEach((pair, nth) => pair.forEach((input, k) => {
+      const value = String(ruler.ends[nth]?.[k] ?? "");
+      if (document.activeElement !== input && input.value !== value) input.value = value;
+      input.max = frame ? [frame.width, frame.height][k] - 1 : "";
+    }));
+    setText(said, ruler.said(frame));
+  };
+}

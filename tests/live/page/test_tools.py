@@ -1,0 +1,124 @@
+"""What the page measures and how far back it shows: the ruler, curves of minutes, the surface over the whole screen."""
+
+import cv2
+import numpy as np
+import pytest
+
+from live_waiting import until
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def still(page, hub):
+    """The page with the picture held, and the result that it shows."""
+    page.click("#pause")
+    until(lambda: hub.stations[0].paused)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial, 20)
+    return hub.stations[0].newest.result
+
+
+def click_at(page, view, x, y):
+    """Click a map in its pane at a pixel of the image."""
+    page.evaluate("() => gelform.panes[0].map.scrollIntoView({ block: 'center' })")
+    box = page.locator(f"#panes .pane[data-view={view}] .map").bounding_box()
+    height, width = 132, 176
+    page.mouse.click(
+        box["x"] + (x + 0.5) / width * box["width"], box["y"] + (y + 0.5) / height * box["height"]
+    )
+
+
+def test_the_ruler_measures_between_two_points(page, still):
+    """Clicked or typed: the distance along the gel, and how much deeper the second one is."""
+    page.click("#measure")
+    until(lambda: "two points" in page.inner_text("#ruler output"))
+    click_at(page, "depth", 30, 100)
+    click_at(page, "image", 120, 60)  # on the simulated sensor's camera too, which is pressed else
+    until(lambda: "apart" in page.inner_text("#ruler output"))
+    ends = page.evaluate("gelform.stages[0].ruler.ends")
+    np.testing.assert_allclose(ends, [[30, 100], [120, 60]], atol=1)
+    (ax, ay), (bx, by) = ends
+    measured = page.evaluate("gelform.stages[0].ruler.measured(gelform.frame)")
+    assert measured["distance"] == pytest.approx(np.hypot(bx - ax, by - ay) * still.mm_per_px)
+    rise = float(still.depth_mm[by, bx] - still.depth_mm[ay, ax])
+    assert rise > 0.3
+    assert measured["rise"] == pytest.approx(rise, abs=1e-4)
+    said = page.inner_text("#ruler output")
+    assert said == f"{measured['distance']:.2f} mm apart, B {measured['rise']:.3f} mm deeper"
+    page.fill("#ruler input >> nth=2", "35")
+    page.fill("#ruler input >> nth=3", "101")
+    until(lambda: page.inner_text("#ruler output") != said)
+    assert page.evaluate("gelform.stages[0].ruler.ends[1]") == [35, 101]
+    page.evaluate(
+        "gelform.frame.planes.unknown = { ...gelform.frame.planes.depth, values: new Uint8Array(132 * 176).fill(1) }"
+    )
+    assert page.evaluate("gelform.stages[0].ruler.said(gelform.frame)").endswith("height not known")
+    page.keyboard.press("Escape")
+    page.click("#measure")
+    until(lambda: page.is_hidden("#ruler"))
+
+
+def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
+    """Numbers of five minutes come at once, and what is drawn of them has each part's largest and least."""
+    station = hub.stations[0]
+    now_s = station.newest.frame.time_s
+    before = [
+        ((k + 1) / 10_000, now_s - 300 + k / 30, 0.9 if k == 4000 else 0.1, 1.0, 1.0) for k in range(8900)
+    ]
+    station.paused = True
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial, 20)
+    kept = list(station._numbers)
+    station._numbers.clear()
+    station._numbers.extend(before + kept)
+    station.paused = False
+    page.reload()
+    until(lambda: page.evaluate("window.gelform?.series?.time.length > 1000"), 30)
+    spans = page.evaluate(
+        "[10, 300].map((s) => { const { time } = gelform.series.recent('peak', s); return time.at(-1) - time[0]; })"
+    )
+    assert spans[0] <= 10
+    assert 250 < spans[1] <= 300
+    assert page.evaluate("Math.max(...gelform.series.peak)") == 0.9
+    before_it = page.evaluate("document.getElementById('time').toDataURL()")
+    page.select_option("#span", "300")
+    until(lambda: page.evaluate("document.getElementById('time').toDataURL()") != before_it)
+    script = """() => import('/js/maps/charts.js').then(({ thinned }) => {
+        const time = Array.from({ length: 20000 }, (_, k) => k / 60);
+        const values = time.map((t, k) => (k === 7777 ? 5 : Math.sin(k)));
+        const { time: t, values: v } = thinned(time, values, 300);
+        return [t.length, v.includes(5), t[v.indexOf(5)] * 60, t.every((one, k) => !k || one > t[k - 1])];
+    })"""
+    length, has_peak, at, grows = page.evaluate(script)
+    assert length <= 2 * 301
+    assert has_peak
+    assert grows
+    assert at == pytest.approx(7777)
+
+
+def drawn(picture, page):
+    """Where the surface's picture differs from the stage behind it: its height and width in parts of the canvas."""
+    pixels = cv2.cvtColor(picture(page, "#surface"), cv2.COLOR_BGR2HSV)
+    rows, columns = np.nonzero((pixels[..., 1] > 90)[: int(0.9 * len(pixels))])
+    height, width = pixels.shape[:2]
+    return np.ptp(rows) / height, np.ptp(columns) / width
+
+
+def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still, picture):
+    page.evaluate("scrollTo(0, 0)")
+    assert page.evaluate("gelform.surface.gl.getContextAttributes().antialias")
+    assert page.evaluate("gelform.surface.gl.getParameter(gelform.surface.gl.SAMPLES)") > 1
+    assert max(drawn(picture, page)) > 0.7
+    page.set_viewport_size({"width": 390, "height": 844})
+    until(lambda: page.evaluate("document.getElementById('surface').clientWidth") < 390)
+    page.wait_for_timeout(400)
+    assert max(drawn(picture, page)) > 0.8
+    page.set_viewport_size({"width": 1100, "height": 900})
+    page.click("#whole")
+    until(lambda: page.locator("#stage").bounding_box() == {"x": 0, "y": 0, **page.viewport_size})
+    page.wait_for_timeout(400)
+    assert max(drawn(picture, page)) > 0.7
+    assert page.is_visible("#reset-view")
+    page.evaluate("document.fullscreenElement ? document.exitFullscreen() : null")
+    page.keyboard.press("Escape")
+    until(lambda: page.locator("#stage").bounding_box()["height"] < 700)
+    assert page.get_attribute("#whole", "aria-pressed") == "false"
