@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gelform.batch.manifest import Manifest
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.records import TABLES, files_of, read_record, table_is_whole, tables_there, write_table
-from gelform.errors import DataError
 from gelform.foundations.npz_files import written_file
+from gelform.foundations.pictures import picture_bytes
 
 SHEET = "sheet.png"
 COLUMNS, ROWS, TILE_PX, LABEL_PX = 6, 4, 200, 34  # of the contact sheet
@@ -64,10 +64,7 @@ def sheet_bytes(output: Path, manifest: Manifest) -> bytes:
     blank = np.zeros_like(tiles[0])
     tiles += [blank] * (-len(tiles) % COLUMNS)
     lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
-    done, encoded = cv2.imencode(".png", np.vstack(lines))
-    if not done:
-        raise DataError("OpenCV cannot encode the contact sheet as PNG.")
-    return bytes(encoded.tobytes())
+    return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colours tiles in BGR
 
 
 def _chosen(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:

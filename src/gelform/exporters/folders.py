@@ -11,13 +11,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image
 from gelform.foundations.npz_files import locked_folder, sweep
+from gelform.foundations.pictures import picture_bytes
 
 PROBE_BYTES = 16_384  # several blocks of any file system
 
@@ -84,10 +84,7 @@ def write_png(path: Path, image: ArrayLike, shape: tuple[int, int] | None = None
     pixels = check_image(image, shape=shape, name=path.name)
     if pixels.dtype != np.uint8:
         pixels = np.rint(pixels).astype(np.uint8)
-    done, encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))
-    if not done:
-        raise DataError(f"Cannot encode {path.name} as PNG.")
-    path.write_bytes(encoded.tobytes())
+    path.write_bytes(picture_bytes(pixels))
 
 
 def write_npz(path: Path, arrays: Mapping[str, ArrayLike]) -> None:

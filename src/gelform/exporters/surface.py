@@ -15,7 +15,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +22,7 @@ from gelform.errors import DataError, needed
 from gelform.exporters.quantised import levels_from_depth
 from gelform.foundations.checks import check_is, check_path
 from gelform.foundations.npz_files import written_file
+from gelform.foundations.pictures import picture_bytes
 from gelform.reconstruction import Reconstruction
 
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
@@ -176,19 +176,12 @@ def _stl(result: Reconstruction) -> bytes:
     return _mesh_bytes(np.concatenate([top, base]), triangles, "stl")
 
 
-def _encoded(ending: str, pixels: NDArray[Any]) -> bytes:
-    done, content = cv2.imencode(ending, pixels)
-    if not done:
-        raise DataError(f"Cannot encode the depth as {ending}.")
-    return bytes(content.tobytes())
-
-
 def _tiff(result: Reconstruction) -> bytes:
-    return _encoded(".tiff", result.depth_mm)
+    return picture_bytes(result.depth_mm, ".tiff")
 
 
 def _png(result: Reconstruction) -> bytes:
-    return _encoded(".png", levels_from_depth(result.depth_mm, result.known))
+    return picture_bytes(levels_from_depth(result.depth_mm, result.known), ".png")
 
 
 SURFACES: dict[str, Callable[[Reconstruction], bytes]] = {

@@ -20,6 +20,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError
 from gelform.exporters.folders import written_whole
 from gelform.foundations.checks import check_path
+from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.twin import STEEPEST_RENDERED
 
 RENDERERS = {  # the channel, of R, G, B, that each reads from grad_r, grad_g, grad_b
@@ -74,11 +75,8 @@ def save_taxim(
         arrays: dict[str, Any] = {name: table[:, :, c] for name, c in channels}
         np.savez(partial / "polycalib.npz", bins=BINS, **arrays)
         background = calibration.background
-        levels = np.rint(background[..., ::-1]).astype(np.uint8)
-        done, jpeg = cv2.imencode(".jpg", levels, JPEG)
-        if not done:
-            raise CalibrationError("Cannot encode the background as JPEG.")
-        (partial / "bg.jpg").write_bytes(jpeg.tobytes())
+        levels = np.rint(background).astype(np.uint8)
+        (partial / "bg.jpg").write_bytes(picture_bytes(levels, ".jpg", JPEG))
         np.save(partial / "real_bg.npy", background[..., list(RENDERERS[renderer])])
         (partial / "settings.txt").write_text(_settings(calibration, renderer), encoding="utf-8")
     return folder

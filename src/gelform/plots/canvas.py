@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.errors import DataError, needed
+from gelform.errors import needed
 from gelform.foundations.checks import check_image
 from gelform.foundations.npz_files import written_file
+from gelform.foundations.pictures import picture_bytes
 from gelform.reconstruction import Reconstruction
 
 DPI, WIDTH = 110, 13.0  # pixels per inch, and inches of most pictures
@@ -52,12 +53,9 @@ def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bo
     DataError
         The file is already there and `overwrite` is False, or it cannot be written.
     """
-    pixels = np.ascontiguousarray(check_image(picture, name="picture").astype(np.uint8)[..., ::-1])
-    done, png = cv2.imencode(".png", pixels)
-    if not done:
-        raise DataError(f"OpenCV cannot encode a picture of {pixels.shape[0]}x{pixels.shape[1]} px as PNG.")
+    content = picture_bytes(check_image(picture, name="picture").astype(np.uint8))
     with written_file(path, overwrite=overwrite) as handle:
-        handle.write(png.tobytes())
+        handle.write(content)
 
 
 def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:

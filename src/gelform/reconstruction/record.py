@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.contact import Contact, contacts_from_mask
-from gelform.errors import DataError, GelformError
+from gelform.errors import GelformError
 from gelform.foundations.checks import check_mask, check_mm_per_px
 from gelform.foundations.findings import Finding
+from gelform.foundations.pictures import picture_bytes
 from gelform.markers import MarkerFlow
 from gelform.normals import normals_from_gradients
 from gelform.reconstruction.maps import BESIDE_DEPTH
@@ -261,7 +262,4 @@ def _depth_png(depth: NDArray[np.float32], known: NDArray[np.bool_]) -> bytes:
     hatch = np.where((row + col) % HATCH_PX < 2, np.uint8(150), np.uint8(225))
     unknown = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     colors[unknown] = hatch[unknown][:, np.newaxis]
-    done, png = cv2.imencode(".png", colors)
-    if not done:
-        raise DataError(f"OpenCV cannot encode a picture of {depth.shape[0]}x{depth.shape[1]} px as PNG.")
-    return bytes(png.tobytes())
+    return picture_bytes(colors[..., ::-1])  # OpenCV colours in BGR

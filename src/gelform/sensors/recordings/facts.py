@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError
+from gelform.foundations.pictures import FAST_PNG, picture_bytes
 from gelform.frames import Frame
 from gelform.sensors.jpeg import image_from_jpeg
 from gelform.sensors.playback import Playback
@@ -23,9 +24,6 @@ ATTACHABLE = {
     CALIBRATION: "application/x-npz",
     BACKGROUND: "image/png",
 }  # what a recording may carry, with its type
-# Runs of equal bytes and Huffman codes alone: what a camera's noise leaves has no repetitions to find. Files are a fifth
-# smaller than at zlib's level 1, and written as fast; any PNG reader reads them.
-PNG_SETTINGS = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 
 
 @dataclass(frozen=True)
@@ -100,10 +98,7 @@ def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
     """("jpeg", the bytes as the camera sent them), or ("png", the pixels without loss)."""
     if frame.encoded is not None:
         return "jpeg", frame.encoded
-    done, content = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR), PNG_SETTINGS)
-    if not done:
-        raise ValueError(f"Expected a frame that PNG can hold, got one of shape {frame.image.shape}.")
-    return "png", content.tobytes()
+    return "png", picture_bytes(frame.image, settings=FAST_PNG)
 
 
 def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np.uint8]:

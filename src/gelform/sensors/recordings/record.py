@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gelform import __version__
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import DataError
+from gelform.foundations.pictures import picture_bytes
 from gelform.frames import Frame
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.recordings.facts import (
@@ -52,8 +52,7 @@ def attachments_of(
             calibration.save(Path(folder) / CALIBRATION)
             attached[CALIBRATION] = (Path(folder) / CALIBRATION).read_bytes()
     if background is not None:
-        pixels = np.rint(background[..., ::-1]).astype(np.uint8)
-        attached[BACKGROUND] = cv2.imencode(".png", pixels)[1].tobytes()
+        attached[BACKGROUND] = picture_bytes(np.rint(background).astype(np.uint8))
     return attached
 
 

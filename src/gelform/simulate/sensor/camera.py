@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.checks import check_is
+from gelform.foundations.pictures import picture_bytes
 from gelform.simulate.sensor.sensor import SHADING_DEGREES, SimulatedSensor
 
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -171,9 +172,5 @@ def saturated_from_levels(levels: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _compressed(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    done, code = cv2.imencode(
-        ".jpg", cv2.cvtColor(grey, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality]
-    )
-    if not done:
-        raise ValueError(f"Expected an image that JPEG can hold, got one of shape {grey.shape}.")
+    code = np.frombuffer(picture_bytes(grey, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]), np.uint8)
     return np.asarray(cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))
