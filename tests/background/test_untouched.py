@@ -6,9 +6,9 @@ import pytest
 from gelform.background import untouched as untouched_pixels
 from gelform.background.change import color_change_from_image
 from gelform.background.untouched import (
-    MIN_UNTOUCHED,
     reference_from_color_change,
 )
+from gelform.foundations.filters import MIN_UNTOUCHED
 from kernel_agreement import assert_kernel_agrees
 from made.touched_images import scene, touched
 

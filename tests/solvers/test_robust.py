@@ -165,7 +165,7 @@ def test_contacts_keep_their_rims(surface, slope_noise):
 
 
 def test_frames_turned_or_mirrored_are_judged_alike(monkeypatch):
-    monkeypatch.setattr(curl_gated, "EVERY_LOOP", 1)
+    monkeypatch.setattr(curl_gated, "EVERY_EDGE", 1)
     _, gradients, pitch = scene(BALL)
     rng = np.random.default_rng(5)
     lying = with_patches(with_noise(gradients, 0.05, rng), 0.1, rng).gradients

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.foundations.filters import lattice_step, medians_where
+from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step, medians_where
 from gelform.foundations.findings import Finding
 
-MIN_UNTOUCHED = 0.02  # fraction of the frame: of fewer pixels the median slope is noise
 EXPOSURE_STEP_PX = 8  # of the lattice for the common change
 
 _near_common = Kernel(

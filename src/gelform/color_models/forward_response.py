@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.color_models._shared.least_squares import (
+    ORDER_GROWTH,
     Term,
     VaryingRegression,
     at_pixels,
@@ -39,7 +40,6 @@ from gelform.foundations.checks import check_values, check_within
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 PLACE_DEGREES, DEPTH_PLACE_DEGREE = (5, 4, 3, 2), 4  # of terms of order 1 to 4 in the normal; of the depth
-DEPTH_RIDGE, DEPTH_SLOPE_RIDGE = 3.0, 9.0  # of z, and of z times the normal: ORDER_GROWTH for each order
 HUBER_CHANGE = 0.03  # color change, about twice the usual residual: from there on a sample counts less
 LONGEST_STEP = 0.3  # mm/mm: beyond it the response is not linear
 RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # that calibration tries, the stiffest first
@@ -246,8 +246,8 @@ def _terms(gradients: NDArray[Any], depth_px: NDArray[Any]) -> list[Term]:
     )
     return [
         *of_normal,
-        Term(z, DEPTH_PLACE_DEGREE, DEPTH_RIDGE),
-        *(Term(z * one, 0, DEPTH_SLOPE_RIDGE) for one in v.T),
+        Term(z, DEPTH_PLACE_DEGREE, ORDER_GROWTH),
+        *(Term(z * one, 0, ORDER_GROWTH**2) for one in v.T),
     ]
 
 

@@ -113,8 +113,8 @@ def light_ratio_derivatives(
 
 FITTED_SAMPLES = 4000  # at most: neighbours in a press say the same
 LEAST_PRESSED = 30  # samples, twice the numbers that are fitted
-# Of the lights, in half the image's larger side: heights above the gel and distances beside it.
-HEIGHTS, FARTHEST = (0.05, 20.0), 20.0
+# Of the lights, in half the image's larger side: least height above the gel; most height, and distance beside it.
+LOWEST, FARTHEST = 0.05, 20.0
 
 
 _near_light_gradients = Kernel(
@@ -162,8 +162,8 @@ class NearLightModel(Untuned):
         used = _pressed(samples)
         start = np.concatenate([_start(used, c, response or 1.0) for c in range(3)])
         free = [*start, *([0.05] * 6 if crosstalk else []), *([] if response else [1.0])]
-        low = [*[-FARTHEST, -FARTHEST, HEIGHTS[0]] * 3, *([0.0] * 6 if crosstalk else [])]
-        high = [*[FARTHEST, FARTHEST, HEIGHTS[1]] * 3, *([2.0] * 6 if crosstalk else [])]
+        low = [*[-FARTHEST, -FARTHEST, LOWEST] * 3, *([0.0] * 6 if crosstalk else [])]
+        high = [*[FARTHEST, FARTHEST, FARTHEST] * 3, *([2.0] * 6 if crosstalk else [])]
         if not response:
             low, high = [*low, RESPONSES[0]], [*high, RESPONSES[1]]
         residuals, jacobian = _problem(used, crosstalk, response, falloff)

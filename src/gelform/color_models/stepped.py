@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.color_models.forward_response import ForwardResponse, PreparedStep, Step
-from gelform.foundations.filters import medians_where
+from gelform.foundations.filters import MIN_UNTOUCHED, medians_where
 from gelform.gradients import fill_unknown
 from gelform.solvers.dct import DctSolver
 
 COARSER = 4  # times fewer rows and columns: depth is smooth, a sixteenth of the pixels says it
-LEAST_UNTOUCHED = 0.02  # fraction of the frame, as `MIN_UNTOUCHED` of background/untouched
 
 
 def coarse_grid(shape: tuple[int, int]) -> tuple[tuple[int, int], tuple[float, float]]:
@@ -56,8 +55,8 @@ class FrameDepth:
         change = change - medians_where(change)[0]
         square = np.einsum("...c,...c->...", change, change)
         rest = square <= self._square
-        if np.count_nonzero(rest) < LEAST_UNTOUCHED * rest.size:
-            rest = square <= np.quantile(square, LEAST_UNTOUCHED)
+        if np.count_nonzero(rest) < MIN_UNTOUCHED * rest.size:
+            rest = square <= np.quantile(square, MIN_UNTOUCHED)
         depth = self._solver(slopes - medians_where(slopes, rest)[0]).depth_mm
         depth -= medians_where(depth[..., None], rest)[0]
         np.maximum(depth, 0, out=depth)

@@ -14,6 +14,7 @@ from gelform._native import Kernel
 CHANGE_OFFSET = 10.0  # grey levels added where a color change divides, and to logarithms: noise of dark pixels is no color
 SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal noise over its median magnitude
 MEDIAN_SAMPLES = 5_000  # pixels on a lattice, fine enough for medians and fractions
+MIN_UNTOUCHED = 0.02  # fraction of the frame: the median slope of fewer pixels is noise
 LANES = 16  # floats, of native/common.h: rows of work arrays are as long as a whole number of them
 _medians_where = Kernel(
     "medians_where",

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.solvers.multigrid import MultigridSolver
 from gelform.solvers.seam import Solution, Weights
-from gelform.solvers.system import FLOOR, edges_from_gradients
+from gelform.solvers.system import EVERY_EDGE, FLOOR, edges_from_gradients
 
 # Times the usual curl of the frame, from which a pixel is an outlier: 2 keeps 99 % of pixels under Gaussian noise, which
 # costs 2 % of accuracy.
 TIMES_USUAL = 2.0
 LEAST_CURL = 0.014  # slope per pixel, the curl of slopes good to 0.01: less is never held against a pixel
-# Of how many loops of a large frame one counts for the usual curl: all would say the same, slower.
-EVERY_LOOP = 7
 # Slopes jump where neighbours differ by more than so many times the usual circulation (1 % of pairs do under
 # noise alone), and by more than surfaces without noise bend from pixel to pixel, mm/mm.
 JUMP, LEAST_JUMP = 3.0, 0.1
@@ -109,7 +107,7 @@ def _usual(circulation: NDArray[np.float32], trusted: NDArray[np.bool_] | None) 
         sample = circulation.ravel()
     else:
         sample = circulation[trusted[1:, 1:] & trusted[1:, :-1] & trusted[:-1, 1:] & trusted[:-1, :-1]]
-    sample = sample[:: EVERY_LOOP if sample.size > 10_000 else 1]
+    sample = sample[:: EVERY_EDGE if sample.size > 10_000 else 1]
     return max(SIGMA_OF_MEDIAN * float(np.median(np.abs(sample))), LEAST_CURL) if sample.size else LEAST_CURL
 
 

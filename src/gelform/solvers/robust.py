@@ -19,6 +19,7 @@ from gelform.solvers.dct import DctSolver
 from gelform.solvers.multigrid import Grid
 from gelform.solvers.seam import Pair, Solution, Weights
 from gelform.solvers.system import (
+    EVERY_EDGE,
     FLOOR,
     Problem,
     differences,
@@ -35,7 +36,6 @@ LOSSES: dict[str, Loss] = {
     "cauchy": lambda r: 1 / (1 + (r / 2.385) ** 2),
     "l1": lambda r: 0.1 / np.maximum(np.abs(r), 0.1),
 }
-EVERY_EDGE = 7  # of how many edges one counts for the usual residual: enough of them, and a median is slow
 # Of the range of depth, in each round and in the last: the weights move more from round to round.
 TOLERANCE, LAST_TOLERANCE = 3e-3, 1e-3
 

@@ -81,6 +81,9 @@ def _four_pixels(p: NDArray[Any]) -> NDArray[Any]:
 # Fraction of the largest weight under which a slope is replaced by a fill from its neighbours, and the weight raised to it:
 # smaller ones would isolate regions beyond what float32 resolves.
 FLOOR = 1e-3
+EVERY_EDGE = (
+    7  # of how many edges or loops one counts for the usual one: enough of them, and a median is slow
+)
 _HIGHEST_ANCHOR = 1e30  # over the largest weight: what float32 holds beside weights of 1, with room for sums
 
 

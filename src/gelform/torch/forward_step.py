@@ -14,7 +14,8 @@ from gelform.color_models.forward_response import (
     NORMAL_UNIT,
     PLACE_DEGREES,
 )
-from gelform.color_models.stepped import LEAST_UNTOUCHED, coarse_grid
+from gelform.color_models.stepped import coarse_grid
+from gelform.foundations.filters import MIN_UNTOUCHED
 from gelform.torch.maps import PoissonDepth, bilinear_shares, block_shares, medians_where
 from gelform.view.resample import pixel_positions
 
@@ -45,7 +46,7 @@ class FrameDepth(nn.Module):
         """Samples (N, 1, rows, columns) whose color change (N, 3, H, W) says untouched gel; at least 2 % of them."""
         change = self.made_coarse(color_change)
         square = ((change - medians_where(change)) ** 2).sum(1, keepdim=True)
-        least = square.flatten(1).quantile(LEAST_UNTOUCHED, dim=1)
+        least = square.flatten(1).quantile(MIN_UNTOUCHED, dim=1)
         return square <= least.clamp(min=self.square)[:, None, None, None]
 
     def made_coarse(self, maps: Tensor) -> Tensor:
