@@ -40,6 +40,7 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     assert content["verdict"]["headline"] in (report / "report.html").read_text(encoding="utf-8")
     verdict = content["verdict"]
     assert said["verdict"] == verdict
+    assert f"gelform calibrations add {output} --serial SERIAL\n" in err
     assert err.splitlines()[-2:] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
     truth = [press.label for press in read_presses(folder).presses]
     with (report / "circles.csv").open() as file:

@@ -107,6 +107,8 @@ def calibrate(
     verdict = content["verdict"]
     _show(calibration, shown)
     shown.say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.")
+    serial = "" if calibration.serial else " --serial SERIAL"
+    shown.say(f"To let commands find it without -c: gelform calibrations add {output}{serial}")
     shown.say(f"{verdict['headline']}.")
     marks = " (--report DIR shows where that is.)" if report is None and "marked" in verdict["next"] else ""
     shown.say(f"Next: {verdict['next']}{marks}")
