@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gelform.cli.console import say
+from gelform.cli.options import STARTERS
 from gelform.cli.process import mistakes_in
 from gelform.errors import CalibrationError, GelformError
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from gelform.calibration_file import Calibration
     from gelform.calibrations.choose import Unit
+    from gelform.cli.options import CalibrationOptions
     from gelform.reconstruct import Reconstructor
     from gelform.reconstruction import Reconstruction
 
@@ -34,16 +36,37 @@ def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.flo
     return None if path is None else _viewed(read_background(path), path, calibration)
 
 
-def calibration_given(path: Path | None, unit: Callable[[], Unit], quiet: bool = False) -> Calibration:
-    """The calibration of a file; where none is given the library's for a unit, and which one is said."""
+def calibration_given(
+    given: CalibrationOptions, background: Path | None, unit: Callable[[], Unit], quiet: bool = False
+) -> Calibration:
+    """The calibration of a file; where none is given the library's for a unit, else a starter's, and which one is said."""
     from gelform.calibration_file import load_calibration
-    from gelform.calibrations.choose import choose_calibration
+    from gelform.calibrations.choose import NoCalibration, choose_calibration
 
-    if path is not None:
-        return load_calibration(path)
-    chosen = choose_calibration(unit())
+    given.check(background)
+    if given.calibration is not None:
+        return load_calibration(given.calibration)
+    of = unit()
+    try:
+        chosen = choose_calibration(of)
+    except NoCalibration as problem:
+        return starter_given(given, background, of.serial, problem, quiet)
     say(chosen.said, quiet)
     return chosen.calibration
+
+
+def starter_given(
+    given: CalibrationOptions, background: Path | None, serial: str, missing: GelformError, quiet: bool
+) -> Calibration:
+    """The starter's calibration that is asked for, and that it is one is said; `missing`, with advice, where none is."""
+    if given.sensor is None or background is None:
+        known = ", ".join(STARTERS)
+        raise type(missing)(
+            f"{missing} Or take a starter, with an image of the untouched gel: --sensor NAME ({known}) --background IMG."
+        )
+    made = starter_calibration(given.sensor, background, mm_per_px=given.mm_per_px, serial=serial or None)
+    say(f"Calibration: the starter of a {made.sensor_name}, with {background} as its untouched gel.", quiet)
+    return made
 
 
 def prepared(calibration: Calibration | Path, background: Path | None, **settings: Any) -> Reconstructor:

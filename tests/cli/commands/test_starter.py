@@ -60,3 +60,75 @@ def test_another_make_and_other_mistakes_are_said(fails, unit, tmp_path):
     assert "GelSight Mini" in said
     file.write_bytes(b"")
     assert "already there" in fails("starter", SIMULATED, "--background", rest, "-o", file)
+
+
+@pytest.fixture
+def no_library(tmp_path, monkeypatch):
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "none"))
+
+
+@pytest.mark.usefixtures("no_library")
+def test_commands_take_the_starter_of_a_make(run, run_json, unit, tmp_path):
+    how = ("--sensor", SIMULATED, "--background", unit / "rest.png")
+    (row,) = run_json("reconstruct", unit / "frame.png", *how, "-o", tmp_path / "out")["results"]
+    assert row["peak_mm"] == pytest.approx(0.4, abs=0.08)
+    (row,) = run_json("explain", unit / "frame.png", *how, "--mm-per-px", "0.05")["images"]
+    assert row["trusted_share"] > 0.5
+    done = run_json("batch", unit, *how, "-o", tmp_path / "depths")
+    assert (done["frames"], done["errors"]) == (1, 0)
+    again = run_json("batch", unit, *how, "-o", tmp_path / "depths")  # the same starter: it goes on
+    assert (again["frames"], again["frames_before"]) == (0, 1)
+    code, _, err = run("bag", unit, *how, "-o", tmp_path / "bag")
+    assert (code, "Calibration: the starter of a" in err) == (0, True), err
+
+
+@pytest.mark.usefixtures("no_library")
+@pytest.mark.parametrize("command", ["reconstruct", "explain", "batch", "bag"])
+def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, command):
+    image, rest, out = unit / "frame.png", unit / "rest.png", ("-o", tmp_path / "out")
+    said = fails(command, image, "--sensor", SIMULATED, *out, status=2)
+    assert "--background" in said
+    assert "an image of the untouched gel" in said
+    said = fails(command, image, "--sensor", "gelslim", "--background", rest, *out, status=2)
+    assert "expected digit, gelsight-mini or simulated-three-edges, got 'gelslim'" in said
+    assert "Leave one" in fails(command, image, "--sensor", SIMULATED, "-c", rest, *out, status=2)
+    assert "--sensor" in fails(command, image, "--mm-per-px", "0.05", *out, status=2)
+    given = unit if command in ("batch", "bag") else image
+    assert "take a starter" in fails(command, given, "--background", rest, *out)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_library_comes_before_the_starter(run, unit, tmp_path, monkeypatch):
+    from gelform.calibration_file import load_calibration
+    from gelform.calibrations import add_calibration
+
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "library"))
+    rest = unit / "rest.png"
+    run(
+        "starter",
+        SIMULATED,
+        "--background",
+        rest,
+        "-o",
+        tmp_path / "mine.npz",
+        "--serial",
+        "S9",
+        "--gel",
+        "mine",
+    )
+    add_calibration(load_calibration(tmp_path / "mine.npz"))
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    (folder / "frame.png").write_bytes((unit / "frame.png").read_bytes())
+    (folder / "sensor.toml").write_text(f'name = "{SIMULATED}"\nmm_per_px = 0.0634\nserial = "S9"\n')
+    code, _, err = run(
+        "reconstruct",
+        folder / "frame.png",
+        "--sensor",
+        SIMULATED,
+        "--background",
+        rest,
+        "-o",
+        tmp_path / "out",
+    )
+    assert (code, "gel mine" in err) == (0, True), err

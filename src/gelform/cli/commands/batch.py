@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import progress_shown, say
-from gelform.cli.options import OptionalCalibration, Shown, one_of, usage_errors
+from gelform.cli.options import CalibrationOptions, Shown, one_of, usage_errors
 from gelform.cli.process import MISTAKE
 from gelform.reconstruction.maps import KEPT_MAPS
 
@@ -127,7 +128,7 @@ def batch(
             metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
         ),
     ],
-    calibration: OptionalCalibration = None,
+    given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     frames: Frames,
     results: Results,
@@ -144,7 +145,8 @@ def batch(
     frames/<sequence>/<frame>.npz, a table with one row per frame, and manifest.json. A frame that cannot be
     read or is of another size is a row with its error; the others are done, and the exit status is 1.
 
-    Without -c a sensor.toml or the recordings have to say one serial: its newest calibration is taken.
+    Without -c a sensor.toml or the recordings have to say one serial: its newest calibration is taken. A sensor that was
+    never calibrated is read by the starter of its make, with --sensor and an image of its untouched gel.
 
     \b
     Examples:
@@ -152,18 +154,22 @@ def batch(
       gelform batch "day*/*.mp4" -c cal.npz -o depth --background-frames 10 --format png
       gelform batch demos.hdf5 --dataset "data/*/obs/gelsight" -c cal.npz -o depth --format zarr --dtype uint16
       gelform batch press_set --dataset observation.images.gel -c cal.npz -o with_depth --format lerobot
+      gelform batch sessions/ --sensor gelsight-mini --background rest.png -o depth
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
+    given.check(frames.background)
     from gelform.batch import RunOptions, run_batch
+    from gelform.calibrations.choose import NoCalibration
+    from gelform.cli.sensor_images import starter_given
 
     settings = results.settings(frames.background_frames)
     table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
     with _progress(shown.silent) as progress:
-        summary = run_batch(
+        work = partial(
+            run_batch,
             source,
-            calibration,
-            output,
-            settings,
+            output=output,
+            settings=settings,
             background=frames.background,
             dataset=frames.dataset,
             table=table,
@@ -172,6 +178,11 @@ def batch(
             progress=progress,
             chosen=shown.say,
         )
+        try:
+            summary = work(calibration=given.calibration)
+        except NoCalibration as problem:
+            starter = starter_given(given, frames.background, "", problem, shown.silent)
+            summary = work(calibration=starter)
     shown.json({"output": output, **asdict(summary)})
     _report(summary, output, run.max_errors, shown.silent)
     if summary.errors:

@@ -13,6 +13,7 @@ from gelform.cli.console import figure, say
 from gelform.cli.options import (
     Background,
     CalibrationFile,
+    CalibrationOptions,
     Images,
     Overwrite,
     PictureFolder,
@@ -20,7 +21,7 @@ from gelform.cli.options import (
     Shown,
 )
 from gelform.cli.outputs import make_folder, picture_paths
-from gelform.cli.sensor_images import image_in, prepared, reconstruction_of
+from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
 from gelform.errors import CalibrationError, DataError
 
 if TYPE_CHECKING:
@@ -207,7 +208,7 @@ def _compare_one(
 def explain(
     *,
     images: Images,
-    calibration: CalibrationFile,
+    given: CalibrationOptions,
     output: PictureFolder = None,
     background: Background = None,
     overwrite: Overwrite = False,
@@ -223,10 +224,15 @@ def explain(
     Examples:
       gelform explain frame.png -c cal.npz -o why
       gelform explain session/*.png -c cal.npz --json
+      gelform explain frame.png --sensor digit --background rest.png -o why
       gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
     """
-    pictures = _pictures(images, output, [calibration, background], overwrite)
-    run = prepared(calibration, background, depth_sigma=False)
+    given.check(background)
+    pictures = _pictures(images, output, [given.calibration, background], overwrite)
+    from gelform.calibrations.choose import unit_of_all
+
+    used = calibration_given(given, background, lambda: unit_of_all(images), shown.silent)
+    run = prepared(used, background, depth_sigma=False)
     rows = [_explain_one(run, path, picture) for path, picture in zip(images, pictures)]
     for row in rows:
         for finding in row["findings"]:
@@ -245,7 +251,7 @@ def explain(
     columns = ("trusted (% of px)", "sigma (median)", *(f"{name} (%)" for name in names))
     shown.table("Share of the slopes' variance", ("image", *columns), table)
     _say_pictures(rows, output, shown)
-    shown.json({"calibration": str(calibration), "images": rows})
+    shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
 
 
 def _explain_one(run: Reconstructor, path: Path, picture: NewPicture | None) -> dict[str, Any]:

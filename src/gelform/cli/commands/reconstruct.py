@@ -12,7 +12,7 @@ import typer
 from typer import BadParameter, Option
 
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.options import Background, Images, OptionalCalibration, Overwrite, Shown, one_of
+from gelform.cli.options import Background, CalibrationOptions, Images, Overwrite, Shown, one_of
 from gelform.cli.outputs import check_results, make_folder, result_paths
 from gelform.cli.process import MISTAKE, one_line
 from gelform.cli.sensor_images import calibration_given, image_in, prepared, reconstruction_of
@@ -41,7 +41,7 @@ def _formats(text: str) -> list[str]:
 def reconstruct(
     *,
     images: Images,
-    calibration: OptionalCalibration = None,
+    given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
     background: Background = None,
     solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto",
@@ -64,17 +64,20 @@ def reconstruct(
     confidence, contact, known and mm_per_px; with --format npz,png a picture beside it. An image that cannot be
     read or is of another sensor is reported, the others are done, and the exit status is 1.
 
-    Without -c the images' sensor.toml or recording has to say the serial: its newest calibration is taken.
+    Without -c the images' sensor.toml or recording has to say the serial: its newest calibration is taken. A sensor that was
+    never calibrated is read by the starter of its make, with --sensor and an image of its untouched gel.
 
     \b
     Examples:
       gelform reconstruct frame.png -c cal.npz -o out
       gelform reconstruct session/*/gelsight.png -c cal.npz -o out --format npz,png
+      gelform reconstruct frame.png --sensor gelsight-mini --background rest.png -o out
       gelform reconstruct today/*.png -c cal.npz --background today_rest.png -o out --json
     """
     wanted = _formats(formats)
+    given.check(background)
     paths = result_paths(images, output, wanted)
-    protected = [*images, *(one for one in (calibration, background) if one)]
+    protected = [*images, *(one for one in (given.calibration, background) if one)]
     todo = list(zip(images, paths))
     if skip_existing:
         todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
@@ -85,7 +88,7 @@ def reconstruct(
     from gelform.solvers import SOLVERS
 
     one_of(solver, ("auto", *SOLVERS), "--solver")
-    used = calibration_given(calibration, lambda: unit_of_all(images), shown.quiet)
+    used = calibration_given(given, background, lambda: unit_of_all(images), shown.quiet)
     with shown.progress() as progress:
         run = prepared(used, background, solver=solver)
         rows, failed = [], []

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from gelform.cli.console import say
-from gelform.cli.options import ALL_TOPICS, Background, OptionalCalibration, Shown, number, usage_errors
+from gelform.cli.options import ALL_TOPICS, Background, CalibrationOptions, Shown, number, usage_errors
 from gelform.cli.process import mistakes_in
 from gelform.cli.sensor_images import background_in, calibration_given
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
@@ -52,7 +52,7 @@ def bag(
     source: Annotated[
         str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
     ],
-    calibration: OptionalCalibration = None,
+    given: CalibrationOptions,
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: Shown,
@@ -68,13 +68,14 @@ def bag(
     Examples:
       gelform bag session.mcap -c cal.npz -o press_bag
       gelform bag simulated -c cal.npz -o press_bag --seconds 5 --name left_finger
+      gelform bag video.mp4 --sensor digit --background rest.png -o press_bag
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
     from gelform.calibrations.choose import unit_of
     from gelform.robots.send import save_bag
 
     wanted = sent.wanted()
-    loaded = calibration_given(calibration, lambda: unit_of(source), shown.quiet)
+    loaded = calibration_given(given, sent.background, lambda: unit_of(source), shown.quiet)
     with shown.progress() as progress:
         stats = save_bag(source, loaded, output, **sent.settings(loaded), progress=progress)
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
@@ -86,7 +87,7 @@ def bag(
 
 def ros(
     *,
-    calibration: OptionalCalibration = None,
+    given: CalibrationOptions,
     source: Annotated[
         str, Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
@@ -114,7 +115,7 @@ def ros(
     from gelform.robots.send import publish
 
     wanted = sent.wanted()
-    loaded = calibration_given(calibration, lambda: unit_of(source), shown.quiet)
+    loaded = calibration_given(given, sent.background, lambda: unit_of(source), shown.quiet)
     with mistakes_in("ros"), shown.progress() as progress:
         settings = {**sent.settings(loaded), "router": router, "domain": domain}
         stats = publish(source, loaded, **settings, progress=progress)
