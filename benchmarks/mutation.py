@@ -45,7 +45,18 @@ RELATED = {  # files of tests that hold what a module does beside its own
     "native/solvers/system.c": ("tests/solvers/test_system.py", "tests/test_depth.py"),
     "native/solvers/residual.c": ("tests/test_depth.py",),
     "native/gradients/slopes.c": ("tests/test_depth.py",),
-    "native/checks/finite.c": ("tests/foundations/test_checks.py",),
+    "native/checks/finite.c": ("tests/foundations/test_checks.py", "tests/_native/test_kernel.py"),
+    "native/ball/center.c": ("tests/metrics/test_ball.py",),
+    "native/simulate/ball_press.c": ("tests/simulate/gel/test_ball_press.py",),
+    "native/simulate/grey_levels.c": ("tests/simulate/sensor/test_camera.py",),
+    "native/simulate/irradiance.c": ("tests/simulate/test_light.py",),
+    "native/simulate/membrane.c": ("tests/simulate/gel/test_membrane.py",),
+    "native/simulate/mesh.c": ("tests/simulate/indenters/test_mesh.py",),
+    "native/simulate/shadows.c": ("tests/simulate/test_light.py",),
+    **{
+        f"native/solvers/multigrid/{name}.c": ("tests/solvers/test_multigrid.py",)
+        for name in ("coarsen", "coarsest", "conjugate", "couplings", "cycle", "grid", "islands")
+    },
 }
 ROOMS = (
     "background",
