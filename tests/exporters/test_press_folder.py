@@ -65,11 +65,6 @@ def test_images_are_rgb_and_rounded_tables_have_a_header_and_names_are_any(tmp_p
     assert tomllib.loads((tmp_path / "sensor.toml").read_text()) == {"name": name, "mm_per_px": 0.3}
 
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 QUOTED = replace(LAYOUTS["three-edges"], shape=(48, 64), mm_per_px=0.3, name='a "quoted" name')
 ARGUMENTS = {
     "background": np.zeros((8, 9, 3), np.uint8),

@@ -22,7 +22,7 @@ def pressed():
     return np.clip(BACKGROUND + bump[..., None] * np.array([1, -0.5, 0.3]), 1, 254).astype(np.uint8)
 
 
-def test_unknown_stays_unknown(network, tmp_path):
+def test_unknown_stays_unknown_and_with_a_scale_depth_is_in_mm(network, tmp_path):
     calibration = gelform.import_calibration(network, "gs_sdk", background=BACKGROUND)
     assert (calibration.mm_per_px, calibration.forward, calibration.slope_sigma) == (None, None, None)
     assert calibration.settings == {"imported_from": "gs_sdk"}
@@ -33,9 +33,6 @@ def test_unknown_stays_unknown(network, tmp_path):
     np.testing.assert_array_equal(a.gradients, b.gradients)
     np.testing.assert_array_equal(a.depth_px, b.depth_px)
     assert a.gradients_sigma is None
-
-
-def test_with_a_scale_depth_is_in_mm(network):
     calibration = gelform.import_calibration(network, "gs_sdk", background=BACKGROUND, mm_per_px=0.05)
     result = gelform.Reconstructor(calibration)(pressed())
     np.testing.assert_allclose(result.depth_px * 0.05, result.depth_mm, rtol=1e-5)

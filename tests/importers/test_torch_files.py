@@ -13,15 +13,12 @@ from made.networks import ORDERED, network_arrays, pickled_dict, pickled_tensor,
 ARRAYS = network_arrays((5, 8, 2))
 
 
-def test_tensors_come_back_by_name(tmp_path):
+def test_tensors_come_back_by_name_and_by_their_strides(tmp_path):
     for nested in (False, True):
         found = read_tensors(torch_file(tmp_path / "net.pth", ARRAYS, nested=nested))
         assert list(found) == [f"{'state_dict.' if nested else ''}{name}" for name in ARRAYS]
         for array, wanted in zip(found.values(), ARRAYS.values()):
             np.testing.assert_array_equal(array, wanted)
-
-
-def test_a_transposed_tensor_is_read_by_its_strides(tmp_path):
     stored = np.arange(6, dtype=np.float32).reshape(2, 3)
     content = pickled_dict([("w", pickled_tensor("0", stored, size=(3, 2), stride=(1, 3)))])
     found = read_tensors(torch_file(tmp_path / "net.pth", {"w": stored}, pickle=content))

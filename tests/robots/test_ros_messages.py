@@ -65,23 +65,17 @@ def decoded(made, message, kind):
     return made.store.deserialize_cdr(bytes(message), kind)
 
 
-def test_metres_positive_where_pressed(made, result):
+def test_depth_points_and_images_by_hand(made, result):
     image = decoded(made, made.indentation(FRAME, result, STAMP_NS), "sensor_msgs/msg/Image")
     metres = image.data.view("<f4").reshape(2, 3)
     np.testing.assert_allclose(metres, [[0, 5e-4, -1.25e-4], [1e-3, 2e-3, np.nan]], rtol=1e-6)
     assert (image.header.stamp.sec, image.header.stamp.nanosec) == (1_700_000_000, 9)
-
-
-def test_points_by_hand(made, result):
     cloud = decoded(made, made.points(FRAME, result, STAMP_NS), "sensor_msgs/msg/PointCloud2")
     points = cloud.data.view("<f4").reshape(2, 3, 3)
     np.testing.assert_allclose(points[0, 2], [5e-4, -1.25e-4, 1.25e-4], rtol=1e-6)
     np.testing.assert_allclose(points[1, 0], [-5e-4, 1.25e-4, -1e-3], rtol=1e-6)
     assert np.isnan(points[1, 2]).all()
     assert not cloud.is_dense
-
-
-def test_images_that_are_views_of_others_are_written_right(made, result):
     image = decoded(made, made.image(FRAME, result, STAMP_NS), "sensor_msgs/msg/Image")
     np.testing.assert_array_equal(image.data.reshape(2, 3, 3), FRAME.image)
 

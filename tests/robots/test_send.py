@@ -20,7 +20,7 @@ from made.sources import ImageSource
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
 
 
-def test_stamps_are_those_of_the_frames(recording, calibration):
+def test_stamps_are_those_of_the_frames_and_seconds_end_it(recording, calibration):
     with gelform.stream(recording, calibration) as running:
         results = StampedResults(running, recording, None)
         stamps = [stamp for _, stamp in results]
@@ -28,9 +28,6 @@ def test_stamps_are_those_of_the_frames(recording, calibration):
     assert stamps == [START_NS + k * 10**9 // RATE_HZ for k in range(4)]
     assert (stats.sensor, stats.frames, stats.drops, stats.stamped) == ("left", 4, 0, True)
     assert stats.duration_s == pytest.approx(3 / RATE_HZ)
-
-
-def test_seconds_end_it_before_the_frame_that_is_later(recording, calibration):
     with gelform.stream(recording, calibration) as running:
         results = StampedResults(running, recording, 1.5 / RATE_HZ)
         assert len(list(results)) == results.stats("left").frames == 2

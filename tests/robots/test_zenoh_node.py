@@ -20,7 +20,7 @@ IMAGE = "sensor_msgs/msg/Image"
 HASH = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
 
 
-def test_keys_and_tokens_have_the_parts_that_rmw_zenoh_reads():
+def test_keys_tokens_and_attachments_have_the_parts_that_rmw_zenoh_reads():
     key = Node(7, "a1b2", "n").topic_key("/left/image_raw", IMAGE, HASH)
     assert key == f"7/left/image_raw/sensor_msgs::msg::dds_::Image_/{HASH}"
     node = Node(0, "a1b2", "gelform_left")
@@ -29,9 +29,6 @@ def test_keys_and_tokens_have_the_parts_that_rmw_zenoh_reads():
     assert parts[:9] == ["@ros2_lv", "0", "a1b2", "0", "3", "MP", "%", "%", "gelform_left"]
     assert parts[9:12] == ["%left%image_raw", dds_type(IMAGE), HASH]
     assert parts[12] == "::,10:,:,:,,"  # rmw_zenoh's default, but for the depth
-
-
-def test_an_attachment_is_number_time_and_gid_little_endian():
     gid = gid_from_token("some token")
     made = attachment(1, 2**40, gid)
     assert struct.unpack("<qqB", made[:17]) == (1, 2**40, 16)

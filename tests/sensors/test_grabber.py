@@ -1,5 +1,6 @@
 """The newest frame, its gaps, and a source that is lost and comes back."""
 
+import queue
 import threading
 import time
 
@@ -25,15 +26,11 @@ class Device:
     """A device that a test drives: it gives the frames it is told to, and is lost when told to be."""
 
     def __init__(self, serial="A"):
-        self.serial, self.opened, self.closed = serial, 0, set()
-        self.there = True
-        self.frames = []
-        self.told = threading.Condition()
+        self.serial, self.opened, self.closed, self.there = serial, 0, set(), True
+        self.frames = queue.SimpleQueue()
 
     def give(self, index, problem=None):
-        with self.told:
-            self.frames.append(problem or Frame(IMAGE, time.monotonic(), time.time_ns(), index))
-            self.told.notify_all()
+        self.frames.put(problem or Frame(IMAGE, time.monotonic(), time.time_ns(), index))
 
     def open(self):
         if not self.there:
@@ -49,18 +46,16 @@ class Opened(ImageSource):
         self.device, self.serial = device, serial
 
     def __iter__(self):
-        while True:
-            with self.device.told:
-                self.device.told.wait_for(lambda: self.device.frames or self.closed, 0.05)
-                if self.closed:
-                    return
-                frame = self.device.frames.pop(0) if self.device.frames else None
+        while not self.closed:
+            try:
+                frame = self.device.frames.get(timeout=0.05)
+            except queue.Empty:
+                continue
             if isinstance(frame, Exception):
                 raise frame
             if frame == "end":
                 return
-            if frame is not None:
-                yield frame
+            yield frame
 
     def close(self):
         self.closed = True
@@ -194,7 +189,7 @@ def test_age_and_rate_are_of_the_capture(device):
         assert grabber.stats.age_s is None
         started = time.monotonic() - 1
         for k in range(11):
-            device.frames.append(Frame(IMAGE, started + k / 50, 0, k))
+            device.frames.put(Frame(IMAGE, started + k / 50, 0, k))
         awaited(lambda: grabber.stats.frames == 11)
         assert grabber.stats.rate_hz == pytest.approx(50)
         assert 0.8 <= grabber.stats.age_s < 2

@@ -12,15 +12,12 @@ from gelform.simulate import LAYOUTS
 from gelform.view import View, image_from_frame
 
 
-def test_every_profile_gives_its_image_from_frames_of_any_size():
+def test_every_profile_gives_its_image_from_frames_of_any_size_by_a_cut():
     for profile in PROFILES.values():
         for factor in (1, 2, 3.5):
             shape = tuple(int(side * factor) for side in profile.image_shape)
             image = image_from_frame(np.zeros((*shape, 3), dtype=np.uint8), profile.view(shape))
             assert image.shape == (*profile.image_shape, 3)
-
-
-def test_the_mini_cuts_a_seventh_of_each_side():
     view = profile_named("gelsight-mini").view((2464, 3280))
     left, top, width, height = view.crop
     assert np.allclose((left, top), (3280 / 7, 352))

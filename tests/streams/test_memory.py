@@ -100,7 +100,7 @@ def smoothed(truths, time_s, seed=0):
     return [smooth(result_of(depth, index)) for index, depth in enumerate(noisy)]
 
 
-def test_noise_falls_as_exponential_weights_say():
+def test_noise_falls_as_exponential_weights_say_from_the_first_frames_on():
     """Of a time constant of n frames the mean's variance is k/(2 - k), k = 1 - exp(-1/n)."""
     n = 10
     results = smoothed([np.zeros(SHAPE)] * 80, n / RATE_HZ)
@@ -109,9 +109,6 @@ def test_noise_falls_as_exponential_weights_say():
     assert found == pytest.approx(NOISE_MM * np.sqrt(k / (2 - k)), rel=0.25)
     expected = np.sqrt(SYSTEMATIC_MM**2 + NOISE_MM**2 * k / (2 - k))
     assert np.median(results[-1].depth_sigma_mm) == pytest.approx(expected, rel=0.03)
-
-
-def test_the_first_frames_average_as_many_as_there_are():
     fifth = smoothed([np.zeros(SHAPE)] * 5, 10.0)[-1]
     assert fifth.depth.std() == pytest.approx(NOISE_MM / np.sqrt(5), rel=0.2)
 

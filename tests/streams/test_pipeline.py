@@ -18,7 +18,7 @@ from gelform.streams.stream import Stream
 from made.sources import ImageSource
 
 
-def test_results_drops_and_ages_are_counted():
+def test_results_drops_ages_and_the_median_of_each_stage_are_counted():
     meter = Meter()
     stats = meter.stats("starting", "")
     assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
@@ -31,9 +31,6 @@ def test_results_drops_and_ages_are_counted():
     assert stats.rate_hz > 0
     assert 3 <= stats.age_s < 60
     assert 3000 <= stats.latency_ms < 60_000
-
-
-def test_each_stage_has_its_median():
     meter = Meter()
     for seconds in (0.001, 0.002, 0.5):
         meter.add("view", seconds)

@@ -118,13 +118,10 @@ def test_images_are_held_for_the_last_results(calibration, at_rest):
             stream.image_of(pairs[0].result)
 
 
-def test_several_sensors_at_once(calibration, at_rest, pressed):
+def test_several_sensors_at_once_and_one_for_several_streams(calibration, at_rest, pressed):
     rest, press = (ImageSource(images) for images in (at_rest, pressed))
     with gelform.stream(rest, calibration) as left, gelform.stream(press, calibration) as right:
         assert left.latest(30).peak_mm < 0.1 < right.latest(30).peak_mm
-
-
-def test_one_sensor_for_several_streams(calibration, at_rest):
     with (
         Grabber(lambda: ImageSource(at_rest)) as grabber,
         gelform.stream(grabber, calibration) as page,
@@ -182,7 +179,7 @@ def test_a_frame_that_shows_nothing_is_a_result_with_the_reason(calibration, at_
     assert last.depth_sigma_mm[unknown].min() > 0.5
 
 
-def test_a_recording_gives_every_frame_in_order(at_rest):
+def test_a_recording_or_folder_gives_every_frame_in_order(at_rest, tmp_path):
     feed = feed_from_source(ImageSource(at_rest, live=False, count=5))
     assert feed.every
     assert [feed.next(-1).index for _ in range(5)] == [0, 1, 2, 3, 4]
@@ -190,6 +187,13 @@ def test_a_recording_gives_every_frame_in_order(at_rest):
     assert feed.next(4) is None
     assert feed.state == "ended"
     assert feed.reason
+    for number, image in enumerate(at_rest[:4]):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image[..., ::-1])
+    feed = feed_from_source(tmp_path)
+    frames = [feed.next(-1) for _ in range(5)]
+    assert [frame.index for frame in frames[:4]] == [0, 1, 2, 3]
+    assert frames[4] is None
+    np.testing.assert_array_equal(frames[0].image, at_rest[0])
 
 
 def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_rest):
@@ -208,16 +212,6 @@ def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_re
     feed.close()
     assert feed.state == "ended"
     assert [one.closed for one in opened] == [True]
-
-
-def test_a_folder_is_read_from_its_first_image(at_rest, tmp_path):
-    for number, image in enumerate(at_rest[:4]):
-        cv2.imwrite(str(tmp_path / f"{number}.png"), image[..., ::-1])
-    feed = feed_from_source(tmp_path)
-    frames = [feed.next(-1) for _ in range(5)]
-    assert [frame.index for frame in frames[:4]] == [0, 1, 2, 3]
-    assert frames[4] is None
-    np.testing.assert_array_equal(frames[0].image, at_rest[0])
 
 
 def test_a_grabber_that_is_shared_goes_on(at_rest):

@@ -76,13 +76,16 @@ IMAGES = tuple(f"{k}.png" for k in range(10))
 LISTING = Listing(Path(), (Sequence("a", Path("a"), IMAGES), Sequence("b.mp4", Path("b.mp4"))))
 
 
-def test_every_image_is_in_one_part():
+def test_every_image_is_in_one_part_under_a_name_of_its_own():
     for part_frames in [1, 3, 5, 10, 256]:
         parts = plan_of(LISTING, part_frames)
         assert tuple(chain.from_iterable(part.images for part in parts)) == IMAGES
         assert [part.number for part in parts] == list(range(len(parts)))
         assert [IMAGES[part.start] for part in parts[:-1]] == [part.images[0] for part in parts[:-1]]
         assert (parts[-1].sequence, parts[-1].images) == ("b.mp4", ())
+    images = ("a.jpg", "a.png", "b.png")
+    parts = plan_of(Listing(Path(), (Sequence("", Path(), images),)), 1)
+    assert [part.names for part in parts] == [("a.jpg",), ("a.png",), ("b",)]
 
 
 def test_shards_share_all_parts():
@@ -93,12 +96,6 @@ def test_shards_share_all_parts():
     for shard in [(0, 2), (3, 2)]:
         with pytest.raises(DataError, match="Expected a shard from 1/2 to 2/2"):
             shard_of([], shard)
-
-
-def test_a_suffix_stays_where_it_alone_tells_two_images_apart():
-    images = ("a.jpg", "a.png", "b.png")
-    parts = plan_of(Listing(Path(), (Sequence("", Path(), images),)), 1)
-    assert [part.names for part in parts] == [("a.jpg",), ("a.png",), ("b",)]
 
 
 def test_the_digest_of_a_part_follows_its_own_files_and_its_background(tree):

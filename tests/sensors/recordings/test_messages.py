@@ -34,7 +34,7 @@ def test_facts_survive_their_json_and_damaged_ones_say_so():
         RecordingFacts.from_json(newer, "x")
 
 
-def test_pixels_are_kept_without_loss_and_the_cameras_jpeg_as_it_is():
+def test_pixels_are_kept_without_loss_and_damaged_pictures_say_which():
     frame = frames(1)[0]
     kind, content = encoded_from_frame(frame)
     assert kind == "png"
@@ -45,9 +45,6 @@ def test_pixels_are_kept_without_loss_and_the_cameras_jpeg_as_it_is():
     assert image.shape == (24, 32, 3)
     np.testing.assert_allclose(image[5, 5], (200, 0, 5), atol=4)
     assert (reduction_in({}), reduction_in({"reduced": 4})) == (1, 4)
-
-
-def test_damaged_pictures_say_which():
     for content in (b"", b"\x89PNG but torn", frames(1, encoded=True)[0].encoded[:-40]):
         with pytest.raises(DataError, match="frame 7 is damaged"):
             image_from_encoded(content, 1, "frame 7")
