@@ -59,17 +59,20 @@ def test_refuses_what_is_not_finite():
     assert "finite" in refusal("finite f64[h,w] depth", bad.astype(np.float64))
 
 
-def test_refuses_a_wrong_number_of_arguments():
+def test_refuses_a_wrong_number_of_arguments_and_what_is_no_handle():
     assert "expected 2 arguments, got 1" in refusal("f32[h] a, f32 b", ZEROS[0])
-
-
-def test_refuses_what_is_no_handle():
     assert 'expected Handle("solver", ...), got None' in refusal("solver* prepared", None)
+    with pytest.raises(AttributeError, match="no_such_handle_new"):
+        Handle("no_such_handle", 3)
+    gc.collect()
 
 
-def test_an_optional_array_may_be_none():
-    with pytest.raises(AttributeError):
-        checked("f32[h]? a, f32[h] b")(None, ZEROS[0])
+def test_an_optional_array_may_be_none_and_one_that_may_only_be_read_is_taken():
+    fixed = ZEROS.copy()
+    fixed.flags.writeable = False
+    for given in ((None, ZEROS[0]), (fixed, ZEROS[0]), (np.zeros((0, 4), np.float32), ZEROS[0])):
+        with pytest.raises(AttributeError):
+            checked("f32[h,w]? a, f32[w] b")(*given)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -81,20 +84,6 @@ def test_finite_sees_every_place(bad, place, usable_isa, monkeypatch):
     values[place] = bad
     assert not is_finite(values)
     assert not is_finite(np.repeat(values, 2)[::2])
-
-
-def test_arrays_that_may_only_be_read_are_taken():
-    fixed = ZEROS.copy()
-    fixed.flags.writeable = False
-    for array in (fixed, np.zeros((0, 4), np.float32)):
-        with pytest.raises(AttributeError):
-            checked("f32[h,w] a")(array)
-
-
-def test_a_missing_handle_is_an_error_of_the_caller():
-    with pytest.raises(AttributeError, match="no_such_handle_new"):
-        Handle("no_such_handle", 3)
-    gc.collect()
 
 
 DECLARATION = "finite f32[h,w,3] image, u8[h,w]? mask, out f32[...,2] slopes, grid* grid, f32 factor"

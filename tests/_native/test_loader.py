@@ -21,9 +21,12 @@ def anew(monkeypatch):
     instruction_set.cache_clear()
 
 
-def test_the_best_is_chosen(anew):
+def test_the_best_is_chosen_unless_the_environment_chooses(anew):
     anew.delenv("GELFORM_ISA", raising=False)
     assert instruction_set() == usable_isas()[-1]
+    instruction_set.cache_clear()
+    anew.setenv("GELFORM_ISA", "base")
+    assert instruction_set() == "base"
 
 
 def test_cpu_level_agrees_with_the_system():
@@ -40,25 +43,16 @@ def test_cpu_level_agrees_with_the_system():
     assert library("base").cpu_level() == (1 if not v3 <= words else 3 if not v4 <= words else 4)
 
 
-def test_the_environment_chooses(anew):
-    anew.setenv("GELFORM_ISA", "base")
-    assert instruction_set() == "base"
-
-
 def test_an_unknown_set_is_refused(anew):
     anew.setenv("GELFORM_ISA", "v9")
     with pytest.raises(ValueError, match="one of base, v3, v4, got 'v9'"):
         library(instruction_set())
 
 
-def test_a_missing_library_says_how_to_get_it(anew, tmp_path):
+def test_a_missing_library_and_one_for_another_platform_say_what_to_do(anew, tmp_path):
     anew.setattr("gelform._native.loader._FOLDER", tmp_path)
     with pytest.raises(GelformError, match=r"missing .*python hatch_build\.py"):
         library("base")
-
-
-def test_a_library_for_another_platform_says_so(anew, tmp_path):
-    anew.setattr("gelform._native.loader._FOLDER", tmp_path)
     anew.setattr("gelform._native.loader._SUFFIX", ".so")
     (tmp_path / "kernels_base.so").write_bytes(b"MZ of some other system")
     with pytest.raises(GelformError, match=r"do not load on .*pip install"):

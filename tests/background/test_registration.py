@@ -97,18 +97,15 @@ def test_certain_motion_is_shorter_than_the_motion(textured, shift):
     assert 4.5 < found.moved_px() < 5
 
 
-def test_sizes_are_checked():
-    with pytest.raises(ValueError, match="144"):
-        registration_from_image(np.zeros((10, 20, 3), np.uint8), gel(0.0))
-
-
 def test_light_is_the_logarithm_of_the_channels_mean():
     image = np.full((4, 5, 3), [10.0, 20.0, 60.0])
     np.testing.assert_allclose(log_levels(image), np.log(30 + 10), rtol=1e-5)
 
 
 @pytest.mark.parametrize("touched", [np.zeros((0, 80), bool), np.zeros((64, 0), bool), np.zeros((64, 80))])
-def test_what_is_no_mask_is_refused(touched):
+def test_what_is_no_mask_and_other_sizes_are_refused(touched):
     image = np.full((64, 80, 3), 90.0)
     with pytest.raises((ValueError, TypeError), match="Expected touched"):
         registration_from_image(image, image, touched)
+    with pytest.raises(ValueError, match="144"):
+        registration_from_image(np.zeros((10, 20, 3), np.uint8), gel(0.0))

@@ -79,20 +79,18 @@ def test_a_new_file_is_named_for_its_folder(tmp_path):
     assert read_sensor_toml(tmp_path / "sensor.toml").name == "mine"
 
 
-def test_a_calibration_of_presses_keeps_its_scale(calibration, tmp_path):
-    calibration.save(tmp_path / "cal.npz")
+def test_an_imported_calibration_gets_its_scale_and_one_of_presses_keeps_its_own(calibration, tmp_path):
+    path = tmp_path / "cal.npz"
+    calibration.save(path)
     with pytest.raises(CalibrationError, match=r"read off balls at 0\.1153 mm/px"):
-        save_scale(SCALE, tmp_path / "cal.npz")
+        save_scale(SCALE, path)
     with pytest.raises(CalibrationError, match="calibrate again"):
-        save_grid_view(GRID, tmp_path / "cal.npz")
-    assert gelform.load_calibration(tmp_path / "cal.npz").digest == calibration.digest
-
-
-def test_an_imported_calibration_gets_its_scale(calibration, tmp_path):
+        save_grid_view(GRID, path)
+    assert gelform.load_calibration(path).digest == calibration.digest
     imported = replace(calibration, mm_per_px=None, mm_per_px_sigma=None, training_digests=())
-    imported.save(tmp_path / "cal.npz")
-    save_scale(SCALE, tmp_path / "cal.npz")
-    loaded = gelform.load_calibration(tmp_path / "cal.npz")
+    imported.save(path, overwrite=True)
+    save_scale(SCALE, path)
+    loaded = gelform.load_calibration(path)
     assert loaded.mm_per_px == 0.0634
     assert loaded.settings["scale_source"] == "a punch of 5 mm"
     np.testing.assert_array_equal(loaded.background, calibration.background)
