@@ -73,15 +73,14 @@ NOT_YET: dict[str, int] = {
     "docs/guarantees.md": 38,
     "docs/importing.md": 12,
     "docs/lerobot.md": 9,
-    "docs/live.md": 30,
+    "docs/live.md": 28,
     "docs/native.md": 6,
     "docs/recordings.md": 2,
     "docs/robots.md": 6,
     "docs/ros.md": 9,
     "docs/routes.md": 2,
     "docs/simulator.md": 24,
-    "docs/starters.md": 6,
-    "docs/streams.md": 21,
+    "docs/streams.md": 20,
     "docs/torch.md": 2,
 }
 
