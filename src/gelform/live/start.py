@@ -65,11 +65,14 @@ def start(options: Options) -> Hub:
         )
     _check_named_once(options.sources)
     given = [Path(spec) for spec in options.sources if is_recording(spec)]
+    library, problem = _library()
     hub = Hub(
-        calibrations=Calibrations(options.calibrations, options.folder, library_folder()),
+        calibrations=Calibrations(options.calibrations, options.folder, library),
         recordings=Recordings(given, options.folder),
         folder=options.folder or Path("."),
     )
+    if problem:
+        hub.notice(problem, "warning")
     names = [hub.calibrations.add_file(path) for path in options.calibrations]
     for name in names:
         hub.calibrations[name]  # one that cannot be read is said before anything opens
@@ -91,6 +94,14 @@ def start(options: Options) -> Hub:
         if sensor is not None and station.setup.calibration is None and not options.sensor:
             hub.start(_made_ready(hub, number, spec, sensor), number, "calibrating the simulated sensor")
     return hub
+
+
+def _library() -> tuple[Path | None, str]:
+    """The library's folder, or None and why there is none: the page works without one."""
+    try:
+        return library_folder(), ""
+    except DataError as problem:
+        return None, str(problem)
 
 
 def _take_known(hub: Hub, station: Station, spec: str) -> None:
