@@ -3,6 +3,7 @@
     python benchmarks/live.py            # about four minutes on a quiet machine
     python benchmarks/live.py --quick    # about one and a half: shorter spans, six presses; writes nothing
     python benchmarks/live.py --rates    # one: the rates in the browser alone; writes nothing
+    python benchmarks/live.py --starter  # one: to depth of a sensor that was never calibrated; writes that part alone
     python benchmarks/live.py --pictures docs/images/live    # two: takes the pictures of docs/live.md instead
     python benchmarks/live.py --calibration                  # makes that of the simulated sensor, which is shipped
 
@@ -33,7 +34,8 @@ from live.calibration import make_calibration
 from live.guided import WANTED, guided
 from live.pictures import take_pictures
 from live.server import CHROMIUM, COMPUTED_S, FLAGS, Live, running
-from report import table, write
+from live.starter import to_depth
+from report import recorded, table, write, write_part
 
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags", "image"], "encoding": "raw"}
@@ -201,7 +203,15 @@ def main() -> None:
     parser.add_argument("--rates", action="store_true", help="the rates in the browser alone")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="take the pictures of docs/live.md")
     parser.add_argument("--calibration", action="store_true", help="make the shipped calibration again")
+    parser.add_argument(
+        "--starter", action="store_true", help="to depth of a sensor that was never calibrated"
+    )
     asked = parser.parse_args()
+    if asked.starter:
+        starter = to_depth()
+        write_part("live", "starter", starter)
+        print(json.dumps(starter, indent=1))
+        return
     if asked.pictures or asked.calibration:
         take_pictures(asked.pictures) if asked.pictures else make_calibration()
         return
@@ -224,7 +234,7 @@ def main() -> None:
     with running() as (live, _):
         figures["clients"] = clients(live, seconds)
     if not asked.quick:
-        write("live", figures)
+        write("live", {**figures, **{k: v for k, v in recorded("live").items() if k == "starter"}})
     print(json.dumps(figures, indent=1))
     print(table(["", "reach", "reached"], rows(figures)))
 

@@ -82,5 +82,15 @@ def write(name: str, figures: dict[str, Any]) -> None:
     os.replace(temporary, RESULTS / f"{name}.json")
 
 
+def write_part(name: str, part: str, figures: dict[str, Any]) -> None:
+    """Write a part of `results/<name>.json` that is measured alone, with a machine and a date of its own."""
+    path = RESULTS / f"{name}.json"
+    whole = json.loads(path.read_text()) if path.is_file() else {}
+    whole[part] = {"machine": machine(), **figures}
+    temporary = RESULTS / f".{name}.tmp"
+    temporary.write_text(json.dumps(whole, indent=1, default=float) + "\n")
+    os.replace(temporary, path)
+
+
 def _cell(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
