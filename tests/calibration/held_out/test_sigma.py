@@ -45,6 +45,7 @@ def test_white_errors_have_no_correlated_share():
     assert correlation_from_products(np.array([1.0, *[-0.3] * 23]), 1)[1] == 0
     assert correlation_from_products(np.array([1.0, *[1.3] * 23]), 1)[1] == 1
     assert len(_lag_products(error, 1)) == LAGS
+    assert rest_correlation(np.zeros(LAGS), 9.0) == (0.0, 0.0), "of nothing"
 
 
 def test_sigma_holds_on_presses_never_seen(calibration, sensor):
@@ -68,13 +69,6 @@ def test_sigma_holds_on_presses_never_seen(calibration, sensor):
     # On a noisy sensor of few rows what blur takes from slopes is stated too widely: docs/decisions/0009-stated-slopes.md
     assert 0.45 < np.mean(inside) < 0.95
     assert 0.45 < np.nanmean(rest) < 0.9
-
-
-def test_gain_of_a_press():
-    truth = np.random.default_rng(0).normal(0, 0.3, (20, 30, 2))
-    seen = 0.93 * truth
-    truth[3, 4] = np.nan
-    assert gain_of(seen, truth) == pytest.approx(0.93)
 
 
 class Reader:
@@ -153,11 +147,6 @@ def test_the_residuals_scale_is_that_of_the_95_percent(six):
     )
 
 
-def test_the_share_that_folds_have_seen():
-    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
-    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)
-
-
 def test_columns_are_thinned_and_stay_in_place():
     press, contact = press_at(60, 70)
     reader = Reader()
@@ -192,5 +181,10 @@ def test_correlation_at_rest_is_recovered(short, share):
     assert found_share == pytest.approx(share, abs=0.05)
 
 
-def test_nothing_at_rest_has_no_correlation():
-    assert rest_correlation(np.zeros(LAGS), 9.0) == (0.0, 0.0)
+def test_gain_of_a_press_and_the_share_that_folds_have_seen():
+    truth = np.random.default_rng(0).normal(0, 0.3, (20, 30, 2))
+    seen = 0.93 * truth
+    truth[3, 4] = np.nan
+    assert gain_of(seen, truth) == pytest.approx(0.93)
+    folds = [Fold((0, 1), tuple(range(2, 10)), ()), Fold((2, 3, 4, 5), (0, 1, 6, 7, 8, 9), ())]
+    assert fraction_trained(folds) == pytest.approx((0.8 + 0.6) / 2)

@@ -44,11 +44,6 @@ def test_then_what_lies_beside_the_data_then_what_they_know_then_the_profile(bes
     assert (by_profile.name, by_profile.mm_per_px) == (MINI.name, MINI.mm_per_px)
 
 
-def test_no_scale_is_refused_with_what_to_do(tmp_path):
-    with pytest.raises(DataError, match=r"No scale for .*--mm-per-px.*gelform scale"):
-        ReadOptions().settings(tmp_path)
-
-
 def test_the_view_that_is_asked_for_goes_first():
     own = SensorSettings("mine", 0.07, view=View((480, 640), flip="x"))
     frame = (480, 640)
@@ -59,7 +54,9 @@ def test_the_view_that_is_asked_for_goes_first():
     assert ReadOptions(sensor="gelsight-mini").view(plain, frame) == MINI.view(frame)
 
 
-def test_a_ball_has_to_be_known():
+def test_a_ball_and_a_scale_have_to_be_known(tmp_path):
+    with pytest.raises(DataError, match=r"No scale for .*--mm-per-px.*gelform scale"):
+        ReadOptions().settings(tmp_path)
     assert ReadOptions(ball_diameter_mm=6.35).ball("x") == 6.35
     with pytest.raises(DataError, match=r"x: which ball pressed\?.*--ball-diameter-mm"):
         ReadOptions().ball("x")
@@ -73,11 +70,14 @@ def test_a_press_is_its_frame_through_the_view():
     assert press.digest == again.digest != press_from_frame(Listed("a.png", 6.0), frame, View()).digest
 
 
-def test_a_subset_is_of_the_same_sensor(presses):
+def test_a_subset_is_of_the_same_sensor_and_a_pitch_that_nothing_has_is_refused(presses):
     some = presses.subset([2, 0])
     assert [press.name for press in some.presses] == [presses.presses[2].name, presses.presses[0].name]
     assert some.image_shape == presses.image_shape
     assert some.background is presses.background
+    for pitch in (0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="mm_per_px > 0"):
+            replace(presses, mm_per_px=pitch)
 
 
 COLUMNS = ("image", "ball_diameter_mm")
@@ -87,12 +87,6 @@ def table(tmp_path, text):
     path = tmp_path / "presses.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
-
-
-def test_a_pitch_that_nothing_has_is_refused(presses):
-    for pitch in (0, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="mm_per_px > 0"):
-            replace(presses, mm_per_px=pitch)
 
 
 def test_rows_come_with_their_line(tmp_path):
@@ -122,14 +116,11 @@ def test_what_is_no_such_table_is_refused(tmp_path, text, said):
         list(table_rows(table(tmp_path, text), COLUMNS))
 
 
-@pytest.mark.parametrize("text", ["nan", "inf", "six", "", "1e999"])
-def test_numbers_are_finite(text):
-    with pytest.raises(DataError, match=r"radius as a .*number, got .* \(line 3\)"):
-        number(text, "radius", "line 3")
-
-
-@pytest.mark.parametrize("text", ["0", "-6", "300", "nan"])
-def test_balls_have_a_size(text):
-    with pytest.raises(DataError, match="line 3"):
-        diameter(text, "line 3")
+def test_numbers_are_finite_and_balls_have_a_size():
+    for text in ("nan", "inf", "six", "", "1e999"):
+        with pytest.raises(DataError, match=r"radius as a .*number, got .* \(line 3\)"):
+            number(text, "radius", "line 3")
+    for text in ("0", "-6", "300", "nan"):
+        with pytest.raises(DataError, match="line 3"):
+            diameter(text, "line 3")
     assert diameter("6.35", "line 3") == 6.35

@@ -61,12 +61,9 @@ def test_the_last_one_can_be_taken_out(taken):
     assert taken.take_press(frame(pressed=True)) == "images/0001.png"
 
 
-def test_the_background_comes_first(tmp_path):
+def test_the_background_comes_first_and_a_folder_with_something_in_it_is_kept(tmp_path):
     with pytest.raises(DataError, match="background before"):
         TakenPresses(tmp_path / "p", SETTINGS, 6.0).take_press(frame(pressed=True))
-
-
-def test_a_folder_with_something_in_it_is_kept(tmp_path):
     (tmp_path / "mine").write_text("x")
     with pytest.raises(DataError, match="new or empty"):
         TakenPresses(tmp_path, SETTINGS, 6.0)

@@ -37,24 +37,19 @@ def test_names_lose_what_all_share(names, short):
     assert short_names(names) == short
 
 
-def test_circles_are_in_image_pixels(content, presses):
-    drawn = presses_section(content, [press.image for press in presses.presses])
-    row = content["presses"][0]
-    assert (
-        f'cx="{row["center_x_px"]:.2f}" cy="{row["center_y_px"]:.2f}" r="{row["contact_radius_px"]:.2f}"'
-        in drawn
-    )
+def test_circles_are_in_image_pixels_and_rejected_presses_come_first_with_their_reasons(content, presses):
+    images = [press.image for press in presses.presses]
+    drawn, row = presses_section(content, images), content["presses"][0]
+    circle = (row["center_x_px"], row["center_y_px"], row["contact_radius_px"])
+    assert 'cx="{:.2f}" cy="{:.2f}" r="{:.2f}"'.format(*circle) in drawn
     assert drawn.count("<label") == len(content["presses"])
-
-
-def test_rejected_presses_come_first_with_their_reasons(content, presses):
+    assert "Rejected" not in drawn
     rows = [dict(row) for row in content["presses"]]
     rows[-1] |= {"accepted": False, "reason": "not a ball <b>", "errors": None}
-    drawn = presses_section({**content, "presses": rows}, [press.image for press in presses.presses])
+    drawn = presses_section({**content, "presses": rows}, images)
     assert "Rejected: 1" in drawn
     assert "not a ball &lt;b&gt;" in drawn
     assert drawn.index("not a ball") < drawn.index("Used:")
-    assert "Rejected" not in presses_section(content, [np.asarray(p.image) for p in presses.presses])
 
 
 def test_every_held_out_press_has_its_depth_picture(content, calibration):
