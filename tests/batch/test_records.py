@@ -72,12 +72,9 @@ def output(tmp_path):
     return tmp_path
 
 
-def test_the_same_goes_on(output):
+def test_the_same_goes_on_and_anything_else_is_refused_by_name(output):
     begin(output, THERE, overwrite=False)
     assert read_manifest(output) == THERE
-
-
-def test_anything_else_is_refused_by_name(output):
     for field, value, said in [
         ("calibration_digest", "other", "the calibration"),
         ("background_digest", "other", "the background"),
@@ -255,12 +252,9 @@ def test_where_the_touch_is_it_is_bright(tree, cal, tmp_path):
     assert (tmp_path / "out/sheet.png").read_bytes() == before
 
 
-def test_none_where_no_depth_was_kept(tree, cal, tmp_path):
+def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path, monkeypatch):
     run_batch(tree, cal, tmp_path / "out", BatchSettings(keep=("contact",)))
     assert not (tmp_path / "out/sheet.png").exists()
-
-
-def test_unknown_pixels_are_dark(tmp_path, monkeypatch):
     depth = np.full((64, 80), np.nan, np.float32)
     row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
     monkeypatch.setattr("gelform.batch.finish._chosen", lambda *_: [(depth, row)])

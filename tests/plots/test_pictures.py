@@ -125,7 +125,7 @@ def bare(one):
     return replace(one, depth=one.depth_px, mm_per_px=None)
 
 
-def test_figures_of_a_scaled_copy_and_of_itself():
+def test_figures_of_a_scaled_copy_of_itself_and_without_a_scale():
     a, b = result(), result(1.2)
     found, itself = compare_results(a, b), compare_results(a, a)
     assert (itself.unit, itself.figures()["difference_rms"], itself.angle_deg) == ("mm", 0, 0)
@@ -136,9 +136,6 @@ def test_figures_of_a_scaled_copy_and_of_itself():
     angle = np.rad2deg(np.arccos(np.clip(np.sum(na * nb, axis=-1), -1, 1))).mean()
     assert found.angle_deg == pytest.approx(angle, rel=1e-3)
     assert found.curl_rms_b == pytest.approx(0.012)
-
-
-def test_pixels_where_one_has_no_scale():
     found = compare_results(result(), bare(result(1.2)))
     assert found.unit == "px"
     assert (found.peak_a, found.peak_b) == (pytest.approx(10.0), pytest.approx(12.0))

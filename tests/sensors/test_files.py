@@ -137,7 +137,7 @@ def rests(sensor, tmp_path):
     return tmp_path / "background"
 
 
-def test_one_image_is_itself_and_a_folder_is_averaged(rests):
+def test_one_image_is_itself_a_folder_is_averaged_and_no_background_refused(rests, tmp_path):
     images = [gelform.read_image(path) for path in sorted(rests.iterdir())]
     one = read_background(rests / "0.png")
     assert one.dtype == np.uint8
@@ -147,6 +147,12 @@ def test_one_image_is_itself_and_a_folder_is_averaged(rests):
     np.testing.assert_array_equal(read_background(sorted(rests.iterdir())), found.background)
     alone = np.std(images[0].astype(float) - np.mean(images[1:], axis=0))
     assert found.noise.mean() == pytest.approx(alone / np.sqrt(1 + 1 / 4), rel=0.1)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match="empty, got none"):
+        read_background(tmp_path / "empty")
+    save_picture(rests / "9.png", np.zeros((20, 30, 3), dtype=np.uint8))
+    with pytest.raises(DataError, match=r"untouched gel in .*20x30"):
+        read_background(rests)
 
 
 def test_a_press_folder_may_hold_a_folder_of_backgrounds(folder, rests, tmp_path):
@@ -159,12 +165,3 @@ def test_a_press_folder_may_hold_a_folder_of_backgrounds(folder, rests, tmp_path
     assert len(presses.presses) == len(gelform.read_presses(folder).presses)
     named = gelform.read_presses(folder, background=rests)
     np.testing.assert_array_equal(named.background, presses.background)
-
-
-def test_what_is_no_background_is_refused(rests, tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DataError, match="empty, got none"):
-        read_background(tmp_path / "empty")
-    save_picture(rests / "9.png", np.zeros((20, 30, 3), dtype=np.uint8))
-    with pytest.raises(DataError, match=r"untouched gel in .*20x30"):
-        read_background(rests)

@@ -103,13 +103,10 @@ def demos(h5py, tmp_path, images):
     return path
 
 
-def test_demonstrations_are_sequences_in_their_order(demos):
+def test_demonstrations_are_sequences_and_give_the_same_depth_as_by_hand(demos, cal, images, tmp_path):
     found = hdf5_sequences(demos, "demos.hdf5", "data/*/obs/gelsight")
     assert [one.name for one in found] == [f"demos.hdf5/data/demo_{k}/obs/gelsight" for k in (0, 2, 10)]
     assert [one.count for one in found] == [3, 3, 4]
-
-
-def test_hdf5_gives_the_same_depth_as_by_hand(demos, cal, images, tmp_path):
     settings = BatchSettings(part_frames=3)
     summary = run_batch(demos, cal, tmp_path / "out", settings, dataset="data/*/obs/gelsight")
     assert (summary.complete, summary.frames, summary.errors) == (True, 10, 0)
@@ -177,15 +174,14 @@ def replay(zarr, tmp_path, images, request):
     return path
 
 
-def test_episodes_are_sequences(replay):
+def test_episodes_of_zarr_are_sequences_and_give_the_same_depth_as_by_hand(
+    replay, zarr, cal, images, tmp_path
+):
     found = zarr_sequences(replay, "replay.zarr", "data/gel")
     assert [(one.name, one.offset, one.count) for one in found] == [
         ("replay.zarr/data/gel/000000", 0, 3),
         ("replay.zarr/data/gel/000001", 3, 2),
     ]
-
-
-def test_zarr_gives_the_same_depth_as_by_hand(zarr, replay, cal, images, tmp_path):
     settings = BatchSettings("zarr", keep=("depth",), part_frames=2)
     for source, output in ((replay, "a"), (replay.parent, "b")):
         summary = run_batch(source, cal, tmp_path / output, settings, dataset="data/*")

@@ -106,7 +106,7 @@ def rows_of(path):
     return parquet.read_table(path).to_pylist()
 
 
-def test_everything_else_is_as_it_was(done, visible):
+def test_everything_else_is_as_it_was_and_the_tables_say_where_depth_is(done, visible):
     root, output = done
     before, after = visible(root), visible(output / "frames")
     del before[".cache/left"]  # hidden: no part of it
@@ -116,9 +116,6 @@ def test_everything_else_is_as_it_was(done, visible):
     assert new == {f"videos/{DEPTH}/chunk-000/file-{k:03d}.mp4" for k in range(3)}
     assert "README.md" in after
     assert verify_output(output) == (9, 0, [])
-
-
-def test_the_tables_say_where_depth_is(done):
     root, output = done
     old, new = (json.loads((one / "meta/info.json").read_text()) for one in (root, output / "frames"))
     assert new["features"].pop(DEPTH)["shape"] == [64, 80, 1]

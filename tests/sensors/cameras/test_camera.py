@@ -48,7 +48,7 @@ OTHER = Camera("D20123", "/dev/video4", "X9")  # named as another's serial
 PLUGGED_IN = [MINI_CAMERA, DIGIT_CAMERA, OTHER]
 
 
-def test_by_serial_first_name_second_path_last():
+def test_by_serial_first_name_second_path_last_shared_serials_by_the_socket():
     for spec, camera in {
         "S1": MINI_CAMERA,
         "D20123": DIGIT_CAMERA,  # the serial goes before the name
@@ -60,6 +60,13 @@ def test_by_serial_first_name_second_path_last():
         "/dev/v4l/by-path/p2": MINI_CAMERA,
     }.items():
         assert chosen_camera(spec, PLUGGED_IN) is camera
+    twins = [
+        Camera("cam", "/dev/video0", "200901010001", by_path="/dev/v4l/by-path/p2"),
+        Camera("cam", "/dev/video2", "200901010001", by_path="/dev/v4l/by-path/p4"),
+    ]
+    with pytest.raises(SensorError, match=r"name one by its path.*by-path/p2.*by-path/p4"):
+        chosen_camera("200901010001", twins)
+    assert chosen_camera("/dev/v4l/by-path/p4", twins) is twins[1]
 
 
 def test_the_only_one_needs_no_name_and_others_are_listed():
@@ -73,16 +80,6 @@ def test_the_only_one_needs_no_name_and_others_are_listed():
     ):
         with pytest.raises(SensorError, match=said):
             chosen_camera(spec, there)
-
-
-def test_shared_serials_are_told_apart_by_the_socket():
-    twins = [
-        Camera("cam", "/dev/video0", "200901010001", by_path="/dev/v4l/by-path/p2"),
-        Camera("cam", "/dev/video2", "200901010001", by_path="/dev/v4l/by-path/p4"),
-    ]
-    with pytest.raises(SensorError, match=r"name one by its path.*by-path/p2.*by-path/p4"):
-        chosen_camera("200901010001", twins)
-    assert chosen_camera("/dev/v4l/by-path/p4", twins) is twins[1]
 
 
 def test_names_serials_and_paths_are_those_of_the_usb_device(tmp_path):
