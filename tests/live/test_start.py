@@ -136,7 +136,7 @@ def test_the_newest_calibration_of_the_camera_is_taken_from_the_library(library,
 def test_without_a_library_the_page_starts_and_says_so(monkeypatch):
     monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
     with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
-        assert "Expected a whole path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
+        assert "Expected an absolute path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
 
 
 def words_until(socket, wanted, timeout_s=120):

@@ -29,7 +29,7 @@ def library_folder() -> Path:
     Raises
     ------
     DataError
-        The variable does not name a whole path, or nothing says where the user's files are.
+        The variable does not name an absolute path, or nothing says where the user's files are.
     """
     given = os.environ.get(FOLDER_VARIABLE)
     if given:
@@ -54,7 +54,7 @@ def _data_folder(platform: str, variables: Mapping[str, str], home: Path) -> Pat
 
 def _whole(path: Path, variable: str) -> Path:
     if not path.is_absolute():
-        raise DataError(f"Expected a whole path in {variable}, got {path}. Begin it at the root.")
+        raise DataError(f"Expected an absolute path in {variable}, got {path}. Begin it at the root.")
     return path
 
 

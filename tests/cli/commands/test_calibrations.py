@@ -125,6 +125,6 @@ def test_what_sends_to_robots_asks_the_library_too(fails, library, command):
     assert "serial simulated-three-edges" in fails(command, "simulated", *where)
 
 
-def test_a_folder_that_is_no_whole_path_is_one_line(fails, monkeypatch):
+def test_a_folder_that_is_no_absolute_path_is_one_line(fails, monkeypatch):
     monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
-    assert "Expected a whole path in GELFORM_CALIBRATIONS" in fails("calibrations", "list")
+    assert "Expected an absolute path in GELFORM_CALIBRATIONS" in fails("calibrations", "list")
