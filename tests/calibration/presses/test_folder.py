@@ -148,6 +148,11 @@ def test_flat_punches_of_known_height_are_read_beside_the_balls(copy):
     assert whole.notes == ()
 
 
+def only(header, rows, indenter, height):
+    """One row, of another indenter than a ball."""
+    return ["image", "ball_diameter_mm", "indenter", "height_mm"], [[rows[0][0], "", indenter, height]]
+
+
 SPOILT = {
     "missing column": (lambda h, r: (["image", "diameter"], r), "columns image, ball_diameter_mm .* missing"),
     "diameter of 0": (lambda h, r: (h, [[r[0][0], "0"], *r[1:]]), r"ball_diameter_mm > 0, got 0.* line 2"),
@@ -155,7 +160,9 @@ SPOILT = {
     "diameter of nan": (lambda h, r: (h, [[r[0][0], "nan"], *r[1:]]), "finite number"),
     "negative diameter": (lambda h, r: (h, [[r[0][0], "-5"], *r[1:]]), "> 0"),
     "missing image": (lambda h, r: (h, [["nowhere.png", "5"], *r[1:]]), r"No file .*nowhere\.png"),
-    "no rows": (lambda h, r: (h, []), "No press in"),
+    "no rows": (lambda h, r: (h, []), "No press of a ball in"),
+    "punches alone": (lambda h, r: only(h, r, "flat", "0.5"), "beside 1 of flat punches"),
+    "cubes alone": (lambda h, r: only(h, r, "cube", ""), "indenter cube were left out: 1"),
     "height in um": (lambda h, r: flat_rows(h, r, "35"), "0.01 to 20 mm, got 35. Is it in mm"),
     "height in words": (lambda h, r: flat_rows(h, r, "low"), "height_mm as a number, got 'low'"),
     "negative height": (lambda h, r: flat_rows(h, r, "-0.1"), "got -0.1"),

@@ -138,7 +138,11 @@ def _read(place: Path, source: PressSource, options: ReadOptions, progress: Prog
     """Every image of a source, through one view."""
     settings = options.settings(place, source.known)
     if not source.listed:
-        raise DataError(f"No press in {place}: expected images and a presses.csv with a row for each.")
+        others = f" beside {len(source.flats)} of flat punches" if source.flats else ""
+        why = "".join(f" {note}" for note in source.notes)
+        raise DataError(
+            f"No press of a ball in {place}{others}: expected images and a presses.csv with a row for each.{why}"
+        )
     frame_shape = (source.background.shape[0], source.background.shape[1])
     view = options.view(settings, frame_shape)
     presses: list[Press] = []
