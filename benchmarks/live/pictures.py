@@ -81,7 +81,7 @@ def of_the_sensor(folder: Path) -> None:
         page.click("#tab-calibrate")
         page.fill("#ball", "5")
         page.click("#guide-start")
-        wait_for(page, "gelform.facts.guides[0]?.count >= 7 && gelform.facts.guides[0].target")
+        wait_for(page, "gelform.facts.guides[0]?.count >= 7 && gelform.facts.guides[0].places.length")
         page.wait_for_timeout(400)
         keep(page, folder / "calibrate.jpg")
 
