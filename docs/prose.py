@@ -62,13 +62,7 @@ TERMS = (
 NOT_YET: dict[str, int] = {
     "ARCHITECTURE.md": 18,
     "CONTRIBUTING.md": 1,
-    "docs/adding-a-color-model.md": 9,
-    "docs/adding-a-solver.md": 6,
-    "docs/lerobot.md": 9,
     "docs/live.md": 28,
-    "docs/robots.md": 6,
-    "docs/ros.md": 8,
-    "docs/simulator.md": 24,
 }
 
 
