@@ -83,7 +83,7 @@ def test_something_that_moves_is_said_and_it_is_taken_again(never, unit):
 def test_another_make_is_said(never):
     hub, _ = never
     actions.take_starter(hub, 0, "digit")
-    assert "which lie" in said(hub)["said"][0]
+    assert "background of a DIGIT" in said(hub)["said"][0]
     actions.take_starter(hub, 0, "gelsight-mini")
     assert "background of a GelSight Mini" in said(hub)["said"][0]
     assert said(hub)["state"] == "ask"

@@ -134,6 +134,19 @@ def test_a_frame_of_the_camera_goes_through_the_make_s_view():
     np.testing.assert_allclose(calibration.background, light, atol=1.5)
 
 
+def test_frames_of_a_digit_s_camera_lie_and_are_turned_upright():
+    """Its camera gives 240 rows of 320 pixels; the other way round the colours are of no DIGIT."""
+    light = load_starter("digit").calibration.background
+    lying = np.ascontiguousarray(np.rot90(light, -1))
+    calibration = calibration_from_background(lying, "digit")
+    assert (calibration.view.frame_shape, calibration.view.turn) == ((240, 320), "left")
+    np.testing.assert_array_equal(calibration.background, light)
+    result = gelform.Reconstructor(calibration)(lying.round().astype(np.uint8))
+    assert result.depth_mm.shape == (320, 240)
+    with pytest.raises(CalibrationError, match="background of a DIGIT"):
+        calibration_from_background(np.ascontiguousarray(lying[::-1, ::-1]), "digit")
+
+
 def test_another_make_a_mirrored_image_and_bgr_are_refused():
     mini, digit = (load_starter(name).calibration.background for name in ("gelsight-mini", "digit"))
     with pytest.raises(
@@ -144,8 +157,8 @@ def test_another_make_a_mirrored_image_and_bgr_are_refused():
         calibration_from_background(mini[..., ::-1], "gelsight-mini")
     with pytest.raises(CalibrationError, match="turned or mirrored"):
         calibration_from_background(digit[:, ::-1], "digit")
-    with pytest.raises(SensorError, match="which lie"):
-        calibration_from_background(np.rot90(digit), "digit")
+    with pytest.raises(SensorError, match=r"got 320x240\. Turn them"):
+        calibration_from_background(np.rot90(mini), "gelsight-mini")
     with pytest.raises(SensorError, match="with a starter, digit, gelsight-mini"):
         calibration_from_background(mini, "gelslim")
 

@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gelform.view import FLIPS, Lens, View, frame_from_image, frame_px_from_image_px, image_from_frame
+from gelform.view.view import image_px_from_frame_px
 
 
 def ramp(shape, *, per_x=0.31, per_y=0.17, start=40.0):
@@ -169,7 +170,7 @@ def test_settings_come_back():
 
 def test_wrong_settings_are_refused():
     for wrong, text in (
-        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, got frameshape"),
+        ({"frameshape": [1, 2]}, "among frame_shape, crop, flip, image_shape, lens, turn, got frameshape"),
         ({"flip": "z", "frame_shape": [4, 4]}, "none, x, y, xy, got 'z'"),
         ({"crop": [0, 0, 4, 4]}, "Expected frame_shape"),
         ({"frame_shape": [4]}, r"\(height, width\)"),
@@ -185,3 +186,27 @@ def test_wrong_settings_are_refused():
     ):
         with pytest.raises(ValueError, match=text):
             View.from_dict(wrong)
+
+
+def test_a_quarter_turn_is_exact_and_undone():
+    frame = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    for turn, quarters in (("left", 1), ("right", -1)):
+        view = View((30, 40), crop=(4, 6, 32, 20), flip="x", image_shape=(16, 10), turn=turn)
+        assert view.shape == (16, 10)
+        lying = View((30, 40), crop=(4, 6, 32, 20), flip="x", image_shape=(10, 16))
+        image = image_from_frame(frame, view)
+        np.testing.assert_array_equal(image, np.rot90(image_from_frame(frame, lying), quarters))
+        assert image.flags.c_contiguous
+        points = np.array([[0.0, 0.0], [9.0, 0.0], [3.5, 12.25]])
+        there = frame_px_from_image_px(points, view)
+        np.testing.assert_allclose(image_px_from_frame_px(there, view), points, atol=1e-9)
+        x, y = 3, 12
+        marked = np.zeros((30, 40, 3), np.uint8)
+        at = np.rint(frame_px_from_image_px([[x, y]], View((30, 40), turn=turn))[0]).astype(int)
+        marked[at[1], at[0]] = 255
+        assert image_from_frame(marked, View((30, 40), turn=turn))[y, x].min() == 255
+        assert View.from_dict(view.to_dict()) == view
+        alone = View(turn=turn)
+        np.testing.assert_array_equal(frame_from_image(image_from_frame(frame, alone), alone), frame)
+    with pytest.raises(ValueError, match="turn as one of none, left, right, got 'up'"):
+        View(turn="up")

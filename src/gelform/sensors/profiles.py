@@ -87,6 +87,7 @@ class KnownCamera:
     usb_id : vendor and product
     modes : ((height, width), frames a second) that it offers, the usual one first
     fourcc : the picture format that is asked for
+    turn : what makes its frames upright, as a view says it: this make's images are taken turned
     led_levels : how many steps of LED brightness there are beside 0, set through the zoom control; 0: it cannot be set
     """
 
@@ -94,6 +95,7 @@ class KnownCamera:
     modes: tuple[tuple[tuple[int, int], float], ...]
     fourcc: str
     led_levels: int = 0
+    turn: str = "none"
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,7 @@ SENSORS = {
             (((240, 320), 60.0), ((240, 320), 30.0), ((480, 640), 30.0), ((480, 640), 15.0)),
             "YUYV",
             led_levels=15,
+            turn="left",
         ),
     ),
     "gelslim": KnownSensor(None, preset="gelslim"),

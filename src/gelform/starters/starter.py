@@ -68,18 +68,20 @@ class Starter:
         Raises
         ------
         SensorError
-            Frames have another aspect than the make's, or lie: a view cannot turn them upright.
+            Frames have another aspect than the make's.
         """
         profile = SENSORS[self.sensor].profile if self.sensor in SENSORS else None
         view = View() if profile is None else profile.view(frame_shape)
-        wanted, got = self.calibration.image_shape, view.shape or frame_shape
-        if got == wanted[::-1] != wanted:
+        wanted = self.calibration.image_shape
+        if (view.shape or frame_shape) == wanted or wanted[0] == wanted[1]:
+            return view
+        camera = SENSORS[self.sensor].camera if self.sensor in SENSORS else None
+        if (view.shape or frame_shape) != wanted[::-1] or camera is None or camera.turn == "none":
             raise SensorError(
-                f"Expected upright frames of a {self.make}, of the aspect of {wanted[0]}x{wanted[1]} px (height x width), "
-                f"got {frame_shape[0]}x{frame_shape[1]}, which lie. Turn them by 90 degrees before (numpy.rot90), or "
-                "calibrate with presses of a ball as they are."
+                f"Expected frames of a {self.make} of the aspect of {wanted[0]}x{wanted[1]} px (height x width), "
+                f"got {frame_shape[0]}x{frame_shape[1]}. Turn them (numpy.rot90), or choose another camera mode."
             )
-        return view
+        return replace(view, frame_shape=frame_shape, turn=camera.turn, image_shape=wanted)
 
     def for_unit(
         self,

@@ -29,6 +29,7 @@ from gelform.view.resample import (
 
 MAX_PIXELS = 200e6  # of a frame or an image
 FLIPS = ("none", "x", "y", "xy")
+TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns against the clock
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class View:
     image_shape : (H, W) of the image, or None for the size of the crop, rounded
     lens : Lens or None
         Distortion and perspective to undo; the crop then counts in the rectified frame.
+    turn : "none", "left" (a quarter turn against the clock) or "right", after the flip; `image_shape` is that of the
+        turned image
 
     Raises
     ------
@@ -58,6 +61,7 @@ class View:
     flip: str = "none"
     image_shape: tuple[int, int] | None = None
     lens: Lens | None = None
+    turn: str = "none"
 
     def __post_init__(self) -> None:
         if self.lens is not None and not isinstance(self.lens, Lens):
@@ -67,6 +71,8 @@ class View:
         object.__setattr__(self, "crop", _crop_of(self.crop, self.frame_shape))
         if self.flip not in FLIPS:
             raise ValueError(f"Expected the view's flip as one of {', '.join(FLIPS)}, got {self.flip!r}.")
+        if self.turn not in TURNS:
+            raise ValueError(f"Expected the view's turn as one of {', '.join(TURNS)}, got {self.turn!r}.")
         if self.frame_shape is None and (self.crop or self.image_shape or self.lens):
             raise ValueError(
                 "Expected frame_shape, (height, width) of the frames, in a view that crops, resizes or undoes a lens."
@@ -78,17 +84,27 @@ class View:
         if self.image_shape is not None or self.frame_shape is None:
             return self.image_shape
         _, _, width, height = self._box
-        return max(1, round(height)), max(1, round(width))
+        shape = max(1, round(height)), max(1, round(width))
+        return shape if self.turn == "none" else shape[::-1]
 
     @property
     def is_identity(self) -> bool:
         """Whether an image is its frame, unchanged."""
+        if self.turn != "none":
+            return False
         if self.frame_shape is None:
             return self.flip == "none"
         height, width = self.frame_shape
         if self.lens is not None:
             return False
         return self.flip == "none" and self._box == (0, 0, width, height) and self.shape == self.frame_shape
+
+    @property
+    def unturned(self) -> View:
+        """The same without its turn."""
+        if self.turn == "none":
+            return self
+        return replace(self, turn="none", image_shape=self.image_shape and self.image_shape[::-1])
 
     def of_frames(self, frame_shape: tuple[int, int]) -> View:
         """This view of frames (H, W), where it does not say their size itself."""
@@ -165,6 +181,8 @@ def image_from_frame(frame: ArrayLike, view: View) -> NDArray[Any]:
         )
     if view.is_identity:
         return pixels
+    if view.turn != "none":
+        return np.ascontiguousarray(np.rot90(image_from_frame(pixels, view.unturned), TURNS[view.turn]))
     view = view.of_frames(shape)
     if view.lens is not None:
         box, map_x, map_y = _maps_through_lens(view)
@@ -196,6 +214,8 @@ def frame_from_image(image: ArrayLike, view: View) -> NDArray[Any]:
     pixels = check_image(image, shape=view.shape)
     if view.is_identity:
         return pixels
+    if view.turn != "none":
+        return np.ascontiguousarray(frame_from_image(np.rot90(pixels, -TURNS[view.turn]), view.unturned))
     view = view.of_frames((pixels.shape[0], pixels.shape[1]))
     return remapped(pixels, *_maps_to_frame(view))
 
@@ -224,6 +244,10 @@ def frame_px_from_image_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
+    if view.turn != "none":
+        (rows, columns), (x, y) = view._sizes[1], points.T
+        inner = (rows - 1 - y, x) if view.turn == "left" else (y, columns - 1 - x)
+        return frame_px_from_image_px(np.stack(inner, axis=1), view.unturned)
     shape, (left, top, width, height) = view._sizes[1], view._box
     scale = np.divide((width, height), (shape[1], shape[0]))
     rectified = (_flipped(points, view) + 0.5) * scale - 0.5 + (left, top)
@@ -235,6 +259,9 @@ def image_px_from_frame_px(points_px: ArrayLike, view: View) -> NDArray[np.float
     points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
+    if view.turn != "none":
+        (rows, columns), (x, y) = view._sizes[1], image_px_from_frame_px(points, view.unturned).T
+        return np.stack((y, rows - 1 - x) if view.turn == "left" else (columns - 1 - y, x), axis=1)
     shape, (left, top, width, height) = view._sizes[1], view._box
     if view.lens is not None:
         points = view.lens.rectified_px_from_frame_px(points)
