@@ -33,20 +33,23 @@ def plateau(height_mm: float, radius_px: float = 22.0, center=(70, 60)):
     return depth, *read(depth), rho < radius_px - 2
 
 
-ANCHOR = RestAnchor(SHAPE, PITCH, CLEAN)
 HOLD = (CLEAN * PITCH / REST_SIGMA_MM) ** 2
 EVERYWHERE = np.ones(SHAPE, dtype=bool)
 
 
+def anchored(*maps):
+    return RestAnchor(SHAPE, PITCH, CLEAN)(*maps)
+
+
 def test_untouched_gel_is_held_as_the_units_say():
-    np.testing.assert_allclose(ANCHOR(np.zeros((*SHAPE, 2), np.float32), EVERYWHERE), HOLD, rtol=1e-3)
+    np.testing.assert_allclose(anchored(np.zeros((*SHAPE, 2), np.float32), EVERYWHERE), HOLD, rtol=1e-3)
 
 
 @pytest.mark.parametrize("height_mm", [0.1, -0.1])
 def test_gel_that_lies_deeper_is_held_less_by_the_robust_loss(height_mm):
     """(1 + (z/0.05)^2)^-2 of the firmness at rest: 1/25 at 0.1 mm, on either side; cut by the border it may be drift."""
     _, gradients, untouched, face = plateau(height_mm, radius_px=40, center=(0, 60))
-    anchor = ANCHOR(gradients, untouched)
+    anchor = anchored(gradients, untouched)
     assert anchor[face & (away_from(0, 60) < 20)].mean() == pytest.approx(HOLD / 25, rel=0.15)
 
 
@@ -54,7 +57,7 @@ def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
     """A press over most of the frame, and nowhere a whole coarse pixel of untouched colour: 0 is still the gel's."""
     _, gradients, _, face = plateau(0.5, radius_px=75)
     outside = away_from(70, 60) > 84
-    anchor = ANCHOR(gradients, outside & (np.add(*np.indices(SHAPE)) % 2 == 0))
+    anchor = anchored(gradients, outside & (np.add(*np.indices(SHAPE)) % 2 == 0))
     assert outside.mean() < 0.3
     assert face.mean() > 0.6
     assert anchor[outside].max() > 0.8 * HOLD
@@ -71,7 +74,7 @@ def test_rest_is_where_most_is_untouched_not_where_most_pixels_are():
 def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
     """Nor 2 mm wide: the rim that encloses it says that it is not at rest, although its colour is."""
     _, gradients, untouched, face = plateau(height_mm, radius_px)
-    anchor = ANCHOR(gradients, untouched)
+    anchor = anchored(gradients, untouched)
     assert untouched[face].all()
     assert not anchor[~untouched].any()
     assert anchor.min() >= 0
@@ -86,14 +89,14 @@ def test_a_flat_face_is_not_held(height_mm, radius_px, share, within):
 def test_gel_that_a_ring_encloses_at_rest_is_held():
     """Inside an O-ring the gel is where it was: enclosed, and no face."""
     rho = away_from(70, 60)
-    anchor = ANCHOR(*read(0.3 * np.clip(1 - np.abs(rho - 40) / 6, 0, 1)))
+    anchor = anchored(*read(0.3 * np.clip(1 - np.abs(rho - 40) / 6, 0, 1)))
     assert anchor[rho < 10].mean() > 0.9 * HOLD
 
 
 def test_gel_beside_touched_gel_is_hardly_held():
     """By 1 - exp(-(d/1 mm)^2) of the distance from what is touched: it is drawn down, by less than its colour tells."""
     depth, gradients, untouched, _ = plateau(0.3)
-    anchor = ANCHOR(gradients, untouched)
+    anchor = anchored(gradients, untouched)
     for beyond_px in (8, 16):
         ring = np.abs(away_from(70, 60) - 28 - beyond_px) < 0.7
         expected = 1 - np.exp(-((beyond_px * PITCH / REACH_MM) ** 2))
@@ -111,7 +114,7 @@ def test_drift_is_taken_out():
         z = depth_from_gradients(gradients, mm_per_px=PITCH, anchor=hold, zero=untouched)
         return np.sqrt(np.mean((z - depth)[away_from(70, 60) > 45] ** 2))
 
-    assert off(ANCHOR(gradients, untouched)) < 0.75 * off(None)
+    assert off(anchored(gradients, untouched)) < 0.75 * off(None)
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (7, 5), (61, 83), (3, 200), (200, 3)])
@@ -125,11 +128,11 @@ def test_any_shape(shape):
 def test_spots_that_are_not_trusted_leave_it_as_it_is():
     """A mirrored light would tilt the coarse depth, and untouched gel far from it would count as pressed."""
     gradients, confidence = np.zeros((*SHAPE, 2), np.float32), np.ones(SHAPE, np.float32)
-    plain, untouched = ANCHOR(gradients, EVERYWHERE), EVERYWHERE.copy()
+    plain, untouched = anchored(gradients, EVERYWHERE), EVERYWHERE.copy()
     spot = np.s_[SHAPE[0] // 3 : SHAPE[0] // 2, SHAPE[1] // 3 : SHAPE[1] // 2]
     gradients[spot], confidence[spot], untouched[spot] = 3.0, 1e-6, False
-    assert np.median(ANCHOR(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
-    found = ANCHOR(gradients, untouched, confidence)
+    assert np.median(anchored(gradients, untouched)) < 0.5 * np.median(plain)  # what the spot would do
+    found = anchored(gradients, untouched, confidence)
     far = away_from(66, 50) > 45  # gel beside it is held less
     assert found[far] == pytest.approx(plain[far], rel=0.01)
     assert not found[spot].any()

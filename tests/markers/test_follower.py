@@ -144,7 +144,6 @@ def test_real_markers_in_a_frame(data):
 
 
 LINEAR = REST @ np.array([[0.02, -0.01], [0.03, 0.01]]) + [4.0, -3.0]
-NEIGHBOURS = Neighbours(REST)
 
 
 def only(*dots):
@@ -152,19 +151,19 @@ def only(*dots):
 
 
 def test_linear_motion_is_predicted_and_of_one_sure_dot_its_own():
-    assert NEIGHBOURS.spacing_px == 16
+    assert Neighbours(REST).spacing_px == 16
     sure = ~only(10, 11, 25)
-    predicted = NEIGHBOURS.predicted_px(LINEAR * sure[:, None], sure, ~sure)
+    predicted = Neighbours(REST).predicted_px(LINEAR * sure[:, None], sure, ~sure)
     assert np.abs(predicted - LINEAR[~sure]).max() < 0.15
-    predicted = NEIGHBOURS.predicted_px(LINEAR, only(12), ~only(12))
+    predicted = Neighbours(REST).predicted_px(LINEAR, only(12), ~only(12))
     np.testing.assert_allclose(predicted, np.broadcast_to(LINEAR[12], predicted.shape), atol=1e-9)
 
 
 def test_a_dot_that_moves_otherwise_is_astray_where_its_neighbours_are_sure():
-    astray = NEIGHBOURS.astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
+    astray = Neighbours(REST).astray_px(LINEAR + [16, 0] * only(18)[:, None], ~only())
     assert astray[18] == pytest.approx(16, abs=0.5)
     assert np.delete(astray, 18).max() < 1.5
-    assert NEIGHBOURS.astray_px(LINEAR, only(0))[0] == 0
+    assert Neighbours(REST).astray_px(LINEAR, only(0))[0] == 0
 
 
 SHAPE = (128, 160)
