@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer import Argument
+from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import print_json
 from gelform.cli.options import Json
@@ -34,8 +34,12 @@ HELD_OUT = {
 def info(
     *,
     path: Annotated[
-        Path, Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder.")
-    ],
+        Path | None,
+        Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder."),
+    ] = None,
+    system: Annotated[
+        bool, Option("--system", help="Describe this machine instead, for a report of a fault.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Say what a file or folder is, and what is missing.
@@ -50,10 +54,11 @@ def info(
       gelform info presses.avi
       gelform info session.mcap
       gelform info press_bag/
+      gelform info --system --json
     """
-    if not path.exists():
-        raise DataError(f"No file or folder {path}. Check the path.")
-    facts = _folder(path) if path.is_dir() else _file(path)
+    if (path is None) != system:
+        raise BadParameter("Expected a file or folder, or --system, and not both.")
+    facts = _system() if path is None else _facts(path)
     if as_json:
         print_json(facts)
         return
@@ -61,6 +66,18 @@ def info(
     width = max(len(label) for label, _ in lines)
     for label, text in lines:
         typer.echo(f"{label:<{width}}  {text}")
+
+
+def _system() -> dict[str, Any]:
+    from gelform.cli.system import system_facts
+
+    return system_facts()
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        raise DataError(f"No file or folder {path}. Check the path.")
+    return _folder(path) if path.is_dir() else _file(path)
 
 
 def _file(path: Path) -> dict[str, Any]:
@@ -340,7 +357,17 @@ def _plain_lines(facts: Facts) -> Lines:
     return lines
 
 
-WORDS: dict[str, Callable[[Facts], Lines]] = {"calibration": _calibration_lines, "result": _result_lines}
+def _system_lines(facts: Facts) -> Lines:
+    from gelform.cli.system import system_lines
+
+    return system_lines(facts)
+
+
+WORDS: dict[str, Callable[[Facts], Lines]] = {
+    "calibration": _calibration_lines,
+    "result": _result_lines,
+    "system": _system_lines,
+}
 
 
 def _size(shape: Any) -> str:

@@ -1,0 +1,121 @@
+"""What a report of a fault has to say of a machine: versions, processor, cameras, extras; nothing of the user's files."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, requires, version
+from typing import Any
+
+from gelform.errors import GelformError
+
+VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # those that change speed or kernels
+OF_DEVELOPERS = {"dev", "docs", "mutation"}  # extras that no program of a user's needs
+_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?")
+
+
+def system_facts() -> dict[str, Any]:
+    """Versions, processor, instruction set, extras and cameras of this machine."""
+    from gelform import __version__
+
+    core, extras = _requirements(_declared())
+    return {
+        "kind": "system",
+        "gelform": __version__,
+        "python": f"{platform.python_version()} ({platform.python_implementation()})",
+        "system": platform.platform(),
+        "processor": f"{platform.machine()}, {os.cpu_count()} cores",
+        "kernels": _kernels(),
+        "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
+        "packages": {name: _version(name) or "missing" for name in core},
+        "extras": {extra: _extra(names) for extra, names in extras.items()},
+        "cameras": _cameras(),
+    }
+
+
+def system_lines(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A line for each fact, and for each of those that hold several."""
+    lines: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            lines += [(label, str(text)) for label, text in value.items()]
+        elif isinstance(value, list):
+            lines += [("camera", str(one)) for one in value] or [("camera", "none")]
+        elif name != "kind":
+            lines.append((name, str(value)))
+    return lines
+
+
+def _declared() -> list[str]:
+    """What the installed gelform requires; empty for a checkout that was put on the path and never installed."""
+    try:
+        return requires("gelform") or []
+    except PackageNotFoundError:
+        return []
+
+
+def _requirements(declared: Iterable[str]) -> tuple[list[str], dict[str, list[str]]]:
+    """Names of the packages that gelform always needs, and those of each extra, for this version of Python."""
+    core: list[str] = []
+    extras: dict[str, list[str]] = {}
+    for requirement in declared:
+        found = _REQUIREMENT.fullmatch(requirement)
+        if found is None or not _for_this_python(found["marker"] or ""):
+            continue
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", found["marker"] or "")
+        if extra is None:
+            core.append(found["name"])
+        elif extra[1] not in OF_DEVELOPERS:
+            extras.setdefault(extra[1], []).append(found["name"])
+    return core, extras
+
+
+def _for_this_python(marker: str) -> bool:
+    """Whether what a marker says of Python's version holds here."""
+    for compared, major, minor in re.findall(r"python_version\s*(<|>=)\s*['\"](\d+)\.(\d+)['\"]", marker):
+        below = sys.version_info[:2] < (int(major), int(minor))
+        if below != (compared == "<"):
+            return False
+    return True
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _extra(names: Iterable[str]) -> str:
+    """The versions of an extra's packages, or which are missing."""
+    found = {name: _version(name) for name in names}
+    missing = [name for name, known in found.items() if known is None]
+    if missing:
+        return f"missing: {', '.join(missing)}"
+    return ", ".join(f"{name} {known}" for name, known in found.items())
+
+
+def _kernels() -> str:
+    """The instruction set in use, or why no kernels can be loaded: a report must say that too."""
+    from gelform._native import instruction_set, library
+
+    try:
+        chosen = instruction_set()
+        library(chosen)
+    except (GelformError, ValueError) as problem:
+        return str(problem)
+    return chosen
+
+
+def _cameras() -> list[str]:
+    """Name and USB number of each camera; no serial, which names a unit and so perhaps its owner."""
+    from gelform.sensors.cameras.camera import cameras_there
+
+    try:
+        found = cameras_there()
+    except (GelformError, OSError) as problem:
+        return [f"not known: {problem}"]
+    return [f"{one.name} ({one.usb_id or 'not on USB'}, {one.kind or 'no known sensor'})" for one in found]
