@@ -35,3 +35,9 @@ def test_mistakes_are_one_line(fails):
         (["a", "b", "c", "-c", "x.npz", "-c", "y.npz"], "one for each of the 3"),
     ):
         assert said in fails("live", *arguments)
+
+
+def test_a_make_without_a_starter_is_wrong_usage(fails):
+    said = fails("live", "--sensor", "gelslim", status=2)
+    assert "--sensor" in said
+    assert "expected digit, gelsight-mini or simulated-three-edges, got 'gelslim'" in " ".join(said.split())
