@@ -104,7 +104,7 @@ def options(
     ),
     debug: bool = typer.Option(False, DEBUG, envvar="GELFORM_DEBUG", help="Show the traceback of an error."),
 ) -> None:
-    """Depth in millimetres from the image of an RGB visual-tactile sensor.
+    """Depth in millimeters from the image of an RGB visual-tactile sensor.
 
     \b
     Without a sensor:  gelform demo -o gelform-demo
@@ -115,7 +115,7 @@ def options(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0, 1 (a mistake in the input), 2 (wrong usage), 70 (a bug), 130 (interrupted)."""
-    for threads in THREADS:  # with a busy neighbour two BLAS threads are nine times slower than one
+    for threads in THREADS:  # with a busy neighbor two BLAS threads are nine times slower than one
         os.environ.setdefault(threads, "1")
     with as_process():
         app(arguments, prog_name="gelform")

@@ -195,7 +195,7 @@ class CalibrationOptions:
     ] = None
 
     def check(self, background: Path | None) -> None:
-        """Refuse options that do not go together; a starter needs the untouched image."""
+        """Refuse options that do not go together; a starter needs the background image."""
         if self.sensor is None:
             if self.mm_per_px is not None:
                 raise BadParameter("is of a starter: name it with --sensor.", param_hint="--mm-per-px")

@@ -30,7 +30,7 @@ def image_in(path: Path, calibration: Calibration) -> NDArray[np.uint8]:
 
 
 def background_in(path: Path | None, calibration: Calibration) -> NDArray[np.float32] | None:
-    """The untouched image of a file or a folder of frames; None where none is given."""
+    """The background image of a file or a folder of frames; None where none is given."""
     from gelform.sensors.files import read_background
 
     return None if path is None else _viewed(read_background(path), path, calibration)
@@ -70,7 +70,7 @@ def starter_given(
 
 
 def prepared(calibration: Calibration | Path, background: Path | None, **settings: Any) -> Reconstructor:
-    """A Reconstructor of a calibration, and of an untouched image or a folder of them where one is given."""
+    """A Reconstructor of a calibration, and of a background image or a folder of them where one is given."""
     from gelform.calibration_file import as_calibration
     from gelform.reconstruct import Reconstructor
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gelform.calibration.report.record import summary
+from gelform.calibration.report.record import FIGURES, summary
 from gelform.metrics import PressErrors
 
 
@@ -53,3 +53,8 @@ def test_the_notes_say_how_often_folds_agreed_and_whence_the_scale_is(calibratio
     assert f"{report.held_out['presses']:.0f} presses in 5 folds" in held_out
     assert " of 5 folds chose" in held_out
     assert any("Scale from the number given" in note for note in others)
+
+
+def test_every_figure_has_words(calibration):
+    assert list(calibration.report.held_out) == list(FIGURES)
+    assert len(set(FIGURES.values())) == len(FIGURES)

@@ -170,6 +170,19 @@ def _how_held_out(presses: int, selection: Selection) -> str:
     )
 
 
+FIGURES = {  # the figures of `summary`, as people read them
+    "presses": "presses",
+    "normal_deg": "normal error, center from the circle (°)",
+    "normal_free_deg": "normal error, center fitted (°)",
+    "normal_rim_deg": "normal error up to the visible rim (°)",
+    "cap_um": "depth error in the contact, center from the circle (um)",
+    "cap_free_um": "depth error in the contact, center fitted (um)",
+    "radius_percent": "ball radius error (%)",
+    "radius_signed_percent": "ball radius error, with sign (%)",
+    "off_contact_um": "depth error off the contact (um)",
+}
+
+
 def summary(errors: list[PressErrors]) -> dict[str, float]:
     """Means over presses; the median where a sphere is fitted, whose errors have a long tail.
 

@@ -36,7 +36,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Frames:
-    """Where frames and untouched images are in the input."""
+    """Where frames and background images are in the input."""
 
     dataset: Annotated[
         str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")

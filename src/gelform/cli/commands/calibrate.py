@@ -118,6 +118,8 @@ def calibrate(
 def _show(calibration: Calibration, shown: Shown) -> None:
     if shown.silent:
         return
+    from gelform.calibration.report.record import FIGURES
+
     report = calibration.report
     rejected = [(row.name, row.reason or "") for row in report.presses if not row.accepted]
     used = len(report.presses) - len(rejected)
@@ -128,11 +130,12 @@ def _show(calibration: Calibration, shown: Shown) -> None:
         (one["candidate"] + (" <" if one["chosen"] else ""), figure(one["normal_free_deg"]))
         for one in report.candidates
     ]
-    show_table("Color models tried", ("model (< chosen)", "held-out normal (deg)"), tried)
+    show_table("Color models tried", ("model (< chosen)", "held-out normal error (°)"), tried)
     held_out = [
-        (name, figure(saved), figure(report.held_out[name])) for name, saved in report.held_out_saved.items()
+        (FIGURES[name], figure(saved), figure(report.held_out[name]))
+        for name, saved in report.held_out_saved.items()
     ]
-    columns = ("figure", "saved model", "choice and fit")
-    show_table("Errors on presses that were held out", columns, held_out)
+    columns = ("held-out error", "saved model", "whole procedure")
+    show_table("Errors on held-out presses", columns, held_out)
     for note in report.notes:
         say(f"note: {note}")

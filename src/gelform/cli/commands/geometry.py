@@ -168,9 +168,9 @@ def crosstalk(
     ],
     shown: Shown,
 ) -> None:
-    """Measure the crosstalk of the colours, for `calibrate`.
+    """Measure the crosstalk of the colors, for `calibrate`.
 
-    Each of three images shows the untouched gel with the LEDs of one colour alone. What the other channels see of it is
+    Each of three images shows the untouched gel with the LEDs of one color alone. What the other channels see of it is
     written into sensor.toml, beside what is there.
 
     \b

@@ -34,13 +34,14 @@ if TYPE_CHECKING:
 
 COLUMNS = {  # of the table, which fits 80 columns
     "normal_free_deg": "normal °",
-    "cap_free_um": "cap um",
+    "cap_free_um": "in um",
     "radius_percent": "radius %",
     "off_contact_um": "off um",
 }
+PRESSES = "Errors of each press: normals (°), depth in and off the contact (um), ball radius (%)"
 SEEN = (
-    "Their errors say little of new ones; they may even be larger than those that `calibrate` reports of held-out "
-    "presses, since it fits all circles together and here each is found in its own image."
+    "Their errors say little about new presses. They may even be larger than the held-out errors of `calibrate`, which "
+    "fits all circles together; here each circle is found in its own image."
 )
 COMPARED = {  # {u}: the unit of depth
     "peak_a": "peak A ({u})",
@@ -63,7 +64,7 @@ def evaluate(
 
     Angles are in degrees, depth in um, the ball's radius in percent.
 
-    Says which presses the calibration was made from: their errors say little.
+    Marks the presses that the calibration was made from, because their errors say little about new ones.
 
     \b
     Examples:
@@ -73,6 +74,7 @@ def evaluate(
     """
     from gelform.calibration.evaluate import evaluate as evaluate_presses
     from gelform.calibration.presses.folder import read_presses
+    from gelform.calibration.report.record import FIGURES
     from gelform.calibration_file import load_calibration
 
     loaded = load_calibration(calibration)
@@ -82,7 +84,7 @@ def evaluate(
         evaluation = evaluate_presses(loaded, found, progress=progress)
     if evaluation.seen:
         say(f"warning: the calibration was made from {evaluation.seen} of these presses. {SEEN}")
-    whose = "the calibration's own" if evaluation.own_background else "another than the calibration's"
+    whose = "the calibration's own" if evaluation.own_background else "not the calibration's own"
     shown.say(f"Background: {whose}.")
     for message in evaluation.findings:
         say(f"warning: {message}")
@@ -95,16 +97,16 @@ def evaluate(
         )
         for row in evaluation.rows
     ]
-    shown.table("Presses", ("press", "ball mm", *COLUMNS.values()), rows)
+    shown.table(PRESSES, ("press", "ball mm", *COLUMNS.values()), rows)
     left_out = [(row["name"], row["reason"]) for row in evaluation.rows if row["reason"] is not None]
     if left_out:
         shown.table("Presses left out", ("press", "why"), left_out)
-    summary = [(name, figure(value)) for name, value in evaluation.summary.items()]
-    shown.table("Over all presses", ("figure", "value"), summary)
+    summary = [(FIGURES[name], figure(value)) for name, value in evaluation.summary.items()]
+    shown.table("Over all presses", ("error", "value"), summary)
     _show_where(evaluation.where, shown)
     if evaluation.flats:
         heights = [_height_row(**flat) for flat in evaluation.flats]
-        shown.table("Flat punches", ("press", "height mm", "read mm", "%"), heights)
+        shown.table("Flat punches", ("press", "height (mm)", "measured (mm)", "measured/height (%)"), heights)
 
 
 def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str, str, str, str]:
@@ -116,7 +118,8 @@ def _height_row(name: str, height_mm: float, read_mm: float | None) -> tuple[str
 def _show_where(where: dict[str, Any], shown: Shown) -> None:
     """Normal errors by the ball's slope, and by place: inside the contact's edge and up to the visible rim."""
     to_rim = {b["slope_from"]: b for b in where["rim"]["by_slope"]}
-    title = f"Normal error, degrees, by the ball's slope (edge at {where['contact_radius_ratio']:.2f} of the visible radius)"
+    edge = f"{where['contact_radius_ratio']:.2f} of the visible radius"
+    title = f"Normal error, degrees, by the ball's slope (contact edge at {edge})"
     rows = [
         (
             f"{b['slope_from']:g}-{b['slope_to']:g}",
@@ -127,7 +130,7 @@ def _show_where(where: dict[str, Any], shown: Shown) -> None:
         )
         for b in where["contact"]["by_slope"]
     ]
-    shown.table(title, ("slope", "contact", "gain", "up to the rim", "pixels"), rows)
+    shown.table(title, ("slope", "in the contact", "slope gain", "up to the rim", "pixels"), rows)
     places = where["contact"]["by_place"]
     cells = [
         f"{figure(whole)} / {figure(part)}"
@@ -135,7 +138,7 @@ def _show_where(where: dict[str, Any], shown: Shown) -> None:
     ]
     columns = places["columns"]
     grid = [tuple(cells[k : k + columns]) for k in range(0, len(cells), columns)]
-    title = "Normal error, degrees, by place in the image: contact / up to the rim"
+    title = "Normal error, degrees, by place in the image: in the contact / up to the rim"
     shown.table(title, tuple(f"column {k + 1}" for k in range(columns)), grid)
 
 
@@ -216,7 +219,7 @@ def explain(
 ) -> None:
     """Explain why each pixel of an image was trusted or not.
 
-    Lists how much of the slopes' variance is due to the law of slope and place, and to each named cause: saturated,
+    Lists the share of the slopes' variance from the usual noise at each slope and place, and from each cause: saturated,
     dark, shadow, specular, wall, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png draws
     the confidence, and what each cause adds, pixel by pixel.
 
@@ -248,7 +251,8 @@ def explain(
         )
         for row in rows
     ]
-    columns = ("trusted (% of px)", "sigma (median)", *(f"{name} (%)" for name in names))
+    causes = ["usual noise" if name == "law" else name for name in names]
+    columns = ("trusted pixels (%)", "median sigma", *(f"{cause} (%)" for cause in causes))
     shown.table("Share of the slopes' variance", ("image", *columns), table)
     _say_pictures(rows, output, shown)
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sent:
-    """Topics to make of a source, the name that they begin with, how long, and the untouched image."""
+    """Topics to make of a source, the name that they begin with, how long, and the background image."""
 
     topics: Annotated[str, Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")] = ALL_TOPICS
     name: Annotated[
@@ -62,7 +62,7 @@ def bag(
     Images, indentation, points and findings, as rosbag2 (MCAP).
 
     Every frame of a recording, the newest ones of a camera. Topics: /NAME/image_raw (rgb8), /NAME/indentation (32FC1,
-    metres, positive where pressed), /NAME/points (metres, in NAME_gel_optical_frame), /diagnostics. Extra `ros`.
+    meters, positive where pressed), /NAME/points (meters, in NAME_gel_optical_frame), /diagnostics. Extra `ros`.
 
     \b
     Examples:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 GREY_SHAPE, GREY_LEVEL = (240, 320, 3), 110.0  # the background of tables that come without one
-TABLES_NOISE = 1.0  # grey levels: they say none
+TABLES_NOISE = 1.0  # gray levels: they say none
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Look:
         ),
     ] = None
     background: Annotated[
-        Path | None, Option(metavar="IMG", help="The untouched image behind Taxim's tables; else grey.")
+        Path | None, Option(metavar="IMG", help="The background image behind Taxim's tables; else gray.")
     ] = None
     mm_per_px: Annotated[
         float | None, number("Pixel pitch of that image, mm: the tables hold none.", pitch)
@@ -67,17 +67,17 @@ class Face:
     """Something else to press: a height map or a mesh."""
 
     height_map: Annotated[
-        Path | None, Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a grey image.")
+        Path | None, Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a gray image.")
     ] = None
     height_map_mm_per_px: Annotated[float | None, number("Its sample pitch, mm.")] = None
     height_map_range_mm: Annotated[
-        float | None, Option(metavar="F", help="Of a grey image: how high white stands over black, mm.")
+        float | None, Option(metavar="F", help="Of a gray image: how high white stands over black, mm.")
     ] = None
     depth_mm: Annotated[float, number("How deep the height map or mesh is pressed, mm.")] = 0.5
     mesh: Annotated[
         Path | None, Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
     ] = None
-    mesh_mm_per_unit: Annotated[float, number("Its unit: 1 for mm, 1000 for metres.")] = 1.0
+    mesh_mm_per_unit: Annotated[float, number("Its unit: 1 for mm, 1000 for meters.")] = 1.0
 
     def read(self) -> Indenter | None:
         """The thing to press; None for balls."""
@@ -143,7 +143,7 @@ def simulate(
         else:
             from gelform.exporters.simulated import SetOfPresses, save_simulated_set
 
-            oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's centre
+            oversample = 1 if twin is not None else 3  # a look answers to the slope at the pixel's center
             diameters = tuple(balls.ball_diameter_mm)
             with usage_errors("--ball-diameter-mm"):
                 wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
@@ -214,7 +214,7 @@ def _height_map(path: Path, mm_per_px: float | None, range_mm: float | None) -> 
     try:
         heights = read_npy(path, "heights in mm")
     except DataError as problem:
-        remedy = "" if path.suffix.lower() == ".npy" else " Is it a grey image? Say --height-map-range-mm."
+        remedy = "" if path.suffix.lower() == ".npy" else " Is it a gray image? Say --height-map-range-mm."
         raise DataError(f"{problem}{remedy}") from problem
     with mistakes_in(path):
         return HeightMap(heights, mm_per_px)

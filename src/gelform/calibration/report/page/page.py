@@ -10,6 +10,7 @@ from gelform.calibration.presses.folder import Presses
 from gelform.calibration.report.page import sections
 from gelform.calibration.report.page.presses import caps_section, presses_section
 from gelform.calibration.report.page.style import STYLE
+from gelform.calibration.report.record import FIGURES
 from gelform.calibration_file import Calibration
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -60,18 +61,19 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
 
 
 def _saved_section(report: Any) -> str:
-    """The saved model's own held-out figures beside those of the whole procedure: which figure is whose."""
+    """The saved model's own held-out errors beside those of the whole procedure."""
+    words = {name: escape(figure.replace("(um)", "(µm)")) for name, figure in FIGURES.items()}
     rows = "".join(
-        f"<tr><td>{escape(name.replace('_', ' '))}</td><td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td></tr>"
+        f"<tr><td>{words[name]}</td><td>{saved:.3g}</td><td>{report.held_out[name]:.3g}</td></tr>"
         for name, saved in report.held_out_saved.items()
     )
     return sections.section(
         "saved",
-        "Which figure is whose",
-        '<p class="lead">The saved model: its kind and settings, '
-        "fitted without each press and read on it. Choice and fit: the model is chosen anew without each press too, as "
-        "above; a little worse, because a choice among models was made.</p>",
-        sections.table("<th>held-out figure</th><th>saved model</th><th>choice and fit</th>", rows),
+        "Held-out errors of the saved model and of the whole procedure",
+        '<p class="lead"><b>Saved model</b>: a model of its kind and settings, fitted without each press. '
+        "<b>Whole procedure</b>: the kind and settings are also chosen without each press, as above. This error is a "
+        "little larger, because it includes the choice among models.</p>",
+        sections.table("<th>held-out error</th><th>saved model</th><th>whole procedure</th>", rows),
     )
 
 
