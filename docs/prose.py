@@ -57,11 +57,6 @@ TERMS = (
     "marker displacement", "forward response", "starter", "sigma", "anchor", "press folder", "color change",
 )  # fmt: skip
 
-# Pages that are not rewritten yet, with the problems that each may still have. The numbers only fall; a page
-# without problems leaves the list.
-NOT_YET: dict[str, int] = {
-}
-
 
 def problems(text: str) -> list[str]:
     """Every break of a rule on one page, each with what to write instead.
@@ -95,21 +90,14 @@ def problems(text: str) -> list[str]:
 
 
 def prose_problems(pages: Iterable[Path], root: Path) -> list[str]:
-    """What is wrong with the pages: problems of rewritten ones, more than before on others, and an outdated list."""
-    wrong = []
-    for page in pages:
-        name = page.relative_to(root).as_posix()
-        if not has_rules(name):
-            continue
-        found = problems(page.read_text(encoding="utf-8"))
-        allowed = NOT_YET.get(name, 0)
-        if name in NOT_YET and len(found) < allowed:
-            wrong.append(
-                f"{name}: {len(found)} problems are left, NOT_YET in docs/prose.py says {allowed}: lower it"
-            )
-        if len(found) > allowed:
-            wrong += [f"{name}: {problem}" for problem in found]
-    return wrong
+    """Every problem of the pages that keep the rules, with the page's name."""
+    named = [(page, page.relative_to(root).as_posix()) for page in pages]
+    return [
+        f"{name}: {problem}"
+        for page, name in named
+        if has_rules(name)
+        for problem in problems(page.read_text(encoding="utf-8"))
+    ]
 
 
 def has_rules(name: str) -> bool:
