@@ -1,10 +1,12 @@
 """Values of options are checked where they are read, groups of them are flat on the command line, names are the tables'."""
 
+from typing import Annotated, Optional
+
 import pytest
 import typer
 
 from gelform.cli import options
-from gelform.cli.options import numbers, one_of, positive
+from gelform.cli.options import as_written, numbers, one_of, positive
 
 
 def test_numbers_are_read_and_others_refused():
@@ -68,3 +70,11 @@ def test_a_table_that_is_none_is_said():
         options.names_in("color_models/__init__.py", "THEM")
     with pytest.raises(LookupError, match="keys written out"):
         options.names_in("color_models/__init__.py", "__all__")
+
+
+def test_an_options_names_are_found_on_python_3_10():
+    """Its `get_type_hints` puts an Optional around an annotation whose default is None."""
+    written = Annotated[int | None, typer.Option("-c")]
+    assert as_written(written) == written
+    assert as_written(Optional[written]) == written  # noqa: UP045 (as Python 3.10 does)
+    assert as_written(int | None) == int | None

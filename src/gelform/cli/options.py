@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from typer import Argument, BadParameter, Option
 
@@ -231,7 +231,7 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
     parameters: list[inspect.Parameter] = []
     groups: dict[str, Any] = {}
     for parameter in inspect.signature(function).parameters.values():
-        kind = hints[parameter.name]
+        kind = as_written(hints[parameter.name])
         if is_dataclass(kind):
             groups[parameter.name] = kind
             parameters += _parameters_of(kind)
@@ -249,6 +249,16 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
+
+
+def as_written(hint: Any) -> Any:
+    """An annotation without the Optional that Python 3.10 puts around it where the default is None.
+
+    typer finds an option's names only where `Annotated` is outermost.
+    """
+    if get_origin(hint) is Annotated:
+        return hint
+    return next((one for one in get_args(hint) if get_origin(one) is Annotated), hint)
 
 
 def _parameters_of(kind: Any) -> list[inspect.Parameter]:
