@@ -100,7 +100,7 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def options(
     version: bool = typer.Option(
-        False, "--version", callback=_print_version, is_eager=True, help="Say which version."
+        False, "--version", callback=_print_version, is_eager=True, help="Show the version."
     ),
     debug: bool = typer.Option(False, DEBUG, envvar="GELFORM_DEBUG", help="Show the traceback of an error."),
 ) -> None:

@@ -140,7 +140,9 @@ OptionalCalibration = Annotated[
 StarterSensor = Annotated[
     str | None,
     Option(
-        "--sensor", metavar="NAME", help=f"Never calibrated: the starter of its make, {listed(STARTERS)}."
+        "--sensor",
+        metavar="NAME",
+        help=f"For a sensor without a calibration: the starter of its make, {listed(STARTERS)}.",
     ),
 ]
 Sensor = Annotated[
@@ -148,9 +150,9 @@ Sensor = Annotated[
 ]
 MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
-    Path | None, Option(metavar="IMG|DIR", help="Untouched gel: an image, or a folder of several to average.")
+    Path | None, Option(metavar="IMG|DIR", help="Gel at rest: an image, or a folder of several to average.")
 ]
-Seed = Annotated[int, Option(min=0, help="Of the random numbers.")]
+Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ class CalibrationOptions:
     calibration: OptionalCalibration = None
     sensor: StarterSensor = None
     mm_per_px: Annotated[
-        float | None, number("Of a starter: width of an image pixel on the gel, mm.", pitch)
+        float | None, number("For a starter: width of an image pixel on the gel, mm.", pitch)
     ] = None
 
     def check(self, background: Path | None) -> None:

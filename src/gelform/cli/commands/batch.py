@@ -45,7 +45,7 @@ class Frames:
         Path | None,
         Option(
             metavar="IMG|DIR|CSV",
-            help="Untouched gel: an image, a folder of several, or a table of sequence,background.",
+            help="Gel at rest: an image, a folder of several, or a table of sequence,background.",
         ),
     ] = None
     background_frames: Annotated[
@@ -70,7 +70,7 @@ class Results:
     keep: Annotated[str, Option(help=f"Maps: {', '.join(KEPT_MAPS)}; all: whole results.")] = "depth,known"
     solver: Annotated[str, Option(help="How slopes become depth; auto chooses.")] = "auto"
     sigma: Annotated[
-        bool, Option("--sigma/--no-sigma", help="Work out depth's standard deviation; contact uses it.")
+        bool, Option("--sigma/--no-sigma", help="Compute depth's standard deviation; contact uses it.")
     ] = True
 
     def settings(self, background_frames: int) -> BatchSettings:
@@ -88,10 +88,10 @@ class Results:
 class Machines:
     """Who does the work."""
 
-    workers: Annotated[int, Option(min=1, metavar="N", help="Processes; of Ray, CPUs.")] = 1
+    workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1
     engine: Annotated[str, Option(help="pool: processes of this machine; ray.")] = "pool"
     address: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Of a Ray cluster that runs, such as auto.")
+        str | None, Option(metavar="ADDRESS", help="Address of a running Ray cluster, such as auto.")
     ] = None
     shard: Annotated[
         Any, Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
@@ -113,10 +113,10 @@ class Run:
         int, Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
     ] = 1000
     retry_errors: Annotated[
-        bool, Option("--retry-errors", help="Do the parts again in which frames had errors.")
+        bool, Option("--retry-errors", help="Process again the parts that had errors.")
     ] = False
     overwrite: Annotated[
-        bool, Option("--overwrite", help="Delete what a batch wrote there, and begin anew.")
+        bool, Option("--overwrite", help="Delete the earlier batch there, and start again.")
     ] = False
 
 
@@ -138,15 +138,15 @@ def batch(
 ) -> None:
     """Reconstruct every frame of a data set.
 
-    The same command goes on where it was left; `gelform batch verify DIR` reads all that was written.
+    The same command continues an interrupted run; `gelform batch verify DIR` reads all that was written.
 
     INPUT is a folder with all folders below it, a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
     LeRobot data set, or a pattern. DIR gets
     frames/<sequence>/<frame>.npz, a table with one row per frame, and manifest.json. A frame that cannot be
     read or is of another size is a row with its error; the others are done, and the exit status is 1.
 
-    Without -c a sensor.toml or the recordings have to say one serial: its newest calibration is taken. A sensor that was
-    never calibrated is read by the starter of its make, with --sensor and an image of its untouched gel.
+    Without -c, the one serial in a sensor.toml or the recordings selects its newest calibration. For a sensor without a
+    calibration, give --sensor and an image of its gel at rest. The starter of its make then reads the frames.
 
     \b
     Examples:
@@ -246,12 +246,12 @@ def verify(
     output: Annotated[Path, Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
     shown: Shown,
 ) -> None:
-    """Read all that a batch wrote and say what is wrong.
+    """Check every output of a batch, and list problems.
 
-    What is missing, altered or in excess is listed; `gelform batch verify` is the same command.
+    Lists missing, altered and extra files; `gelform batch verify` is the same command.
 
-    The exit status is 1 where something is wrong. Frames that have an error of their own are counted, and are
-    nothing wrong with the output.
+    The exit status is 1 if there is a problem. Frames with an error of their own are counted, but are
+    no problem of the output.
 
     \b
     Examples:

@@ -47,7 +47,7 @@ def calibrate(
     ] = None,
     report: Annotated[
         Path | None,
-        Option(metavar="DIR", help="Folder for a page that says how good it is and what to do next."),
+        Option(metavar="DIR", help="Folder for a report: how good it is, what to do next."),
     ] = None,
     compare: Annotated[
         bool,
@@ -58,11 +58,11 @@ def calibrate(
 ) -> None:
     """Calibrate a sensor from presses of a ball.
 
-    PRESSES holds background.png (the untouched gel), images, presses.csv (columns image,ball_diameter_mm) and
-    sensor.toml (name, mm_per_px). A plain folder of images does too, with --ball-diameter-mm and --mm-per-px
-    or --sensor; so do a video that begins with the untouched gel, gs_sdk's and py3DCal's folders and Taxim's
-    dataPack.npz. Twenty presses all over the gel are enough, forty of two balls are good. Scale, lens and
-    crosstalk are measured before, by `gelform scale` and `gelform lens`.
+    PRESSES holds background.png (the gel at rest), images, presses.csv (columns image,ball_diameter_mm) and
+    sensor.toml (name, mm_per_px). These also work: a plain folder of images, with --ball-diameter-mm and --mm-per-px
+    or --sensor; a video that begins with the gel at rest; gs_sdk's and py3DCal's folders; Taxim's
+    dataPack.npz. Twenty presses all over the gel are enough, forty of two balls are good. Measure scale, lens and
+    crosstalk first, with `gelform scale`, `gelform lens` and `gelform crosstalk`.
 
     \b
     Examples:

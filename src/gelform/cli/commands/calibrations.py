@@ -1,7 +1,7 @@
-"""The library: a folder of your calibrations, from which commands take the newest of a camera's serial.
+"""Keep calibrations in a folder, from which commands take the newest for a camera's serial.
 
-`live`, `reconstruct`, `batch`, `bag` and `ros` look into it where no calibration is given, and say which they take. What the
-guide of `gelform live` makes is put into it. GELFORM_CALIBRATIONS names another folder.
+`live`, `reconstruct`, `batch`, `bag` and `ros` search it if you give no calibration, and print the one that they take. The
+guide of `gelform live` puts its calibration there. GELFORM_CALIBRATIONS names another folder.
 
 \b
 Examples:

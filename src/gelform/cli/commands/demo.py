@@ -28,7 +28,7 @@ def demo(
 ) -> None:
     """Try everything without a sensor, on a simulated one.
 
-    It is calibrated, reconstructs, and is compared with the truth.
+    The command calibrates it, reconstructs objects and compares them with the truth.
 
     Writes DIR/presses (a press folder), DIR/calibration.npz, DIR/report and, for each of four objects (a
     ball, a coin-like relief, a screw thread, a ball cut by the border) its image, result and picture.

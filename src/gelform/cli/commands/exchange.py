@@ -30,9 +30,7 @@ FILES = ("ply", "stl", "tiff", "png", "x3p")
 def import_(
     *,
     file: Annotated[Path, Argument(metavar="FILE", help="The package's calibration file.")],
-    package: Annotated[
-        str, Option("--from", metavar="PACKAGE", help=f"Whose file it is: {listed(PACKAGES)}.")
-    ],
+    package: Annotated[str, Option("--from", metavar="PACKAGE", help=f"The package: {listed(PACKAGES)}.")],
     output: NewCalibration,
     background: Background = None,
     mm_per_px: MmPerPx = None,

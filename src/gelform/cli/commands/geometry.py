@@ -31,7 +31,7 @@ def scale(
         str | None, Option(metavar="IMG,MM", help="Press of a screw's thread and its pitch.")
     ] = None,
     stage: Annotated[
-        str | None, Option(metavar="A,B,MM", help="One thing pressed twice, a stage's step apart.")
+        str | None, Option(metavar="A,B,MM", help="One object pressed twice, a stage's step apart.")
     ] = None,
     sensor: Sensor = None,
     background: Background = None,
@@ -39,10 +39,10 @@ def scale(
 ) -> None:
     """Measure mm per pixel, for `calibrate`.
 
-    It is written where `calibrate` reads it: into the folder's sensor.toml.
+    Writes it into the folder's sensor.toml, where `calibrate` reads it.
 
-    Images are camera frames, read through the [view] that is there. Several measurements are averaged by their
-    uncertainty; where they contradict each other, nothing is written.
+    Images are camera frames, read through the existing [view]. Several measurements are averaged by their
+    uncertainty. If they contradict each other, nothing is written.
 
     \b
     Examples:
@@ -164,13 +164,13 @@ def crosstalk(
     ],
     led_frames: Annotated[
         tuple[Path, Path, Path],
-        Argument(metavar="R G B", help="Untouched gel with the red, green, blue LEDs alone."),
+        Argument(metavar="R G B", help="Gel at rest under the red, green, blue LEDs alone."),
     ],
     shown: Shown,
 ) -> None:
     """Measure the crosstalk of the colors, for `calibrate`.
 
-    Each of three images shows the untouched gel with the LEDs of one color alone. What the other channels see of it is
+    Each of three images shows the gel at rest under the LEDs of one color alone. Their light in the other channels is
     written into sensor.toml, beside what is there.
 
     \b

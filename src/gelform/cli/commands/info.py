@@ -38,11 +38,11 @@ def info(
         Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder."),
     ] = None,
     system: Annotated[
-        bool, Option("--system", help="Describe this machine instead, for a report of a fault.")
+        bool, Option("--system", help="Describe this machine instead, for a bug report.")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what a file or folder is, and what is missing.
+    """Describe a file or folder, and list what is missing.
 
     It knows calibrations, results, images, videos, recordings, bags of ROS 2 and folders of presses.
 

@@ -217,7 +217,7 @@ def explain(
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
-    """Explain why each pixel of an image was trusted or not.
+    """Explain the confidence of each pixel of an image.
 
     Lists the share of the slopes' variance from the usual noise at each slope and place, and from each cause: saturated,
     dark, shadow, specular, wall, off_gamut, inconsistent, marker, outside, compression. With -o, DIR/<image>.png draws

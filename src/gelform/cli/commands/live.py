@@ -51,9 +51,8 @@ def live(
 ) -> None:
     """Show depth in the browser, calibrate with a ball, record.
 
-    Without SOURCE a simulated sensor is shown: nothing has to be plugged in. A GelSight Mini or a DIGIT that was never
-    calibrated is read by its make's starter, once the page has taken its untouched gel; --sensor names the make of
-    another camera.
+    Without SOURCE, the page shows a simulated sensor. A GelSight Mini or a DIGIT without a calibration is read by the
+    starter of its make, once the page has taken its background. --sensor names the make of another camera.
 
     \b
     Examples:

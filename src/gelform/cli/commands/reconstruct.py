@@ -52,7 +52,7 @@ def reconstruct(
         ),
     ] = "npz",
     skip_existing: Annotated[
-        bool, Option("--skip-existing", help="Leave out images whose results are there: goes on.")
+        bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
     strict: Annotated[bool, Option("--strict", help="Exit with 1 where a result has a warning.")] = False,
     overwrite: Overwrite = False,
@@ -64,8 +64,8 @@ def reconstruct(
     confidence, contact, known and mm_per_px; with --format npz,png a picture beside it. An image that cannot be
     read or is of another sensor is reported, the others are done, and the exit status is 1.
 
-    Without -c the images' sensor.toml or recording has to say the serial: its newest calibration is taken. A sensor that was
-    never calibrated is read by the starter of its make, with --sensor and an image of its untouched gel.
+    Without -c, the serial in the images' sensor.toml or recording selects its newest calibration. For a sensor without a
+    calibration, give --sensor and an image of its gel at rest. The starter of its make then reads the images.
 
     \b
     Examples:

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 class Sent:
     """Topics to make of a source, the name that they begin with, how long, and the background image."""
 
-    topics: Annotated[str, Option(metavar="A,B", help=f"Which topics, of {ALL_TOPICS}.")] = ALL_TOPICS
+    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = ALL_TOPICS
     name: Annotated[
         str | None,
-        Option(metavar="NAME", help="What topics and frames begin with; else the calibration's sensor."),
+        Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor."),
     ] = None
-    seconds: Annotated[float | None, number("How long; else to the end or Ctrl-C.")] = None
+    seconds: Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")] = None
     background: Background = None
 
     def wanted(self) -> tuple[str, ...]:
@@ -92,9 +92,9 @@ def ros(
         str, Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
     sent: Sent,
-    router: Annotated[str, Option(metavar="ADDRESS", help="Of the zenoh router.")] = ROUTER,
+    router: Annotated[str, Option(metavar="ADDRESS", help="Address of the zenoh router.")] = ROUTER,
     domain: Annotated[
-        int, Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="That of those who listen.")
+        int, Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="ROS domain of the subscribers.")
     ] = 0,
     shown: Shown,
 ) -> None:

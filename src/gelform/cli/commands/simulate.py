@@ -41,7 +41,7 @@ class Look:
         Path | None,
         Option(
             metavar="CAL.npz",
-            help="Instead: answer as this calibrated sensor does, or as Taxim's tables say.",
+            help="Answer as this calibrated sensor, or as Taxim's tables.",
         ),
     ] = None
     background: Annotated[
@@ -56,10 +56,11 @@ class Look:
 class Balls:
     """A set of presses of balls."""
 
-    count: Annotated[int, Option(min=1, help="How many presses of balls.")] = 40
-    ball_diameter_mm: Annotated[
-        list[float], number("Diameter of a ball, mm; give several, they take turns.")
-    ] = (6.0, 9.0)  # type: ignore[assignment]  # typer makes a list of it
+    count: Annotated[int, Option(min=1, help="Number of ball presses.")] = 40
+    ball_diameter_mm: Annotated[list[float], number("Diameter of a ball, mm; several take turns.")] = (
+        6.0,
+        9.0,
+    )  # type: ignore[assignment]  # typer makes a list of it
 
 
 @dataclass(frozen=True)
@@ -69,15 +70,15 @@ class Face:
     height_map: Annotated[
         Path | None, Option(metavar="FILE", help="Press this instead: heights in mm (.npy), or a gray image.")
     ] = None
-    height_map_mm_per_px: Annotated[float | None, number("Its sample pitch, mm.")] = None
+    height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None
     height_map_range_mm: Annotated[
-        float | None, Option(metavar="F", help="Of a gray image: how high white stands over black, mm.")
+        float | None, Option(metavar="F", help="For a gray image: height of white over black, mm.")
     ] = None
     depth_mm: Annotated[float, number("How deep the height map or mesh is pressed, mm.")] = 0.5
     mesh: Annotated[
         Path | None, Option(metavar="FILE", help="Press this instead: .stl, .ply or .obj (trimesh).")
     ] = None
-    mesh_mm_per_unit: Annotated[float, number("Its unit: 1 for mm, 1000 for meters.")] = 1.0
+    mesh_mm_per_unit: Annotated[float, number("Unit of the mesh: 1 for mm, 1000 for meters.")] = 1.0
 
     def read(self) -> Indenter | None:
         """The thing to press; None for balls."""
@@ -107,7 +108,7 @@ def simulate(
 ) -> None:
     """Simulate a sensor: images of presses with their truth.
 
-    Balls are pressed, or your own height map or mesh.
+    Presses balls, or your own height map or mesh.
 
     Balls make a press folder that `gelform calibrate` reads: background.png, presses.csv with labels,
     sensor.toml, images/, and truth/ with depth_mm, gradients, contact and more of each image. A height map
@@ -237,8 +238,8 @@ def design(
 
     Lights, crosstalk, noise, gel.
 
-    Each is simulated, calibrated on ball presses and measured on others, whose depth is known exactly. The
-    slope noise and the condition of the lights say where on the gel a design is weak, whatever the calibration.
+    Each design is simulated, calibrated on ball presses and measured on others, whose depth is known exactly. The
+    slope noise and the condition of the lights show where on the gel a design is weak, for any calibration.
 
     \b
     Examples:

@@ -153,7 +153,7 @@ class PressesTaken:
     presses: Annotated[
         bool, Option("--presses", help="Take a background and presses with the space bar, for calibrate.")
     ] = False
-    ball_diameter_mm: Annotated[float | None, number("Of the ball that presses, mm.", ball_diameter)] = None
+    ball_diameter_mm: Annotated[float | None, number("Diameter of the ball, mm.", ball_diameter)] = None
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
 
@@ -166,19 +166,21 @@ def record(
     output: Annotated[
         Path, Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file, or a new folder of images.")
     ],
-    seconds: Annotated[float | None, number("How long; else until Ctrl-C.")] = None,
-    frames: Annotated[int | None, Option(metavar="N", min=1, help="How many frames.")] = None,
+    seconds: Annotated[float | None, number("Duration in seconds; else until Ctrl-C.")] = None,
+    frames: Annotated[int | None, Option(metavar="N", min=1, help="Number of frames.")] = None,
     taken: PressesTaken,
     calibration: Annotated[
         Path | None,
-        Option("--calibration", "-c", metavar="CAL.npz", help="The calibration in use: its digest is kept."),
+        Option(
+            "--calibration", "-c", metavar="CAL.npz", help="The calibration in use; its digest is recorded."
+        ),
     ] = None,
     set_: Annotated[
         list[str] | None,
         Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Of the camera: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
+            help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
         ),
     ] = None,
     shown: Shown,

@@ -14,22 +14,22 @@ from gelform.cli.outputs import check_output
 
 def starter(
     *,
-    sensor: Annotated[str, Argument(metavar="SENSOR", help=f"Which make it is: {listed(STARTERS)}.")],
+    sensor: Annotated[str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(STARTERS)}.")],
     background: Annotated[
-        Path, Option(metavar="IMG|DIR", help="The unit's untouched gel: an image, or a folder of several.")
+        Path, Option(metavar="IMG|DIR", help="The unit's gel at rest: an image, or a folder of several.")
     ],
     output: NewCalibration,
     mm_per_px: MmPerPx = None,
     serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
-    gel: Annotated[str | None, Option(metavar="TEXT", help="Which gel is on it.")] = None,
+    gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
     overwrite: Overwrite = False,
     shown: Shown,
 ) -> None:
-    """Make a calibration of a sensor that was never pressed.
+    """Make a calibration of a sensor without any press.
 
-    What other units of its make have shown is brought to this unit's light, which the image of its untouched gel tells.
-    Its slopes, and depth with them, may be off by some percent, which every result says and has in its deviations.
-    Presses of a ball make a better one: gelform calibrate.
+    A starter is a general calibration of a make. The image of this unit's gel at rest adapts it to the unit's light.
+    Slopes and depth may be off by some percent. Every result says so, and its standard deviations include it.
+    For a better calibration, press a ball: gelform calibrate.
 
     \b
     Examples:
