@@ -198,8 +198,8 @@ def test_noise_agrees_with_numpy(shift, step):
         return np.array([-np.median(sample[sample < 0]) if (sample < 0).any() else 0.0])
 
     for unit in (None, units):
-        kernel = contact_module._magnitude_of_share
-        assert_kernel_agrees(kernel, of_share, values, unit, work, magnitude, step, 0.3)
+        arguments = values, unit, work, magnitude, step, 0.3
+        assert_kernel_agrees(contact_module._magnitude_of_share, of_share, *arguments)
     assert_kernel_agrees(contact_module._median_below, below, values, work, magnitude, step)
 
 

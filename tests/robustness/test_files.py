@@ -179,7 +179,7 @@ def test_an_odd_entry_of_presses_csv(presses, row, column, entry, ending):
 @cases(200)
 @given(key=st.sampled_from(KEYS), value=st.sampled_from(VALUES), beside=st.booleans())
 def test_an_odd_setting_of_sensor_toml(tmp_path_factory, key, value, beside):
-    path = tmp_path_factory.getbasetemp() / "sensor.toml"
+    path = tmp_path_factory.mktemp("settings") / "sensor.toml"
     lines = SENSOR_TOML.splitlines() if beside else ['name = "known gel"', "mm_per_px = 0.1"]
     kept = [line for line in lines if not line.startswith(key.split(".")[-1] + " =")]
     if key.startswith("view.") and beside:
