@@ -45,7 +45,7 @@ def test_every_figure_of_a_candidate_is_rendered():
     ):
         assert text in drawn
     assert re.search(r'<tr class="chosen"><td>b step 3e-05 ← chosen', drawn)
-    assert "Only one was tried" in models_section({"candidates": rows[:1]})
+    assert "Only one model was tried" in models_section({"candidates": rows[:1]})
     assert "decides" not in models_section({"candidates": rows[:1]})
 
 
@@ -83,7 +83,7 @@ WHERE = {
 def test_slopes_and_places_stand_in_their_rows_and_a_missing_bin_is_a_dash():
     page = where_section({"where": WHERE})
     for said in (
-        "2.12° inside the edge of the contact, at 0.84 of the visible radius; 3.36° up to 3 px inside",
+        "2.12° inside the contact edge, at 0.84 of the visible radius, and 3.36° up to 3 px inside",
         "<td>0.1 – 0.2</td><td>1.11°</td><td>1.99°</td><td>1.02</td><td>500</td>",
         "<td>0.7 – 0.8</td><td>4.44°</td><td>–</td><td>0.91</td><td>90</td>",
         "<tr><td>1.00° / 1.50°</td><td>2.00° / 2.60°</td></tr><tr><td>– / 7.00°</td><td>3.00° / –</td></tr>",

@@ -39,9 +39,9 @@ def presses_section(content: dict[str, Any], images: Sequence[NDArray[np.uint8]]
     names = short_names([row["name"] for row in rows])
     tiles = {k: _press(rows[k], names[k], urls[k], shape, limit) for k in range(len(rows))}
     parts = [
-        '<section id="presses"><h2>Every press, and the circle found on it</h2>',
-        "<p class='lead'>The circle was found without a click. Under each press stands its error when it was held "
-        "out: a model that has not seen this press read it. Click a press to enlarge it, click again to close.</p>",
+        '<section id="presses"><h2>Presses and their circles</h2>',
+        "<p class='lead'>gelform found the circles without a click. Under each press is its held-out error, by a model that "
+        "has not seen this press. Click a press to enlarge it, and click again to close it.</p>",
     ]
     if rejected:
         parts.append(f"<h3>Rejected: {len(rejected)}. They are not in the calibration</h3>")
@@ -121,9 +121,9 @@ def caps_section(content: dict[str, Any], samples: Sequence[HeldOutSample]) -> s
         )
     return (
         "<h3>Depth minus the ball's cap, every held-out press</h3>"
-        f"<p class='lead'>Red is too high, blue too low, full colour {scale:g} µm; the figure is the RMS. "
-        "The same pattern in every press is the color model's; a pattern that stays at one place of the gel is dust, "
-        "a scratch or a shadow.</p>"
+        f"<p class='lead'>Red is too high, blue too low, full color {scale:g} µm; the figure is the RMS. "
+        "The color model causes a pattern that is the same in every press. A pattern that stays at one place of the gel is "
+        "dust, a scratch or a shadow.</p>"
         f'<div class="caps">{"".join(tiles)}</div>'
     )
 

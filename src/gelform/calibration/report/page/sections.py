@@ -16,7 +16,7 @@ from gelform.calibration.report.verdict import shown
 DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
 BACKGROUND_WIDTH_PX = 320  # of the picture of the untouched gel
 CARDS = (
-    ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's, its centre free"),
+    ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's normals, center fitted"),
     ("radius_percent", "The ball's radius", " %", "median error of a sphere fitted to the depth"),
     ("cap_free_um", "Depth in the contact", " µm", "RMS to the ball's cap, no scale fitted"),
     ("off_contact_um", "Depth off the contact", " µm", "RMS where nothing touches; 0 is right"),
@@ -64,15 +64,15 @@ def figures_section(content: dict[str, Any]) -> str:
             f'<span class="muted">{meaning}; {one["presses"]} presses</span></div>'
         )
     head = (
-        '<th>check, and what to do where it is not good</th><th>figure</th><th class="text">verdict</th>'
+        '<th>check, and what to do if it is not good</th><th>figure</th><th class="text">verdict</th>'
         '<th class="limit">good</th><th class="limit">fair</th>'
     )
     return section(
         "figures",
-        "How good it is, on presses that it has not seen",
-        "<p class='lead'>Each press was read by a model made from other presses. Small figures: the 95 % interval "
-        "over presses (drawn with replacement). No scale is fitted anywhere.</p>"
-        f'<div class="cards">{"".join(cards)}</div><h3>What was checked</h3>',
+        "Held-out errors",
+        "<p class='lead'>A model of other presses read each press. The small figures are the 95 % interval over presses "
+        "(drawn with replacement). No scale is fitted.</p>"
+        f'<div class="cards">{"".join(cards)}</div><h3>Checks</h3>',
         table(head, "".join(_check_row(check) for check in content["checks"])),
     )
 
@@ -103,12 +103,12 @@ def coverage_section(content: dict[str, Any]) -> str:
     )
     return section(
         "coverage",
-        "Where presses are missing",
-        f"<p class='lead'>The lights are near, so a colour means another slope at another place: every place should be "
-        f"pressed from all sides. {100 * coverage['covered']:.0f} % of the places and slope directions have been seen. "
-        "A petal is a slope direction; it is empty where no press has shown it, and full from three presses on. "
-        "The dashed circles are where another press of the same ball would take most from the error: few presses "
-        "there, and large errors on held-out ones.</p>"
+        "Coverage: where presses are missing",
+        f"<p class='lead'>The lights are near, so the same color means another slope at another place. Press every place "
+        f"from all sides. The presses show {100 * coverage['covered']:.0f} % of the places and slope directions. "
+        "A petal is a slope direction. It is empty if no press shows it, and full from three presses on. "
+        "At the dashed circles, another press of the same ball would reduce the error most: there are few presses and "
+        "large held-out errors.</p>"
         f'<div class="two"><div>{charts.coverage_map(coverage, facts["image_shape"])}{key}'
         f"</div><div><h3>Press here next</h3><ol>{places}</ol></div></div>",
     )
@@ -128,7 +128,7 @@ def models_section(content: dict[str, Any]) -> str:
         body += f"<tr{kind}><td>{escape(row['candidate'])}{chosen}</td>{figures}<td>{charts.range_bar(row, end)}</td></tr>"
     return section(
         "models",
-        "The color models that were tried",
+        "Color models",
         f"<p class='lead'>{_how_chosen(rows)}</p>",
         table(f'<th>model</th>{head}<th class="text">normals, from 0°</th>', body, ' class="tight"'),
     )
@@ -136,15 +136,15 @@ def models_section(content: dict[str, Any]) -> str:
 
 def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
     dealt = (
-        "The presses are dealt into folds; each model is fitted on the other folds, refined without it, and its "
-        "slopes are compared with the ball's on presses that it has not seen, inside the edge of the contact. A step is a "
+        "The presses are split into folds. For each fold, a model is fitted on the other folds. Its slopes are compared "
+        "with the ball's on the presses of the fold, inside the contact edge. A step is a "
         "correction of the slopes by the forward response: the color that a slope gives at a place and a depth. "
     )
     if len(rows) < 2:
-        return dealt + "Only one was tried."
+        return dealt + "Only one model was tried."
     return dealt + (
-        "The smallest typical slope error (geometric mean over presses) decides among the settings of one color model; its "
-        "step is chosen then, in the same way."
+        "The smallest typical slope error (geometric mean over presses) decides among the settings of one color model. "
+        "Its step is chosen next, in the same way."
     )
 
 
@@ -173,10 +173,10 @@ def errors_section(content: dict[str, Any], caps: str) -> str:
     key = _key(*shades, f"an arrow over a whole cell: {limit / 0.9:.2f} mm/mm", "blank: no held-out press")
     return section(
         "errors",
-        "Where the errors are",
+        "Residuals: where the errors are",
         f'<div class="two"><div>{charts.slope_error_map(errors, content["calibration"]["image_shape"])}</div><div>'
-        "<p>Error of the held-out slopes by place. The shade is its RMS size; an arrow is the mean error, "
-        "which more pixels do not average out: arrows that agree over a region mean that the model does not know that "
+        "<p>Error of the held-out slopes by place. The shade is its RMS size. An arrow is the mean error, "
+        "which more pixels do not reduce. If arrows agree over a region, the model does not know that "
         f"region's light.</p>{key}</div></div>{caps}",
     )
 
@@ -187,14 +187,14 @@ def where_section(content: dict[str, Any]) -> str:
     zone = "up to the rim"
     return section(
         "where",
-        "At which slopes and places?",
+        "Errors by slope and place",
         "<p class='lead'>Mean angle between the normals of the solved depth and the ball's, over held-out pixels: "
-        f"{_deg(where['contact']['normal_deg'])} inside the edge of the contact, at {where['contact_radius_ratio']:.2f} of "
-        f"the visible radius; {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim, where the gel has "
-        "left the ball: that difference is mostly not the color model's.</p>"
+        f"{_deg(where['contact']['normal_deg'])} inside the contact edge, at {where['contact_radius_ratio']:.2f} of "
+        f"the visible radius, and {_deg(where['rim']['normal_deg'])} up to 3 px inside the visible rim. There the gel has "
+        "left the ball, so most of the difference is no error of the color model.</p>"
         f'<div class="two">{_slope_table(where, zone)}'
         f'<div class="scroll">{_place_table(where)}<p class="muted">The image in cells, row by row: contact / '
-        f"{zone}, degrees. A dash: hardly a held-out press.</p></div></div>",
+        f"{zone}, degrees. A dash means too few held-out pixels.</p></div></div>",
     )
 
 
@@ -227,19 +227,19 @@ def gain_section(content: dict[str, Any]) -> str:
     """Recovered over true slope."""
     gain = content["gain"]
     key = _key(
-        '<i style="background:var(--accent);height:3px"></i>inside the edge of the contact, '
+        '<i style="background:var(--accent);height:3px"></i>inside the contact edge, '
         f"{gain['contact_radius_ratio']:.2f} of the visible radius",
         '<i style="background:var(--second);height:3px"></i>up to the visible rim',
     )
     return section(
         "gain",
-        "Are slopes read at their full size?",
+        "Slope gain",
         f'<div class="two"><div>{charts.gain_chart(gain)}{key}</div>'
-        "<div><p>Recovered over true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1 slopes are read "
-        "too flat (noise pulls them to the mean, or such slopes were never pressed), above 1 too steep. Bands are 95 % "
-        "intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel has "
-        "already left the ball, so the ball is steeper than the gel: that this line falls is expected, and it is not an "
-        "error of the color model alone.</p></div></div>",
+        "<div><p>Recovered slope divided by true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1, "
+        "slopes are too flat: noise pulls them to the mean, or no press shows such slopes. Above 1, they are too steep. "
+        "Bands are 95 % intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel has "
+        "already left the ball, so the ball is steeper than the gel. This line falls on every sensor, and the color model "
+        "alone is not the cause.</p></div></div>",
     )
 
 
@@ -250,7 +250,7 @@ def learning_section(content: dict[str, Any]) -> str:
         return section(
             "learning",
             title,
-            "<p>There is no learning curve: with so few presses none can be held out of it.</p>",
+            "<p>There is no learning curve: there are too few presses to hold some out.</p>",
         )
     low, high = learning["expected"]["more_deg_range"]
     points = "".join(
@@ -266,10 +266,10 @@ def learning_section(content: dict[str, Any]) -> str:
         title,
         f"<p><strong>{escape(learning['sentence'])}</strong></p>"
         f'<div class="two"><div>{charts.learning_chart(learning)}</div><div><p class="muted">Each time '
-        f"{learning['held_out_presses']} presses are held out and some of the others train, their circles refined by "
-        "themselves. Pale dots are single draws of presses, the line is their mean. The dotted law, error² = a + b/n, is "
-        "fitted to the means; rings mark what it expects of all presses now, and of ten more (without one draw or the "
-        f"other: {low:.2f} – {high:.2f}°). “May” is said where a single draw would change the answer. The figures at "
+        f"{learning['held_out_presses']} presses are held out, and some of the others train, with circles refined on them "
+        "alone. Pale dots are single draws of presses, and the line is their mean. The dotted law, error² = a + b/n, is "
+        "fitted to the means. Rings mark its prediction for all presses now, and for ten more (if one draw is left out: "
+        f"{low:.2f} – {high:.2f}°). “May” means that a single draw would change the answer. The figures at "
         f"the top are of models that trained on four fifths of the presses.{other}</p>",
         table('<th>presses</th><th>normals</th><th>draws</th><th class="text">model</th>', points),
         "</div></div>",
@@ -281,11 +281,11 @@ def sigma_section(content: dict[str, Any]) -> str:
     sigma, shape = content["sigma"], content["calibration"]["image_shape"]
     return section(
         "sigma",
-        "Is the stated uncertainty right?",
+        "Uncertainty: is the stated standard deviation right?",
         "<p class='lead'>Share of held-out slopes within one stated standard deviation: 68 % is right, the green band "
-        "60–76 % is good. Less means that the calibration promises too much there, more that it is too careful. "
-        f"Overall {100 * sigma['all']:.0f} %. Outside the edge of the contact the gel has left the ball, and nothing "
-        "is counted. The uncertainty was fitted on the same presses, for the final model: those held out are a little "
+        "60–76 % is good. Under that, the stated uncertainty is too small; over that, it is too large. "
+        f"Overall {100 * sigma['all']:.0f} %. Outside the contact edge the gel has left the ball, and no pixel "
+        "counts. The uncertainty was fitted on the same presses for the final model; held-out models are a little "
         "worse.</p>"
         f'<div class="two"><div>{charts.sigma_chart(sigma)}</div><div>{charts.share_map(sigma, shape)}'
         "<p class='muted'>The same by place.</p></div></div>",
@@ -316,8 +316,8 @@ def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
     clipped = f"{background['saturated_percent']:.1f} % saturated, {background['dark_percent']:.1f} % dark"
     listed: list[tuple[str, Any]] = [
         ("Sensor", facts["sensor_name"]),
-        ("Serial number", facts["serial"] or "not written down"),
-        ("Gel", facts["gel_id"] or "not written down"),
+        ("Serial number", facts["serial"] or "not given"),
+        ("Gel", facts["gel_id"] or "not given"),
         ("Image", f"{facts['image_shape'][0]} × {facts['image_shape'][1]} px"),
         ("Scale", f"{facts['mm_per_px']:.5g} mm per pixel{known}"),
         ("Balls", ", ".join(f"{ball:g} mm" for ball in facts["ball_diameters_mm"])),
