@@ -238,8 +238,8 @@ def gain_section(content: dict[str, Any]) -> str:
         "<div><p>Recovered slope divided by true slope; <strong>1 is right</strong>, the green band is ±5 %. Below 1, "
         "slopes are too flat: noise pulls them to the mean, or no press shows such slopes. Above 1, they are too steep. "
         "Bands are 95 % intervals over presses.</p><p>The dashed line counts up to the visible rim. Near the rim the gel "
-        "has already left the ball, so the ball is steeper than the gel. This line falls on every sensor, and the color model "
-        "alone is not the cause.</p></div></div>",
+        "has already left the ball, so the ball is steeper than the gel. This line falls on every sensor, and the color "
+        "model alone is not the cause.</p></div></div>",
     )
 
 
