@@ -86,8 +86,9 @@ def compiler(target: str) -> list[str]:
         "ziglang",
         "cc",
         *where,
-        "-mcpu=baseline",
-    ]  # without it zig builds for this CPU alone
+        "-mcpu=baseline",  # without it zig builds for this CPU alone
+        "-s",  # symbols that no caller needs are half of a Windows library
+    ]
 
 
 def run(command: list[str]) -> None:
