@@ -54,7 +54,7 @@ def test_a_wrong_diameter_is_read_by_another_unit_s_model(presses, known, factor
     assert all((one.sigmas > MOST_SIGMAS) == (factor != 1) for one in readings)
     assert all(one.sigma_mm >= SPREAD * one.read_mm for one in readings)
     words = notes_of(readings)[0]
-    assert ("check the diameter, or mm_per_px" in words) == (factor != 1)
+    assert ("Check the diameter and mm_per_px" in words) == (factor != 1)
     assert f"{readings[0].stated_mm:g} mm" in words
 
 
@@ -101,7 +101,7 @@ def test_real_presses_of_a_wrong_diameter_are_never_good_in_silence(data, name, 
     verdict = report_content(presses, calibration, rng=np.random.default_rng(0))["verdict"]
     assert verdict["level"] == "poor"
     assert "diameter" in verdict["headline"]
-    assert any("check the diameter, or mm_per_px" in note for note in calibration.report.notes)
+    assert any("Check the diameter and mm_per_px" in note for note in calibration.report.notes)
 
 
 @pytest.mark.slow

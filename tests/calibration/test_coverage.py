@@ -107,7 +107,8 @@ def test_presses_that_reach_over_the_image_are_in_no_part():
         circles = [(x, y, radius) for x in (45, 120, 200, 275) for y in (57, 120, 182)]
         assert one_part(circles, SHAPE) is None
         (note,) = coverage_notes(circles, SHAPE)
-        assert note.startswith("8 more presses are advised (12 of 20 fit)")
+        assert note.startswith("Take 8 more presses")
+        assert note.endswith("So far 12 presses fit; 20 are advised.")
 
 
 @given(
@@ -143,7 +144,7 @@ def test_too_few_presses_are_counted_and_placed():
     circles = lattice(3, 4)
     del circles[4]
     (note,) = coverage_notes(circles, SHAPE)
-    assert "9 more presses are advised (11 of 20 fit), first at left (" in note
+    assert "Take 9 more presses, first at left (" in note
     assert coverage_notes(lattice(4, 5), SHAPE) == ()
 
 

@@ -53,7 +53,7 @@ def test_a_ball_that_none_is_in_memory(presses, diameter, error, message):
     ("indices", "background", "message"),
     [
         (range(14), False, r"All 14 presses .* red and blue exchanged"),
-        ((), True, "they or the background were saved as BGR"),
+        ((), True, "they or the background image are saved as BGR"),
         ((2, 5), False, r"2 of 14 presses .* reversed: {2}, {5}\."),
     ],
 )
@@ -146,12 +146,15 @@ def test_presses_in_one_corner_are_noted(presses, simulated):
 
 def test_the_report_says_how_many_presses_are_missing(calibration):
     used = sum(row.accepted for row in calibration.report.presses)
-    assert any(f"({used} of 20 fit), first at" in note for note in calibration.report.notes)
+    assert any(
+        f"So far {used} presses fit; 20 are advised" in note and "more presses, first at" in note
+        for note in calibration.report.notes
+    )
 
 
 def test_too_few_presses_say_where(presses):
     with pytest.raises(
-        gelform.CalibrationError, match=r"at least 3 presses .* more presses are advised .* first at"
+        gelform.CalibrationError, match=r"at least 3 presses .* more presses, first at .* 20 are advised"
     ):
         gelform.calibrate(presses.subset([0, 1]))
 
@@ -188,8 +191,8 @@ def test_light_that_drifted_since_the_background_is_noted(presses):
 @pytest.mark.parametrize(
     ("channel", "gain", "said"),
     [
-        (2, 0.05, "Blue is in 100 % of the untouched image under 10"),
-        (0, 50, "Red is in 100 % of the .* saturated"),
+        (2, 0.05, "In 100 % of the background image, blue is below 10"),
+        (0, 50, "In 100 % of the background image, red is saturated"),
     ],
 )
 def test_a_channel_that_says_little_is_noted(presses, channel, gain, said):
@@ -243,7 +246,7 @@ def edge_notes(presses, prepared):
     contact = find_contact(prepared[0].color_change)
     refined = Refined((contact,) * len(prepared), (None,) * len(prepared), None)
     notes = input_notes(Located(presses, prepared, [], refined))
-    return [note for note in notes if "leaves the ball" in note]
+    return [note for note in notes if "contact edge" in note]
 
 
 def test_a_gel_that_leaves_the_ball_early_is_named(presses, prepared):
@@ -253,7 +256,7 @@ def test_a_gel_that_leaves_the_ball_early_is_named(presses, prepared):
     cut = [replace(press, contact_radius_ratio=0.54) for press in prepared[:4]]
     assert len({press.ball_radius_px for press in cut}) == 2
     (note,) = edge_notes(presses, cut)
-    assert "leaves the ball at 0.54 of the visible circles' radius" in note
+    assert "contact edge is at 0.54 of the visible circles' radius" in note
     assert "smaller than stated" not in note
     (alike,) = edge_notes(presses, [replace(press, ball_radius_px=20.0) for press in cut])
     assert "A ball that is smaller than stated looks the same" in alike

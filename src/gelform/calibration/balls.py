@@ -52,15 +52,16 @@ class BallReading:
         read = f"{self.read_mm:.3g} ± {self.sigma_mm:.2g} mm"
         if self.sigmas > MOST_SIGMAS:
             return (
-                f"The presses look like a ball of {read}, {self.stated_mm:g} mm was stated: check the diameter, or "
-                f"mm_per_px (read by {self.by})."
+                f"The presses look like a ball of {read}, but the stated diameter is {self.stated_mm:g} mm. Check "
+                f"the diameter and mm_per_px. The measurement uses {self.by}."
             )
-        return f"The stated diameter of {self.stated_mm:g} mm agrees with {read}, read by {self.by}."
+        return f"The stated diameter of {self.stated_mm:g} mm agrees with {read}, as measured by {self.by}."
 
 
 UNCHECKED = (
-    "Nothing checked the ball's diameter: no other unit of this sensor is known, and one size was pressed, or too few "
-    "presses of a second one. If the diameter or mm_per_px is wrong, every depth is wrong in proportion. Measure the ball."
+    "Nothing checked the ball's diameter. gelform knows no other unit of this sensor, and the presses are of one "
+    "size, or too few are of a second one. If the diameter or mm_per_px is wrong, every depth is wrong in "
+    "proportion. Measure the ball."
 )
 
 

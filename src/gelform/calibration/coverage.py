@@ -192,15 +192,17 @@ def coverage_notes(circles: Sequence[Circle], shape: tuple[int, int]) -> tuple[s
     part = one_part(circles, shape)
     if part is not None:
         return (
-            f"All {len(circles)} presses lie in the {part} of the image. Elsewhere colours mean other slopes, and depth "
-            f"there is a guess. Press all over the gel{_at('next', press_next(coverage))}.",
+            f"All {len(circles)} presses lie in the {part} of the image. Elsewhere the same colors mean other "
+            f"slopes, so depth there is a guess. Press all over the gel{_at('next', press_next(coverage))}.",
         )
     advised = NEEDED["advised"].presses
     missing = advised - len(circles)
     if missing > 0:
         places = press_next(coverage, min(missing, NAMED_PLACES))
         where = _at("first", places) or ", all over the gel"
-        return (f"{missing} more presses are advised ({len(circles)} of {advised} fit){where}.",)
+        return (
+            f"Take {missing} more presses{where}. So far {len(circles)} presses fit; {advised} are advised.",
+        )
     if coverage.fraction < 0.5:
         where = _at("first", press_next(coverage)) or ", with larger contacts"
         return (

@@ -47,7 +47,9 @@ def check_inputs(presses: Presses) -> None:
 def _check_any(presses: Presses) -> None:
     if not presses.presses:
         flats = (
-            f", got {len(presses.flats)} of flat punches, which are only evaluated" if presses.flats else ""
+            f", got {len(presses.flats)} of flat punches, which gelform only evaluates"
+            if presses.flats
+            else ""
         )
         raise CalibrationError(
             f"Expected presses of a ball in {presses.folder}{flats or ', got none'}. "
@@ -69,8 +71,8 @@ def _check_flats(presses: Presses) -> None:
 def _check_colored(presses: Presses) -> None:
     if all(np.ptp(press.image, axis=-1).max() == 0 for press in presses.presses):
         raise CalibrationError(
-            f"The {len(presses.presses)} presses of {presses.folder} are grey: red, green and blue are equal "
-            "everywhere. Slopes are read from light of three colours from three sides. Use a colour camera's images."
+            f"The {len(presses.presses)} presses of {presses.folder} are gray: red, green and blue are equal "
+            "everywhere. gelform reads slopes from light of three colors from three sides. Use a color camera's images."
         )
 
 
@@ -80,13 +82,13 @@ def _check_channels(presses: Presses) -> None:
         return
     if len(wrong) == len(presses.presses):
         raise CalibrationError(
-            f"All {len(wrong)} presses of {presses.folder} fit the background better with red and blue exchanged: either "
-            "they or the background were saved as BGR. Save all as RGB files, in one way."
+            f"All {len(wrong)} presses of {presses.folder} fit the background better with red and blue exchanged. Either "
+            "they or the background image are saved as BGR. Save all as RGB files, in the same way."
         )
     named = ", ".join(wrong[:5]) + (f" and {len(wrong) - 5} more" if len(wrong) > 5 else "")
     raise CalibrationError(
-        f"{len(wrong)} of {len(presses.presses)} presses of {presses.folder} look like BGR, their channels fit the "
-        f"background better reversed: {named}. Save all as RGB files, in one way."
+        f"{len(wrong)} of {len(presses.presses)} presses of {presses.folder} look like BGR, because their channels fit "
+        f"the background better reversed: {named}. Save all as RGB files, in the same way."
     )
 
 
@@ -106,8 +108,8 @@ def _check_untouched(presses: Presses) -> None:
     if found is not None:
         raise CalibrationError(
             f"The background of {presses.folder} has a contact in it, about ({found.x_px:.0f}, {found.y_px:.0f}) px, "
-            f"radius {found.radius_px:.0f} px: there it differs from what most presses show. Take the background "
-            "again, with nothing touching the gel, or name another with background= (--background)."
+            f"radius {found.radius_px:.0f} px. There it differs from most presses. Take the background image again, with "
+            "nothing touching the gel, or name another one with background= (--background)."
         )
 
 
@@ -161,13 +163,16 @@ def light_notes(background: NDArray[np.float32]) -> tuple[str, ...]:
         for where, said in (
             (
                 channel < DARK,
-                f"under {DARK:g} grey levels: noise hides slopes there. Raise its light or exposure.",
+                f"below {DARK:g} gray levels. Noise hides slopes there. Raise its light or exposure.",
             ),
-            (channel >= SATURATED, "saturated: brighter slopes look like it. Lower its light or exposure."),
+            (
+                channel >= SATURATED,
+                "saturated. Brighter slopes look the same there. Lower its light or exposure.",
+            ),
         ):
             fraction = float(where.mean())
             if fraction > MOST_UNUSABLE:
-                notes.append(f"{name} is in {100 * fraction:.0f} % of the untouched image {said}")
+                notes.append(f"In {100 * fraction:.0f} % of the background image, {name.lower()} is {said}")
     return tuple(notes)
 
 
@@ -176,10 +181,10 @@ def _edge_notes(prepared: Sequence[PreparedPress]) -> tuple[str, ...]:
     if not prepared or prepared[0].contact_radius_ratio >= EARLY_EDGE:
         return ()
     one_size = len({press.ball_radius_px for press in prepared}) == 1
-    alike = " A ball that is smaller than stated looks the same: measure it, or press a second size."
+    alike = " A ball that is smaller than stated looks the same. Measure it, or press a second size."
     return (
-        f"The gel leaves the ball at {prepared[0].contact_radius_ratio:.2f} of the visible circles' radius: nothing further "
-        f"out trains, and errors are counted up to there.{alike if one_size else ''}",
+        f"The contact edge is at {prepared[0].contact_radius_ratio:.2f} of the visible circles' radius. Pixels "
+        f"further out do not train, and errors count up to there.{alike if one_size else ''}",
     )
 
 
@@ -189,8 +194,8 @@ def _scale_notes(presses: Presses) -> tuple[str, ...]:
     if off is None or off < UNUSUAL_SCALE:
         return ()
     return (
-        f"{presses.mm_per_px:g} mm/px was stated, which is {100 * off:.0f} % off that of the make's images: check it, or "
-        "measure it with gelform scale. Depth is off in the same proportion.",
+        f"The stated {presses.mm_per_px:g} mm/px differs by {100 * off:.0f} % from that of the make's images. Check it, or "
+        "measure it with gelform scale. If it is wrong, depth is wrong in the same proportion.",
     )
 
 
@@ -212,9 +217,9 @@ def light_order_note(
     if turned == expected:
         return None
     return (
-        f"Red, green and blue light come round the gel {turned}; in a {presses.sensor_name} that is {expected}. Either all "
-        "images, the background too, were saved as BGR, or they are mirrored. A calibration fits images of its own kind "
-        "only: read new ones in the same way."
+        f"Red, green and blue lights follow each other {turned} around the gel. In a {presses.sensor_name} the order is "
+        f"{expected}. Either all images and the background are saved as BGR, or they are mirrored. A calibration fits only "
+        "images of the same kind, so read new ones in the same way."
     )
 
 

@@ -13,8 +13,8 @@ def test_nothing_is_measured_by_default():
     assert geometry.matrix is None
     assert geometry.settings() == {}
     scale, crosstalk = geometry.notes(1.0, None)
-    assert "the number given; its standard deviation is not known" in scale
-    assert "absorbed in the color model" in crosstalk
+    assert "the number given. Its standard deviation is not known" in scale
+    assert "The color model absorbs the crosstalk" in crosstalk
 
 
 def test_the_table_of_a_sensor_toml():
@@ -32,7 +32,7 @@ def test_the_table_of_a_sensor_toml():
 def test_a_report_says_all_of_it():
     table = {"scale": "a punch of 5 mm", "lens": "96 points", "crosstalk": MATRIX, "crosstalk_spread": MATRIX}
     notes = Geometry.from_settings(table).notes(0.45, 0.0004)
-    assert notes[0].startswith("Scale from a punch of 5 mm; its standard deviation is 0.0004 mm/px")
+    assert notes[0].startswith("The scale comes from a punch of 5 mm. Its standard deviation is 0.0004 mm/px")
     assert "30.0 % (blue light in the green channel)" in notes[1]
     assert "exponent 0.45" in notes[2]
-    assert notes[3] == "Lens undone: 96 points."
+    assert notes[3] == "gelform corrects the lens: 96 points."

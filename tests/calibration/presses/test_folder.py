@@ -120,8 +120,8 @@ def test_labels_are_read_and_rows_of_other_indenters_are_named(copy):
     rewrite(copy, labelled)
     read = gelform.read_presses(copy)
     assert [press.label for press in read.presses] == [(80.5, 60.0, 21.0)]
-    assert ["Flat were left out: 1" in note for note in read.notes] == [True, False]
-    assert ["cube were left out: 12" in note for note in read.notes] == [False, True]
+    assert ["indenter Flat: 1 (" in note for note in read.notes] == [True, False]
+    assert ["indenter cube: 12 (" in note for note in read.notes] == [False, True]
 
 
 def flat_rows(header, rows, *heights):
@@ -142,7 +142,7 @@ def test_flat_punches_of_known_height_are_read_beside_the_balls(copy):
     assert read.flats[1].digest == whole.presses[2].digest
     assert [press.name for press in read.presses] == [press.name for press in whole.presses[3:]]
     (note,) = read.notes
-    assert "with the indenter flat without height_mm were left out: 1" in note
+    assert "left out rows of presses.csv with the indenter flat without height_mm: 1 (" in note
     assert calls[-1][:2] == (13, 13)
     assert whole.flats == ()
     assert whole.notes == ()
@@ -162,7 +162,7 @@ SPOILT = {
     "missing image": (lambda h, r: (h, [["nowhere.png", "5"], *r[1:]]), r"No file .*nowhere\.png"),
     "no rows": (lambda h, r: (h, []), "No press of a ball in"),
     "punches alone": (lambda h, r: only(h, r, "flat", "0.5"), "beside 1 of flat punches"),
-    "cubes alone": (lambda h, r: only(h, r, "cube", ""), "indenter cube were left out: 1"),
+    "cubes alone": (lambda h, r: only(h, r, "cube", ""), "indenter cube: 1 "),
     "height in um": (lambda h, r: flat_rows(h, r, "35"), "0.01 to 20 mm, got 35. Is it in mm"),
     "height in words": (lambda h, r: flat_rows(h, r, "low"), "height_mm as a number, got 'low'"),
     "negative height": (lambda h, r: flat_rows(h, r, "-0.1"), "got -0.1"),
@@ -306,9 +306,9 @@ def test_scale_and_crosstalk_are_recorded(presses):
     assert (seen.mm_per_px, seen.mm_per_px_sigma) == (0.11, 0.001)
     assert seen.geometry.settings()["scale_source"] == "two points"
     notes = " ".join(seen.geometry.notes(1.0, seen.mm_per_px_sigma))
-    assert "Scale from two points; its standard deviation is 0.001 mm/px" in notes
-    assert "Crosstalk is undone before the color model: crosstalk up to 20.0 %" in notes
-    assert "absorbed" in " ".join(presses.geometry.notes(1.0, None))
+    assert "The scale comes from two points. Its standard deviation is 0.001 mm/px" in notes
+    assert "gelform removes crosstalk up to 20.0 %" in notes
+    assert "absorbs" in " ".join(presses.geometry.notes(1.0, None))
 
 
 def test_a_path_is_read_and_nothing_else_is_taken(folder):

@@ -43,8 +43,8 @@ def test_more_presses_are_better_and_said_so(learning, calibration):
     expected = learning["expected"]
     assert expected["presses_now"] == accepted
     assert expected["floor_deg"] <= expected["more_deg"] <= expected["now_deg"]
-    assert f"{expected['now_deg']:.2f}° to {expected['more_deg']:.2f}°" in learning["sentence"]
-    assert learning["sentence"].startswith(f"More presses {expected['help']}: ")
+    assert f"{expected['more_deg']:.2f}° instead of {expected['now_deg']:.2f}°" in learning["sentence"]
+    assert learning["sentence"].startswith(f"More presses {expected['help']}. ")
     low, high = expected["more_deg_range"]
     assert low <= high
     json.dumps(learning)

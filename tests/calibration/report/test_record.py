@@ -52,7 +52,7 @@ def test_the_notes_say_how_often_folds_agreed_and_whence_the_scale_is(calibratio
     held_out, *others = report.notes
     assert f"{report.held_out['presses']:.0f} presses in 5 folds" in held_out
     assert " of 5 folds chose" in held_out
-    assert any("Scale from the number given" in note for note in others)
+    assert any("The scale comes from the number given" in note for note in others)
 
 
 def test_every_figure_has_words(calibration):

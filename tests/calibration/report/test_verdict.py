@@ -21,7 +21,7 @@ def test_levels_change_at_their_limits(limit):
 
 def test_all_good_is_to_be_used_and_what_is_not_known_is_said():
     verdict = verdict_of(checks_of(GOOD))
-    assert verdict["headline"] == "Good: normals 3.0°, radius 3.0 %, held out"
+    assert verdict["headline"] == "Good: held-out normals are off by 3.0°, the ball radius by 3.0 %"
     assert verdict["next"].startswith("Use it.")
     assert verdict["because"] is None
     assert verdict["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0}
@@ -38,16 +38,22 @@ def test_the_worse_of_normals_and_radius_is_the_level():
 @pytest.mark.parametrize(
     ("figures", "because"),
     [
-        ({"presses_used": 20.0, "normal_free_deg": 9.0}, "normals, held out: 9°, poor"),  # poor before fair
+        (
+            {"presses_used": 20.0, "normal_free_deg": 9.0},
+            "angle error of the normals, held out: 9°, poor",
+        ),  # poor before fair
         ({"presses_used": 6.0, "normal_free_deg": 9.0}, "presses used: 6, poor"),  # 5 times, not 3
-        ({"presses_used": 9.0, "radius_percent": 30.0}, "ball's radius, held out: 30 %, poor"),
+        ({"presses_used": 9.0, "radius_percent": 30.0}, "error of the ball's radius, held out: 30 %, poor"),
         ({"presses_used": 15.0, "cap_free_um": 40.0}, "presses used: 15, fair"),  # alike: the cause
-        ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth off the contact, held out: 79 µm, fair"),
+        ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth error off contact, held out: 79 µm, fair"),
         (
             {"scale_percent": None, "ball_sizes": 1.0},
             "ball sizes: 1, fair",
         ),  # what is not known is no large fault
-        ({"covered_percent": 0.0, "normal_free_deg": 90.0}, "places and slope directions seen: 0 %, poor"),
+        (
+            {"covered_percent": 0.0, "normal_free_deg": 90.0},
+            "places and slope directions that presses show: 0 %, poor",
+        ),
     ],
 )
 def test_the_largest_fault_comes_next(figures, because):
@@ -61,11 +67,11 @@ def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
     refuted = verdict_of(checks_of({**GOOD, "ball_sigmas": 9.0, "presses_used": 1.0}))
     assert refuted["level"] == "poor"
     assert refuted["headline"].startswith(
-        "Poor: the diameter of the ball or mm_per_px is wrong; by them normals 3.0°"
+        "Poor: the ball diameter or mm_per_px is wrong. With them, held-out normals are off by 3.0°"
     )
     assert refuted["next"].startswith("Check the ball's diameter")
     assert verdict_of(checks_of({**GOOD, "ball_sigmas": None}))["headline"].endswith(
-        "; diameter of the ball unchecked"
+        ". Nothing checked the ball diameter"
     )
     unusual = verdict_of(checks_of({**GOOD, "scale_off_percent": 25.0}))
-    assert unusual["headline"].endswith("; unusual mm_per_px for this sensor")
+    assert unusual["headline"].endswith(". The mm_per_px is unusual for this sensor")

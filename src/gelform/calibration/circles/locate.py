@@ -228,7 +228,7 @@ def other_ball_note(
     if abs(np.log(factor)) <= STATED_SIZE:
         return None
     return (
-        f"{accepted} of {count} presses fit a ball {factor:.2f} times as large as stated: check ball_diameter_mm and "
+        f"{accepted} of {count} presses fit a ball {factor:.2f} times as large as stated. Check ball_diameter_mm and "
         "mm_per_px."
     )
 
@@ -241,7 +241,7 @@ def check_places(located: Located, places: int) -> None:
     if len(refined.accepted) >= least:
         raise CalibrationError(
             f"Expected presses at {least} places or more, got {places} among the {len(refined.accepted)} of "
-            f"{presses.folder} that fit: the others show the same press. Press the ball at many places, one image each."
+            f"{presses.folder} that fit. The others show the same press. Press the ball at many places, one image each."
         )
     rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
     kinds: dict[str, list[str]] = {}

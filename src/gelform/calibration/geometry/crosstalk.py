@@ -46,7 +46,7 @@ class Crosstalk:
         channel, led = np.unravel_index(int(np.argmax(apart)), (3, 3))
         return (
             f"crosstalk up to {100 * apart.max():.1f} % ({NAMES[led]} light in the {NAMES[channel]} channel), "
-            f"the same over the image to {100 * self.largest_spread:.1f} %"
+            f"constant over the image to within {100 * self.largest_spread:.1f} %"
         )
 
 

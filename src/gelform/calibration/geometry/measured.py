@@ -55,13 +55,15 @@ class Geometry:
         sigma = "is not known" if mm_per_px_sigma is None else f"is {mm_per_px_sigma:.2g} mm/px"
         scale = self.scale_source or "the number given"
         notes = [
-            f"Scale from {scale}; its standard deviation {sigma} and is not in the errors.",
-            "Crosstalk is absorbed in the color model (no frames of single LEDs)."
+            f"The scale comes from {scale}. Its standard deviation {sigma}; the errors do not contain it.",
+            "The color model absorbs the crosstalk, because there are no frames of single LEDs."
             if self.crosstalk is None
-            else f"Crosstalk is undone before the color model: {self.crosstalk.describe()}.",
+            else f"Before the color model, gelform removes {self.crosstalk.describe()}.",
         ]
         if response != 1:
-            notes.append(f"The camera's response, exponent {response:g}, is undone before the color model.")
+            notes.append(
+                f"gelform removes the camera's response, exponent {response:g}, before the color model."
+            )
         if self.lens:
-            notes.append(f"Lens undone: {self.lens}.")
+            notes.append(f"gelform corrects the lens: {self.lens}.")
         return tuple(notes)

@@ -203,7 +203,8 @@ def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
             left_out["flat without height_mm" if indenter == FLAT else indenter] += 1
     names = [ball.name for ball in balls] + [flat.name for flat in flats]
     notes = tuple(
-        f"Rows of presses.csv with the indenter {name} were left out: {count} (known are {BALL}, and {FLAT} with height_mm)."
+        f"gelform left out rows of presses.csv with the indenter {name}: {count} (it knows {BALL}, and {FLAT} "
+        "with height_mm)."
         for name, count in left_out.items()
     )
     return PressSource(rest, balls, lambda k: read_image(folder / names[k]), flats=flats, notes=notes)

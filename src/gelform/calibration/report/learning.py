@@ -221,7 +221,8 @@ def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, 
             "square_slope_deg2": slope,
             "help": _help(gains),
         },
-        "sentence": f"More presses {_help(gains)}: +{MORE} presses are expected to take {now:.2f}° to {later:.2f}°.",
+        "sentence": f"More presses {_help(gains)}. With {MORE} more, gelform expects an angle error of "
+        f"{later:.2f}° instead of {now:.2f}°.",
     }
 
 

@@ -54,7 +54,7 @@ class CalibrationReport:
     candidates : what was tried: name, typical (geometric mean) slope error and mean normal error of the slopes that are read
         on held-out presses, chosen or not
     held_out : errors over the presses, each from a model that has not seen it, of what was chosen without it
-        (centre free): what the procedure does on presses that nothing has seen
+        (free center): what the procedure does on presses that nothing has seen
     seconds : how long it took
     notes : what a reader should know
     held_out_saved : the same of the saved model's kind and settings, fitted without each press; a little
@@ -120,8 +120,8 @@ def _of_starter(fitted: Fitted, offered: Start | None) -> tuple[str, ...]:
         errors[begun] = float(np.exp(min(own))) if own else float("nan")
     used = "was used" if selection.chosen.start is not None else "was not used"
     return (
-        f"{offered.by[0].upper()}{offered.by[1:]} {used}: slopes of held-out presses are off by {errors[True]:.3f} with it, "
-        f"{errors[False]:.3f} without.",
+        f"{offered.by[0].upper()}{offered.by[1:]} {used}. Held-out slopes are off by {errors[True]:.3f} with it and by "
+        f"{errors[False]:.3f} without it.",
     )
 
 
@@ -165,8 +165,8 @@ def _how_held_out(presses: int, selection: Selection) -> str:
     agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
     folds = len(selection.by_fold)
     return (
-        f"Held-out errors: {presses} presses in {folds} folds; circles and model were found without a "
-        f"fold's presses. {agree} of {folds} folds chose what all presses together chose."
+        f"Held-out errors are of {presses} presses in {folds} folds. gelform finds circles and model without the "
+        f"presses of the fold that it judges. {agree} of {folds} folds chose the model that all presses together chose."
     )
 
 

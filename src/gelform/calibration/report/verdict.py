@@ -35,31 +35,31 @@ class Limit:
 
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
-          "Look at the rejected presses: their reasons say what to press or to write down differently."),
+          "Look at the rejected presses. Each reason says what to press or to write down differently."),
     Limit("presses_used", "presses used", "", NEEDED["good"].presses, NEEDED["fair"].presses, True,
-          f"Press the ball at more places: {NEEDED['good'].presses} presses or more, the places marked 1, 2, 3 first."),
-    Limit("normal_free_deg", "normals, held out", "°", 3, 5, False,
-          "Press at the places marked 1, 2, 3; check that exposure and light did not change, and look for cast shadows."),
-    Limit("ball_sigmas", "stated diameter against the measured one", "σ", 1.5, 2, False,
-          "Check the ball's diameter, and mm_per_px: no other unit's presses, nor another ball's, agree with them."),
+          f"Press the ball at more places: {NEEDED['good'].presses} presses or more. Begin at the places marked 1, 2, 3."),
+    Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
+          "Press at the places marked 1, 2, 3. Check that exposure and light did not change. Look for cast shadows."),
+    Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", 1.5, 2, False,
+          "Check the ball's diameter and mm_per_px. Presses of another unit or of another ball contradict them."),
     Limit("scale_off_percent", "mm_per_px against the make's", "%", 10, math.inf, False,
-          "Check mm_per_px: images of this make have another, unless they are cropped in a way of their own."),
-    Limit("radius_percent", "ball's radius, held out", "%", 3, 6, False,
-          "Check the ball's diameter and the mm per pixel that you gave, and add presses of a second ball of another size."),
-    Limit("covered_percent", "places and slope directions seen", "%", 80, 60, True,
-          "Press at the places marked 1, 2, 3: there the gel has not yet been seen from all sides."),
+          "Check mm_per_px. Images of this make have another value, unless you crop them differently."),
+    Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
+          "Check the ball's diameter and the mm per pixel that you gave. Add presses of a second ball of another size."),
+    Limit("covered_percent", "places and slope directions that presses show", "%", 80, 60, True,
+          "Press at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
     Limit("gain_percent", "largest deviation of the slope gain from 1", "%", 5, 12, False,
-          "Press a little deeper, or a smaller ball too: such slopes have been seen too seldom to be read right."),
-    Limit("cap_free_um", "depth in the contact, held out", "µm", 20, 40, False,
-          "Press at the places marked 1, 2, 3, and look for a pattern in the depth pictures: dust, a shadow, a scratch."),
-    Limit("off_contact_um", "depth off the contact, held out", "µm", 30, 80, False,
-          "Take a new background in the same minute as the presses, with exposure and white balance fixed."),
+          "Press a little deeper, or add a smaller ball. Too few presses show such slopes to read them right."),
+    Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
+          "Press at the places marked 1, 2, 3. Look for a pattern in the depth pictures: dust, a shadow, a scratch."),
+    Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
+          "Take a new background image in the same minute as the presses, with exposure and white balance fixed."),
     Limit("sigma_percent", "largest deviation of the uncertainty from 68 %", "%", 10, 23, False,
-          "Press where the share is far off 68 %, first at the places marked 1, 2, 3; until then take it as rough."),
+          "Press where the share is far from 68 %, first at the places marked 1, 2, 3. Until then, it is rough."),
     Limit("ball_sizes", "ball sizes", "", 2, 1, True,
-          "Add presses of a second ball of another size: one size alone cannot show a wrong slope scale."),
+          "Add presses of a second ball of another size. One size alone cannot show a wrong slope scale."),
     Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
-          "Measure mm_per_px on an object of known size and write it with mm_per_px_sigma into sensor.toml."),
+          "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
 )  # fmt: skip
 HEADLINE = ("normal_free_deg", "radius_percent")
 REFUTING = ("ball_sigmas",)  # poor, they make the headline poor: the other figures believe the labels
@@ -105,7 +105,8 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     first = max(first_of, key=_severity, default=None)
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
     figures = (
-        f"normals {named['normal_free_deg']['value']:.1f}°, radius {named['radius_percent']['value']:.1f} %"
+        f"held-out normals are off by {named['normal_free_deg']['value']:.1f}°, "
+        f"the ball radius by {named['radius_percent']['value']:.1f} %"
     )
     return {
         "level": "poor" if refuted else level,
@@ -127,11 +128,11 @@ def _headline(
     level: str, figures: str, ball: Mapping[str, Any], scale: Mapping[str, Any] | None, refuted: bool
 ) -> str:
     if refuted:
-        return f"Poor: the diameter of the ball or mm_per_px is wrong; by them {figures}, held out"
-    unchecked = "; diameter of the ball unchecked" if ball["value"] is None else ""
+        return f"Poor: the ball diameter or mm_per_px is wrong. With them, {figures}"
+    unchecked = ". Nothing checked the ball diameter" if ball["value"] is None else ""
     usual = scale is None or scale["level"] == "good"
-    unusual = "" if usual else "; unusual mm_per_px for this sensor"
-    return f"{level.capitalize()}: {figures}, held out{unchecked}{unusual}"
+    unusual = "" if usual else ". The mm_per_px is unusual for this sensor"
+    return f"{level.capitalize()}: {figures}{unchecked}{unusual}"
 
 
 def _severity(check: Mapping[str, Any]) -> tuple[int, float]:

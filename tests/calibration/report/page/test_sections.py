@@ -24,7 +24,7 @@ def test_figures_stand_with_their_intervals_and_one_that_does_not_exist_is_a_das
     assert f"<b>{value}° <small>{low} – {high}" in drawn
     assert drawn.count("<tr>") == len(content["checks"]) + 1
     figures = {name: one for name, one in content["figures"].items() if name != "off_contact_um"}
-    assert "no press leaves room for it" in figures_section({**content, "figures": figures})
+    assert "no press leaves enough of the image free" in figures_section({**content, "figures": figures})
 
 
 def test_every_figure_of_a_candidate_is_rendered():

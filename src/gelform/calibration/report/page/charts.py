@@ -115,7 +115,7 @@ def gain_chart(gain: dict[str, Any]) -> str:
     ticks = np.round(np.arange(axes.y_range[0], axes.y_range[1] + 0.01, 0.1), 1)
     parts = [
         axes.level_band(*GAIN_RIGHT),
-        axes.frame(_slope_ticks(end), ticks, "true slope, mm/mm", "recovered / true slope"),
+        axes.frame(_slope_ticks(end), ticks, "true slope, mm/mm", "slope gain: recovered / true slope"),
         axes.line(axes.x_range, (1, 1), "one"),
     ]
     for name, kind in (("rim", "second"), ("contact", "first")):
@@ -143,7 +143,11 @@ def learning_chart(learning: dict[str, Any]) -> str:
     axes = Axes((0, end * 1.04), (0, top))
     ticks = np.arange(0, top + 0.1, 1 if top <= 8 else 2)
     step = next(s for s in (5, 10, 20, 50, 100, 200, 500) if end / s <= 9)
-    parts = [axes.frame(np.arange(0, end * 1.04, step), ticks, "presses that train", "normal error", "°")]
+    parts = [
+        axes.frame(
+            np.arange(0, end * 1.04, step), ticks, "presses that train", "angle error of the normals", "°"
+        )
+    ]
     ns = np.linspace(min(10, now), end, 60)
     law = np.sqrt(expected["floor_deg"] ** 2 + expected["square_slope_deg2"] / ns)
     shown = law <= top
@@ -172,7 +176,7 @@ def sigma_chart(sigma: dict[str, Any]) -> str:
     ticks = (0, 20, 40, 60, 80, 100)
     parts = [
         axes.level_band(*SHARE_RIGHT),
-        axes.frame(_slope_ticks(axes.x_range[1]), ticks, "slope, mm/mm", "within one σ", " %"),
+        axes.frame(_slope_ticks(axes.x_range[1]), ticks, "slope, mm/mm", "share within one σ", " %"),
     ]
     for one in bins:
         left, right, percent = axes.x(one["slope_from"]) + 2, axes.x(one["slope_to"]) - 2, 100 * one["share"]
@@ -231,7 +235,9 @@ def coverage_map(coverage: dict[str, Any], shape: Sequence[int]) -> str:
         parts.append(_circle("next", x, y, place["contact_radius_px"] * scale))
         parts.append(_circle("next-mark", x, y, 12))
         parts.append(_text("next-text", x, y + 5, f"{number}"))
-    return _map(parts, shape, MAP_WIDTH, "Slope directions seen at each place, and where to press next")
+    return _map(
+        parts, shape, MAP_WIDTH, "Slope directions that presses show at each place, and where to press next"
+    )
 
 
 def _cells(
@@ -272,7 +278,7 @@ def slope_error_map(errors: dict[str, Any], shape: Sequence[int]) -> str:
         cell = _rect("heat", left, top, width, height, shade)
         parts.append(f"{cell.removesuffix('/>')}>{title}</rect>")
         arrows.append(_arrow(left + width / 2, top + height / 2, mean, 0.9 * min(width, height) / limit))
-    return _map(parts + arrows, shape, MAP_WIDTH, "Held-out slope error over the frame")
+    return _map(parts + arrows, shape, MAP_WIDTH, "Held-out slope error over the image")
 
 
 def scale_of_errors(errors: dict[str, Any]) -> float:

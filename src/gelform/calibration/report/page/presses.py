@@ -17,9 +17,9 @@ from gelform.calibration.held_out.measure import HeldOutSample
 WORSE = 2.0  # times the median error: such presses stand out
 SHOWN = (
     ("normal_free_deg", "normals", "°", 1),
-    ("cap_free_um", "cap", " µm", 0),
-    ("radius_percent", "radius", " %", 1),
-    ("off_contact_um", "off contact", " µm", 0),
+    ("cap_free_um", "depth in the contact", " µm", 0),
+    ("radius_percent", "ball's radius", " %", 1),
+    ("off_contact_um", "depth off contact", " µm", 0),
 )
 BUDGET_BYTES = 1_300_000  # of all pictures of presses: the page stays under 3 MB
 WIDTHS_PX = (320, 240, 160, 112, 80, 56)  # of a press's picture, the first that the budget allows
@@ -44,11 +44,11 @@ def presses_section(content: dict[str, Any], images: Sequence[NDArray[np.uint8]]
         "has not seen this press. Click a press to enlarge it, and click again to close it.</p>",
     ]
     if rejected:
-        parts.append(f"<h3>Rejected: {len(rejected)}. They are not in the calibration</h3>")
+        parts.append(f"<h3>Rejected: {len(rejected)}. The calibration does not use them</h3>")
         parts.append(f'<div class="presses">{"".join(tiles[k] for k in rejected)}</div>')
         parts.append(f"<h3>Used: {len(used)}</h3>")
     else:
-        parts.append(f"<p>All {len(used)} presses fit; none was rejected.</p>")
+        parts.append(f"<p>The calibration uses all {len(used)} presses.</p>")
     parts.append(f'<div class="presses">{"".join(tiles[k] for k in used)}</div></section>')
     return "".join(parts)
 

@@ -14,12 +14,17 @@ from gelform.calibration.report.page.presses import jpeg_url
 from gelform.calibration.report.verdict import shown
 
 DIGEST_SHOWN = 12  # characters of a digest: enough to tell two calibrations apart
-BACKGROUND_WIDTH_PX = 320  # of the picture of the untouched gel
+BACKGROUND_WIDTH_PX = 320  # of the picture of the gel at rest
 CARDS = (
     ("normal_free_deg", "Normals in the contact", "°", "mean angle to the ball's normals, center fitted"),
     ("radius_percent", "The ball's radius", " %", "median error of a sphere fitted to the depth"),
-    ("cap_free_um", "Depth in the contact", " µm", "RMS to the ball's cap, no scale fitted"),
-    ("off_contact_um", "Depth off the contact", " µm", "RMS where nothing touches; 0 is right"),
+    (
+        "cap_free_um",
+        "Depth in the contact",
+        " µm",
+        "RMS difference from the ball's cap, without fitting a scale",
+    ),
+    ("off_contact_um", "Depth off contact", " µm", "RMS where nothing touches the gel; 0 is right"),
 )
 COLUMNS = {
     "normal_free_deg": ("normals", "°"),
@@ -53,7 +58,7 @@ def figures_section(content: dict[str, Any]) -> str:
         one = content["figures"].get(name)
         if one is None:
             cards.append(
-                f'<div class="card">{label}<b>–</b><span class="muted">no press leaves room for it</span></div>'
+                f'<div class="card">{label}<b>–</b><span class="muted">no press leaves enough of the image free</span></div>'
             )
             continue
         check, interval = checks[name], one["interval"]
@@ -115,7 +120,7 @@ def coverage_section(content: dict[str, Any]) -> str:
 
 
 def models_section(content: dict[str, Any]) -> str:
-    """What was tried, with every figure that the run has measured, and how one was chosen."""
+    """The models that were tried, with every figure that the run has measured, and how one was chosen."""
     rows = content["candidates"]
     tried = {key for row in rows for key in row if key not in NOT_FIGURES and not key.endswith("_se")}
     keys = [key for key in COLUMNS if key in tried] + sorted(tried - COLUMNS.keys())
@@ -136,8 +141,8 @@ def models_section(content: dict[str, Any]) -> str:
 
 def _how_chosen(rows: Sequence[dict[str, Any]]) -> str:
     dealt = (
-        "The presses are split into folds. For each fold, a model is fitted on the other folds. Its slopes are compared "
-        "with the ball's on the presses of the fold, inside the contact edge. A step is a "
+        "The presses are split into folds. For each fold, a model is fitted and the circles are refined on the other folds. "
+        "The model's slopes are compared with the ball's on the presses of the fold, inside the contact edge. A step is a "
         "correction of the slopes by the forward response: the color that a slope gives at a place and a depth. "
     )
     if len(rows) < 2:
@@ -170,7 +175,7 @@ def errors_section(content: dict[str, Any], caps: str) -> str:
         f'<i style="background:var(--poor);opacity:{0.04 + 0.9 * part:.2f}"></i>{part * limit:.2f} mm/mm'
         for part in (0.25, 0.5, 1)
     )
-    key = _key(*shades, f"an arrow over a whole cell: {limit / 0.9:.2f} mm/mm", "blank: no held-out press")
+    key = _key(*shades, f"an arrow across a whole cell: {limit / 0.9:.2f} mm/mm", "blank: no held-out press")
     return section(
         "errors",
         "Residuals: where the errors are",
@@ -207,7 +212,9 @@ def _slope_table(where: dict[str, Any], zone: str) -> str:
             f"<tr><td>{b['slope_from']:g} – {b['slope_to']:g}</td><td>{_deg(b['normal_deg'])}</td>"
             f"<td>{_deg(part['normal_deg'] if part else None)}</td><td>{b['gain']:.2f}</td><td>{b['pixels']}</td></tr>"
         )
-    head = f"<th>the ball's slope</th><th>contact</th><th>{zone}</th><th>gain, contact</th><th>pixels</th>"
+    head = (
+        f"<th>the ball's slope</th><th>in the contact</th><th>{zone}</th><th>slope gain</th><th>pixels</th>"
+    )
     return table(head, "".join(rows))
 
 
@@ -293,16 +300,16 @@ def sigma_section(content: dict[str, Any]) -> str:
 
 
 def history_section(content: dict[str, Any], background: NDArray[np.float32]) -> str:
-    """What this calibration is of, and its untouched image."""
+    """The facts of this calibration, and its background image."""
     rows = "".join(f"<dt>{escape(name)}</dt><dd>{value}</dd>" for name, value in _facts(content))
     notes = "".join(f"<li>{escape(note)}</li>" for note in content["notes"])
     picture = jpeg_url(np.clip(np.round(background), 0, 255).astype(np.uint8), BACKGROUND_WIDTH_PX)
     return section(
         "history",
         "What it is",
-        f'<div class="two"><dl>{rows}</dl><div><img class="photo" src="{picture}" alt="the untouched gel">'
-        "<p class='muted'>The background: the untouched gel. Frames whose background looks otherwise are warned of or "
-        f'refused.</p></div></div><h3>Notes</h3><ul class="notes">{notes}</ul>',
+        f'<div class="two"><dl>{rows}</dl><div><img class="photo" src="{picture}" alt="the gel at rest">'
+        "<p class='muted'>The background image shows the gel at rest. If a frame's background differs from it, "
+        f'gelform warns or refuses the frame.</p></div></div><h3>Notes</h3><ul class="notes">{notes}</ul>',
     )
 
 
@@ -323,7 +330,7 @@ def _facts(content: dict[str, Any]) -> list[tuple[str, str]]:
         ("Balls", ", ".join(f"{ball:g} mm" for ball in facts["ball_diameters_mm"])),
         ("Color model", f"{facts['color_model']} ({settings})"),
         ("Made", f"{facts['created_utc'][:16].replace('T', ' ')} UTC, in {content['seconds']:.0f} s"),
-        ("Background noise", f"{noise} grey levels (R, G, B)"),
+        ("Background noise", f"{noise} gray levels (R, G, B)"),
         ("Background clipped", clipped),
         ("Library", f"gelform {facts['library_version']}"),
     ]
