@@ -56,6 +56,7 @@ SECTIONS = {
         "reference/index",
         "ARCHITECTURE",
         "CONTRIBUTING",
+        "SECURITY",
         "docs/contributing/words",
         "CHANGELOG",
     ],
@@ -105,7 +106,7 @@ def write_index(folder: Path, title: str, names: list[str]) -> None:
 
 def write_front(source: Path) -> None:
     """The first page: README without its figures, and the table of contents."""
-    known = sorted(page.stem for page in (source / "docs").glob("*.md"))
+    known = sorted(page.stem for folder in (source, source / "docs") for page in folder.glob("*.md"))
     listed = {name.rsplit("/", 1)[-1] for names in SECTIONS.values() for name in names}
     sections = {**SECTIONS, "More": [name for name in known if name not in listed]}
     readme = (source / "README.md").read_text(encoding="utf-8")

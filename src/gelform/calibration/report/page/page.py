@@ -24,7 +24,7 @@ NAV = (
     ("gain", "Slope gain"),
     ("learning", "Learning curve"),
     ("sigma", "Uncertainty"),
-    ("history", "What it is"),
+    ("history", "Sensor and settings"),
 )
 
 

@@ -306,7 +306,7 @@ def history_section(content: dict[str, Any], background: NDArray[np.float32]) ->
     picture = jpeg_url(np.clip(np.round(background), 0, 255).astype(np.uint8), BACKGROUND_WIDTH_PX)
     return section(
         "history",
-        "What it is",
+        "Sensor and settings",
         f'<div class="two"><dl>{rows}</dl><div><img class="photo" src="{picture}" alt="the gel at rest">'
         "<p class='muted'>The background image shows the gel at rest. If a frame's background differs from it, "
         f'gelform warns or refuses the frame.</p></div></div><h3>Notes</h3><ul class="notes">{notes}</ul>',
