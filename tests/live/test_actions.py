@@ -248,7 +248,7 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, filmed, sensor, tmp_pa
     assert guide.step == "report"
     assert said
     actions.guide_use(hub, 0)
-    assert station.setup.name.endswith("calibration.npz")
+    assert station.setup.name.startswith("ring_no-serial_")
     actions.seek(hub, 0, UNTOUCHED + HELD // 2)
     deep = until(lambda: (s := station.newest) and s.measures and s.measures.peak > 0.3 and s.measures, 20)
     assert deep.peak == pytest.approx(0.45, abs=0.12)
