@@ -180,7 +180,7 @@ def test_the_gels_thickness_goes_first():
     np.testing.assert_array_equal(bounded, [[1.0, 3.5], [-3.5, 0.0]])
     assert (finding.name, finding.figure) == ("beyond_gel", 9.0)
     assert "3.5 mm" in finding.message
-    assert "gel is thick" in finding.message
+    assert "thickness of the gel" in finding.message
     within = np.array([[0.0, 3.0]], dtype=np.float32)
     assert limit.bound(within) == (within, ())
 

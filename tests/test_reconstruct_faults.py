@@ -65,7 +65,7 @@ def test_what_is_left_of_a_torn_frame_is_measured(reconstruct):
 
 def test_a_background_that_is_none_is_refused():
     for level in [0, 255, 128]:
-        with pytest.raises(gelform.CalibrationError, match="This background cannot be one"):
+        with pytest.raises(gelform.CalibrationError, match="This image cannot be a background"):
             gelform.Reconstructor(calibration(), background=np.full((*SHAPE, 3), level, dtype=np.uint8))
 
 

@@ -164,7 +164,7 @@ class Calibration:
         if starter is None:
             return ()
         message = (
-            f"This is a starter, made on other units of a {self.sensor_name}: slopes, and depth with them, may be off by "
+            f"This is a starter, made on other units of a {self.sensor_name}. Slopes and depth may be off by "
             f"{100 * self.unit_spread:.0f} % (one standard deviation). Calibrate with five presses of a ball or more."
         )
         found = [Finding(str(name), str(said), float(figure)) for name, said, figure in starter["findings"]]

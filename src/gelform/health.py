@@ -113,7 +113,7 @@ class Levels:
         saturated &= self._may_saturate
         if torn is not None:
             dark[torn] = saturated[torn] = False
-        below, end = f"below {DARK} of 255 grey levels", "at the camera's upper end"
+        below, end = f"below {DARK} of 255 gray levels", "at the camera's upper end"
         findings = [
             _finding("dark", dark, below, "Is a light off, or the lens covered?"),
             _finding("saturated", saturated, end, "Lower exposure, gain or the lights."),
@@ -227,8 +227,8 @@ def torn_finding(lost: NDArray[np.bool_]) -> Finding:
     """The finding; its figure is the fraction of the frame."""
     fraction = float(lost.mean())
     message = (
-        f"{100 * fraction:.0f} % of the frame is torn: it holds one colour, rows of another part, or is displaced. "
-        "Check the cable, and whether the camera's bandwidth is shared."
+        f"{100 * fraction:.0f} % of the frame is torn: it has one color, repeats rows of another part, or is displaced. "
+        "Check the cable, and whether other devices share the camera's bandwidth."
     )
     return Finding("torn", message, fraction)
 
@@ -298,7 +298,7 @@ class FrameHealth:
         """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
         blocks = blocks_from_image(as_levels(image), self._pixels)
         if self._is_background(blocks, image):
-            message = "The frame is the background itself, pixel for pixel: frozen, or the background was given as a frame."
+            message = "The frame equals the background image in every pixel. The camera is frozen, or it is that image."
             return FrameFaults(image, (Finding("frozen", message, 1.0),))
         if self._is_plainly_sound(blocks):
             return FrameFaults(image)
@@ -338,7 +338,7 @@ def check_untouched_image(image: NDArray[Any], calibrated: NDArray[Any]) -> None
     faults = FrameHealth(calibrated)(image)
     if faults.lost is not None:
         raise CalibrationError(
-            f"This background cannot be one: {faults.findings[0].message} Take it again, with nothing touching the gel."
+            f"This image cannot be a background. {faults.findings[0].message} Take it again, with nothing touching the gel."
         )
 
 
@@ -380,10 +380,10 @@ class DepthLimit:
         largest = max(high, -low)
         if largest <= self.limit_mm:
             return depth_mm, ()
-        what = "the gel is thick" if self.is_thickness else "the field of view is wide"
+        what = "thickness of the gel" if self.is_thickness else "width of the field of view"
         message = (
-            f"Depth up to {largest:.3g} mm was read, more than {what} ({self.limit_mm:.3g} mm): cut there. "
-            "The image does not fit the calibration; do not trust this depth."
+            f"Depth reaches {largest:.3g} mm, more than the {what} ({self.limit_mm:.3g} mm), and is cut there. "
+            "The image does not fit the calibration. Do not trust this depth."
         )
         limit = np.float32(self.limit_mm)
         return np.clip(depth_mm, -limit, limit), (Finding("beyond_gel", message, largest),)

@@ -102,7 +102,7 @@ def test_the_background_of_other_frames_is_refused_and_one_that_drifted_is_said(
     """The light of `scene` tilts by 7 % over the image: depth far from contacts would be of it."""
     assert check_background_of_frames(presses_of(scene(1), 10), scene()) == ()
     with pytest.raises(
-        CalibrationError, match=r"not of these images: .* a quarter of their median differs by"
+        CalibrationError, match=r"not of these images\. .* a quarter of their median differs by"
     ):
         check_background_of_frames(presses_of(tilted(scene(1), 0.3), 10), scene())
     check_background_of_frames(presses_of(tilted(scene(1), 0.3), 7), scene())  # too few to judge

@@ -42,10 +42,10 @@ def test_long_sentences_on_average():
     assert prose.problems(sentence * 5) == ["19.0 words in the mean, at most 18"]
 
 
-def test_records_keep_no_rules(tmp_path):
-    (tmp_path / "docs" / "decisions").mkdir(parents=True)
-    pages = [tmp_path / name for name in ("page.md", "CHANGELOG.md", "docs/decisions/1.md")]
+def test_records_and_other_languages_keep_no_rules(tmp_path):
+    pages = [tmp_path / name for name in ("page.md", "CHANGELOG.md", "docs/decisions/1.md", "docs/zh/a.md")]
     for page in pages:
+        page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text("The colour.")
     assert prose.prose_problems(pages, tmp_path) == ["page.md: colour: color"]
 

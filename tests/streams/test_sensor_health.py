@@ -115,7 +115,7 @@ def test_another_unit_is_named_and_the_same_or_unknown_settings_are_none(calibra
     check = CameraCheck(replace(calibration, serial="D1"))
     (finding,) = check(camera("D2"))
     assert finding.name == "other_camera"
-    assert "serial is D2, the calibration is of D1" in finding.message
+    assert "serial is D2, but the calibration is of D1" in finding.message
     unknown = CameraCheck(replace(calibration, serial=None))
     assert check(camera("D1")) == check(camera()) == unknown(camera("D2")) == ()
     check = CameraCheck(taken_with(calibration, exposure=100.0))

@@ -55,15 +55,15 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
     differs = exposure.middle_change
     if np.isfinite(differs) and differs > PATTERN_REFUSE:
         raise CalibrationError(
-            f"This background is not of the sensor that was calibrated: behind a common gain ({_times(exposure.gain)}) "
-            f"half of it differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use "
-            "this sensor's own calibration; if it is the same unit, its gel or lights have moved: calibrate again."
+            f"This background is not of the calibrated sensor. After a common gain ({_times(exposure.gain)}), half of it "
+            f"differs by {100 * differs:.1f} % or more (expected under {100 * PATTERN_REFUSE:g} %). Use this sensor's own "
+            "calibration. If it is the same unit, its gel or lights have moved, so calibrate again."
         )
     findings = list(_exposure_findings(exposure))
     if np.isfinite(differs) and differs > PATTERN_WARN:
         message = (
-            f"Today's background differs from the calibration's by {100 * differs:.1f} % behind a common gain: "
-            "the gel or a light may have moved."
+            f"Today's background differs from the calibration's by {100 * differs:.1f} % after a common gain. "
+            "The gel or a light may have moved."
         )
         findings.append(Finding("background_pattern", message, differs))
     return tuple(findings)
@@ -88,17 +88,18 @@ def check_background_of_frames(
         exposure.least_change > LEAST_REFUSE and exposure.middle_change > PATTERN_REFUSE
     ):
         raise CalibrationError(
-            f"The background is not of these images: behind a common gain ({_times(exposure.gain)}) a quarter of "
-            f"their median differs by {100 * exposure.least_change:.1f} % or more, half by "
+            f"The background is not of these images. After a common gain ({_times(exposure.gain)}), a quarter of "
+            f"their median differs by {100 * exposure.least_change:.1f} % or more, and half by "
             f"{100 * exposure.middle_change:.1f} % (expected under {100 * LEAST_REFUSE:g} and "
             f"{100 * PATTERN_REFUSE:g} %). Take a background with the same sensor, just before the presses."
         )
     if not PATTERN_WARN < exposure.middle_change < inf:
         return ()
     message = (
-        f"Behind a common gain ({_times(exposure.gain)}) half of the presses' median differs from the background by "
-        f"{100 * exposure.middle_change:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %): light or gel have "
-        "drifted, or most presses touch the same place. Depth off the contacts is off by it. Take a background just before."
+        f"After a common gain ({_times(exposure.gain)}), half of the presses' median differs from the background by "
+        f"{100 * exposure.middle_change:.1f} % or more (usual: under {100 * PATTERN_WARN:g} %). Light or gel have "
+        "drifted, or most presses touch the same place. Depth off contact is wrong by as much. Take a background just "
+        "before the presses."
     )
     return (Finding("background_drift", message, exposure.middle_change),)
 
@@ -120,7 +121,7 @@ def compared(
     if correlation is not None and turned is not None and turned > max(0.9, correlation + 0.03):
         raise CalibrationError(
             f"The image looks like BGR: its channels fit the background better reversed (correlation "
-            f"{turned:.2f} against {correlation:.2f}). Turn them: image[..., ::-1]."
+            f"{turned:.2f} against {correlation:.2f}). Reverse them: image[..., ::-1]."
         )
     _refuse_unlike(exposure.gain, correlation)
     return exposure, (*_exposure_findings(exposure), *_pattern_findings(exposure))
@@ -130,13 +131,13 @@ def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) 
     gains = [1.0] if gain is None else gain.tolist()
     if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
         raise CalibrationError(
-            f"The background is not of this image: untouched pixels are {_times(gain)} times as bright as in "
+            f"The background is not of this image: pixels at rest are {_times(gain)} times as bright as in "
             f"the background (expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). Take a new background with the "
             "same exposure, white balance and lights."
         )
     if correlation is not None and correlation < CORRELATION_REFUSE:
         raise CalibrationError(
-            f"The background is not of this image: the two correlate by {correlation:.2f} on untouched pixels "
+            f"The background is not of this image: the two correlate by {correlation:.2f} on pixels at rest "
             f"(expected {CORRELATION_REFUSE} or more). Is it of another sensor, or shifted?"
         )
 
@@ -144,16 +145,18 @@ def _refuse_unlike(gain: NDArray[np.float64] | None, correlation: float | None) 
 def _exposure_findings(exposure: Exposure) -> tuple[Finding, ...]:
     gain = exposure.gain
     if gain is None:
-        message = "No part of the image is bright enough in all channels, and not saturated, to compare its exposure."
+        message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
         return (Finding("exposure_unknown", message, 0.0),)
     gains = gain.tolist()
     largest = max(gains, key=lambda one: abs(log(one)))
     if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
-        message = f"Untouched pixels are {_times(gain)} times as bright as in the background: take a new background."
+        message = (
+            f"Pixels at rest are {_times(gain)} times as bright as in the background. Take a new background."
+        )
         return (Finding("background_ratio", message, largest),)
     if exposure.is_known and abs(largest - 1) > GAIN_REPORTED:
         percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gain))
-        message = f"Exposure differs from the background's by {percents}: compensated."
+        message = f"The exposure differs from the background's by {percents}. gelform compensates it."
         return (Finding("exposure", message, largest),)
     return ()
 
@@ -163,8 +166,8 @@ def _pattern_findings(exposure: Exposure) -> tuple[Finding, ...]:
     if not LEAST_REFUSE < least < inf:
         return ()
     message = (
-        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %: a "
-        "contact that fills the image, or the calibration or background of another sensor."
+        f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "
+        "contact fills the image, or the calibration or background is of another sensor."
     )
     return (Finding("background_differs", message, least),)
 

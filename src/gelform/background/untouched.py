@@ -61,7 +61,7 @@ def reference_from_color_change(
     size = np.linalg.norm(color_change, axis=-1)
     least = size <= np.quantile(size, MIN_UNTOUCHED)
     message = (
-        f"Only {100 * fraction:.1f} % of the pixels are untouched: depth is relative to the least changed."
+        f"Only {100 * fraction:.1f} % of the pixels are at rest. Depth is relative to the least changed ones."
     )
     finding = Finding("few_untouched", message, fraction)
     return Reference(common, threshold, medians_where(gradients, least)[0], least, (finding,))

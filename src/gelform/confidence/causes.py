@@ -43,12 +43,12 @@ CAUSES = {
     "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA, "#56b4e9"),
     "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA, "#f0e442"),
     "off_gamut": Cause(
-        "of colours that no slope gives: dust, a scratch, another gel, or slopes that no training press has shown.",
+        "of colors that no slope gives: dust, a scratch, another gel, or slopes outside the training zone.",
         SIX_SIGMA,
         "#cc79a7",
     ),
     "inconsistent": Cause(
-        "torn, or another moment's: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
+        "torn or from another moment: data of the frame were lost.", LEAVES_NOTHING, "#d55e00"
     ),
     "marker": Cause("hidden by markers.", LEAVES_NOTHING, "#999999"),
     "outside": Cause("not lit, or not gel.", LEAVES_NOTHING, "#009e73"),

@@ -102,13 +102,13 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
     findings = []
     if alike < SURELY_ALIKE:
         message = (
-            f"The colours over this gel correlate by {alike:.2f} with those of a {make} (usual: {SURELY_ALIKE} or more): "
-            "another gel, or something touches it. Calibrate with presses of a ball before you trust a figure."
+            f"The colors over this gel correlate by {alike:.2f} with those of a {make} (usual: {SURELY_ALIKE} or more). It "
+            "is another gel, or something touches it. Calibrate with presses of a ball before you trust a figure."
         )
         findings.append(Finding("starter_light", message, alike))
     if rough > ROUGH:
         message = (
-            f"The background is uneven: blocks differ by {100 * rough:.0f} % from a smooth light (usual: under "
+            f"The background is uneven. Blocks differ by {100 * rough:.0f} % from a smooth light (usual: under "
             f"{100 * ROUGH:.0f} %). Something touches the gel, or it is scratched, dusty or marked."
         )
         findings.append(Finding("uneven_background", message, rough))

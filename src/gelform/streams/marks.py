@@ -61,10 +61,10 @@ class Marks:
 
 
 _WORDS = {
-    "scratch": "A new line of {length:.0f} px has stayed on the gel: a scratch, or a fibre. Depth along it is not right.",
+    "scratch": "A new line of {length:.0f} px has stayed on the gel: a scratch, or a fiber. Depth along it is wrong.",
     "dust": "A new spot of {length:.0f} px has stayed on the gel: dust. Clean it.",
-    "tear": "{percent:.1f} % of the image has become {change:+.0f} % brighter, and stayed so: the coating is torn or worn. "
-    "Replace the gel.",
+    "tear": "{percent:.1f} % of the image has become {change:+.0f} % brighter and has stayed so. The coating is torn or "
+    "worn. Replace the gel.",
 }
 
 

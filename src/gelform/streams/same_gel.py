@@ -45,7 +45,9 @@ class SameGel:
         self._before = texture
         self._different = self._different + 1 if evidence.different > MOSTLY_DIFFERENT else 0
         if self._different >= GEL_STAYS:
-            return (_other_gel("Nearly all of the image has differed from the untouched one for long", 0.0),)
+            return (
+                _other_gel("Nearly all of the image has differed from the background image for long", 0.0),
+            )
         free = ~evidence.touched
         free[:MARGIN_PX] = free[-MARGIN_PX:] = free[:, :MARGIN_PX] = free[:, -MARGIN_PX:] = False
         if free.mean() < LEAST_FREE:
@@ -68,8 +70,8 @@ class SameGel:
             return ()
         x, y = found.shift_px
         message = (
-            f"The image has moved by {x:+.1f} px in x and {y:+.1f} px in y, turned by {found.turn_deg:+.2f} degrees since "
-            "the start: the camera, or the gel in its frame. Calibrate again, or set it right."
+            f"The image has moved by {x:+.1f} px in x and {y:+.1f} px in y, and turned by {found.turn_deg:+.2f} degrees "
+            "since the start. The camera, or the gel in its frame, has moved. Move it back, or calibrate again."
         )
         return (Finding("camera_moved", message, float(np.hypot(x, y))),)
 
@@ -83,7 +85,9 @@ class SameGel:
         off = float(np.median(np.abs(blocks[free]).max(axis=-1))) if free.any() else 0.0
         if off < PATTERN:
             return ()
-        said = f"Half of what nothing touches differs by {100 * off:.1f} % or more from the start in any smooth light"
+        said = (
+            f"Half of the gel at rest differs by {100 * off:.1f} % or more from the start in any smooth light"
+        )
         return (_other_gel(said, off),)
 
     def _other_texture(
@@ -103,7 +107,7 @@ class SameGel:
 
 def _other_gel(said: str, figure: float) -> Finding:
     return Finding(
-        "other_gel", f"{said}: another gel, or another sensor's calibration. Calibrate with this one.", figure
+        "other_gel", f"{said}. The gel or the sensor is not the calibrated one. Calibrate this one.", figure
     )
 
 

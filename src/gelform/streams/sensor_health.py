@@ -53,14 +53,14 @@ class CameraCheck:
     def _differences(self, serial: str | None, settings: dict[str, Any]) -> Iterator[Finding]:
         if serial and self._serial and serial != self._serial:
             message = (
-                f"The camera's serial is {serial}, the calibration is of {self._serial}. Colours differ from unit to unit: "
-                "take that unit's calibration, or calibrate this one."
+                f"The camera's serial is {serial}, but the calibration is of {self._serial}. Colors differ from unit to "
+                "unit. Use this unit's calibration, or calibrate it."
             )
             yield Finding("other_camera", message, 1.0)
         different = settings_mismatch(self._settings, settings)
         if different:
             said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
-            message = f"The camera is set otherwise than when it was calibrated: {said}. Set it as then, or calibrate again."
+            message = f"The camera's settings differ from those at calibration: {said}. Restore them, or calibrate again."
             yield Finding("settings_mismatch", message, float(len(different)))
 
 
@@ -81,9 +81,7 @@ class Frozen:
         for_s = time_s - self._since_s
         if self._count < FROZEN_FRAMES or for_s < FROZEN_S:
             return ()
-        message = (
-            f"The camera has given the same image for {for_s:.1f} s: it hangs. Depth is that of the image."
-        )
+        message = f"The camera hangs: it has given the same image for {for_s:.1f} s. The depth is that of this image."
         return (Finding(FROZEN, message, for_s),)
 
 
@@ -99,12 +97,14 @@ def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
     said = ", ".join(f"{name} {100 * (gain - 1):+.1f} %" for name, gain in zip("RGB", gains))
     findings = []
     if abs(float(logs.mean())) > BRIGHTER:
-        message = f"The light has changed since the start ({said}): exposure, or the LEDs. It is compensated."
+        message = (
+            f"The light has changed since the start ({said}): exposure, or the LEDs. gelform compensates it."
+        )
         findings.append(Finding("brightness_shift", message, float(np.exp(logs.mean()) - 1)))
     apart = logs - np.median(logs)
     worst = int(np.argmax(np.abs(apart)))
     if abs(float(apart[worst])) > COLORED:
-        message = f"The light's colour has changed since the start ({said}): white balance, or an LED. It is compensated."
+        message = f"The light's color has changed since the start ({said}): white balance or LED. gelform compensates it."
         findings.append(Finding("color_shift", message, float(np.exp(apart[worst]) - 1)))
     return tuple(findings)
 
@@ -125,7 +125,7 @@ def room_light_finding(evidence: Evidence) -> tuple[Finding, ...]:
     if least < OUTSIDE_LEVELS:
         return ()
     message = (
-        f"Light from outside: {least:.0f} grey levels were added in every channel. Slopes are read too flat by about "
+        f"Light from outside adds {least:.0f} gray levels in every channel. Slopes are too flat by about "
         f"{100 * least / float(evidence.start.mean()):.0f} %. Shade the gel."
     )
     return (Finding("room_light", message, least),)

@@ -27,7 +27,7 @@ HELD, MAX_BYTES = (
     15,
     192 * 2**20,
 )  # frames, and bytes, of a recording that are looked at before the first is given
-TOUCH_NOTHING = "Touch nothing: the untouched gel makes the starter's calibration."
+TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
 
 
 class UntouchedImage:
@@ -131,8 +131,8 @@ class UntouchedFirst:
             self._begun = True
         elif self.every or self._feed.state == "ended":
             raise CalibrationError(
-                f"Expected the untouched gel in the first frames, to make a calibration of the {self._starter.make} of it. "
-                f"{self._untouched.reason} Or give background=, its image (--background)."
+                f"Expected the gel at rest in the first frames, to make a calibration of the {self._starter.make} from it. "
+                f"{self._untouched.reason} Or give a background image with background= (--background)."
             )
 
     def _see_next(self) -> bool:

@@ -81,9 +81,7 @@ def stream(
         Smoothing(smoothing)  # refused before a device is opened
     if sensor is not None:
         if calibration is not None:
-            raise ValueError(
-                "Expected calibration= or sensor=, whose starter is taken, got both. Leave one out."
-            )
+            raise ValueError("Expected calibration=, or sensor= for its starter, got both. Leave one out.")
         load_starter(sensor)
     missing: NoCalibration | None = None
     if calibration is None:
@@ -118,7 +116,7 @@ def _starter(camera: Source | Grabber, sensor: str | None, missing: NoCalibratio
     name = sensor or starter_of_source(getattr(camera, "source", camera))
     if name is None:
         raise CalibrationError(
-            f"{missing} Of a make that has a starter, name it: sensor= (--sensor), one of {', '.join(starter_names())}."
+            f"{missing} If its make has a starter, name the make: sensor= (--sensor), one of {', '.join(starter_names())}."
         )
     return load_starter(name)
 
@@ -233,7 +231,7 @@ class Stream:
             if given.index == result.index:
                 return given.image
         raise LookupError(
-            f"The image of frame {result.index} is not held any more: take both by newest() or pairs()."
+            f"The image of frame {result.index} is no longer in memory. Take both with newest() or pairs()."
         )
 
     @property
