@@ -61,6 +61,8 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
         # Windows, symbols for a debugger and an import library, goes with the folder.
         with tempfile.TemporaryDirectory(dir=folder) as beside:
             unfinished = Path(beside) / library.name
+            if system in ("macos", "darwin"):  # else the library holds the path where it was made
+                flags.append(f"-Wl,-install_name,{library.name}")
             run([*compiler(target), *flags, "-o", str(unfinished), *sources])
             unfinished.replace(library)
 
