@@ -21,7 +21,7 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).resolve().parent
 ZIG = "ziglang==0.17.1"  # one version: everyone gets the same bits
 FLAGS = (
     "-std=c11 -O3 -g0 -Wall -Wextra -fPIC -shared -fvisibility=hidden"
@@ -47,7 +47,7 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
     target = os.environ.get("GELFORM_TARGET", "")
     machine, system = (target or f"{platform.machine()}-{sys.platform}").lower().split("-")[:2]
     suffix = ".dll" if system.startswith("win") else ".so"
-    sources = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "native").rglob("*.c"))
+    sources = sorted(str(path) for path in (ROOT / "native").rglob("*.c"))
     isas = list(FLAGS_OF) if machine in ("x86_64", "amd64") else ["base"]
     built = [folder / f"kernels_{isa}{suffix}" for isa in isas]
     counted = runpy.run_path(str(ROOT / "src/gelform/_native/sources.py"))["digest_of_sources"](
@@ -60,11 +60,9 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
         # A running process may have the old library open: written beside it, then moved. What else the compiler writes for
         # Windows, symbols for a debugger and an import library, goes with the folder.
         with tempfile.TemporaryDirectory(dir=folder) as beside:
-            unfinished = Path(beside) / library.name
-            if system in ("macos", "darwin"):  # else the library holds the path where it was made
-                flags.append(f"-Wl,-install_name,{library.name}")
-            run([*compiler(target), *flags, "-o", str(unfinished), *sources])
-            unfinished.replace(library)
+            # Named without its folder, whose path a library of macOS would hold.
+            run([*compiler(target), *flags, "-o", library.name, *sources], Path(beside))
+            (Path(beside) / library.name).replace(library)
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(compile_one, isas, built))
@@ -93,14 +91,14 @@ def compiler(target: str) -> list[str]:
     ]
 
 
-def run(command: list[str]) -> None:
-    """Run a compiler in the checkout; where it fails, its own words are the message."""
+def run(command: list[str], folder: Path) -> None:
+    """Run a compiler in a folder; where it fails, its own words are the message."""
     if not shutil.which(command[0]):
         raise SystemExit(f'No compiler "{command[0]}" on PATH: install it, or unset CC to compile with zig.')
     with tempfile.TemporaryDirectory() as cache:
         home = os.name == "nt" or os.access(os.environ.get("HOME", ""), os.W_OK)  # zig keeps its cache there
         environment = os.environ if home else {"ZIG_GLOBAL_CACHE_DIR": cache, **os.environ}
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{shlex.join(command)}\n{done.stderr}\nThe C kernels do not compile.")
 
