@@ -52,6 +52,7 @@ OPENINGS = {
     r"That (?!is\b|page|file|way)\w+ \w+(?:s|ed)? .*\bis\b": "begin with a noun: no clause as the subject",
 }
 CLAUSE = re.compile(r"[;:,] what (?:is|are|was|were|has|it|they|the|a|no)\b")
+NO_RULES = ("docs/decisions/", "docs/zh/")  # records, and the pages in Chinese
 TERMS = (
     "held-out", "training zone", "contact edge", "outlier", "confidence", "inpaint", "background image",
     "marker displacement", "forward response", "starter", "sigma", "anchor", "press folder", "color change",
@@ -101,8 +102,8 @@ def prose_problems(pages: Iterable[Path], root: Path) -> list[str]:
 
 
 def has_rules(name: str) -> bool:
-    """Whether a page keeps the rules: all but the records of what was, which are not rewritten."""
-    return name != "CHANGELOG.md" and not name.startswith("docs/decisions/")
+    """Whether a page keeps the rules: not the records of what was, nor the pages in other languages than English."""
+    return name != "CHANGELOG.md" and not name.startswith(NO_RULES)
 
 
 def table(pages: Iterable[Path], root: Path) -> str:

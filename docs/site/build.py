@@ -44,6 +44,7 @@ SECTIONS = {
         "adding-a-solver",
         "native",
     ],
+    "中文": ["docs/zh/tutorial", "docs/zh/from-color-to-depth"],
     "Robots and learning": ["robots", "ros", "lerobot", "torch"],
     "Explanation": ["from-color-to-depth", "confidence", "contacts", "markers", "docs/decisions/index"],
     "Reference": [
