@@ -94,5 +94,5 @@ def imported(run, network, press_folder, tmp_path):
     rest = press_folder / "background.png"
     code, _, err = run("import", network, "--from", "gs_sdk", "--background", rest, "-o", path)
     assert code == 0, err
-    assert "results will be in pixels" in err
+    assert "results are in pixels" in err
     return path

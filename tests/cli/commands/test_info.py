@@ -26,9 +26,7 @@ def test_a_calibration(run, run_json, calibration_file):
     assert said["training_presses"] == len(load_calibration(calibration_file).training_digests)
     lines = dict(line.split("  ", 1) for line in run("info", calibration_file)[1].splitlines())
     said = {label.strip(): text.strip() for label, text in lines.items()}
-    assert said["images"].startswith(
-        "120x160 px (height x width), 0.1268 mm per pixel, its uncertainty not known"
-    )
+    assert said["images"].startswith("120x160 px (height x width), 0.1268 mm per pixel, uncertainty unknown")
     assert said["made from"] == "10 presses"
     assert "normals" in said["held out"]
     assert "\N{DEGREE SIGN}" in said["held out"]

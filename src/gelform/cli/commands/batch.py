@@ -227,8 +227,8 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
     say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
     if summary.stopped:
         say(
-            f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. What is done "
-            f"is kept in {output / 'parts'} with the reasons. Put the files right, or allow more, and run the same command."
+            f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. The "
+            f"finished parts and the reasons are in {output / 'parts'}. Fix the files or allow more errors, and run again."
         )
     elif summary.complete:
         say(
@@ -236,9 +236,11 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
             quiet,
         )
         if summary.errors:
-            say("Why frames have errors is in its column error; after mending them: --retry-errors.", quiet)
+            say(
+                "The column error gives the reasons. Fix the frames and run again with --retry-errors.", quiet
+            )
     else:
-        say("This shard is done; the table is written when the last one is.", quiet)
+        say("This shard is done. The last shard writes the table.", quiet)
 
 
 def verify(

@@ -103,14 +103,14 @@ def calibrate(
             try:
                 write_report(content, found, calibration, report, overwrite=overwrite)
             except DataError as problem:
-                raise DataError(f"{output} is written, its report is not. {problem}") from problem
+                raise DataError(f"Wrote {output}, but not its report. {problem}") from problem
     verdict = content["verdict"]
     _show(calibration, shown)
     shown.say(f"Wrote {output}{f' and {report / REPORT_FILES[0]}' if report else ''}.")
     serial = "" if calibration.serial else " --serial SERIAL"
     shown.say(f"To let commands find it without -c: gelform calibrations add {output}{serial}")
     shown.say(f"{verdict['headline']}.")
-    marks = " (--report DIR shows where that is.)" if report is None and "marked" in verdict["next"] else ""
+    marks = " (--report DIR shows these places.)" if report is None and "marked" in verdict["next"] else ""
     shown.say(f"Next: {verdict['next']}{marks}")
     shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 
@@ -125,12 +125,12 @@ def _show(calibration: Calibration, shown: Shown) -> None:
     used = len(report.presses) - len(rejected)
     say(f"{calibration.sensor_name}: {used} of {len(report.presses)} presses used, {report.seconds:.0f} s.")
     if rejected:
-        show_table("Presses left out", ("press", "why"), rejected)
+        show_table("Rejected presses", ("press", "reason"), rejected)
     tried = [
-        (one["candidate"] + (" <" if one["chosen"] else ""), figure(one["normal_free_deg"]))
+        (one["candidate"] + (" (chosen)" if one["chosen"] else ""), figure(one["normal_free_deg"]))
         for one in report.candidates
     ]
-    show_table("Color models tried", ("model (< chosen)", "held-out normal error (°)"), tried)
+    show_table("Color models tried", ("model", "held-out normal error (°)"), tried)
     held_out = [
         (FIGURES[name], figure(saved), figure(report.held_out[name]))
         for name, saved in report.held_out_saved.items()

@@ -27,7 +27,11 @@ if TYPE_CHECKING:
     from gelform.calibrations.library import Entry
 
 SUMMARY = "List, add, remove and export calibrations by serial."
-COLUMNS = {"normal_free_deg": "normals (°)", "cap_free_um": "contact (um)", "off_contact_um": "off it (um)"}
+COLUMNS = {
+    "normal_free_deg": "normals (°)",
+    "cap_free_um": "contact (um)",
+    "off_contact_um": "off contact (um)",
+}
 SHOWN_DIGEST = 10  # characters: what tells calibrations apart, and `remove` and `export` take
 
 Which = Annotated[
@@ -44,9 +48,9 @@ def list_(
 ) -> None:
     """List calibrations by serial, gel and date.
 
-    With their errors on presses held out.
+    The table has their errors on held-out presses.
 
-    The newest comes first: it is what the camera of its serial takes. A file that cannot be read is listed with the reason.
+    The newest comes first; a camera uses the newest one of its serial. Unreadable files are listed with the reason.
 
     \b
     Examples:
@@ -80,7 +84,7 @@ def list_(
         if one.problem:
             shown.say(f"damaged: {one.path.name}: {one.problem}")
     if not there:
-        shown.say(f"There is none in {folder}. Add one: gelform calibrations add CAL.npz.")
+        shown.say(f"No calibration is in {folder}. Add one: gelform calibrations add CAL.npz.")
 
 
 def add(

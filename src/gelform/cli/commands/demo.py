@@ -54,8 +54,8 @@ def demo(
     shown.json({"folder": output, "seconds": time.monotonic() - started, "errors": errors})
     rows = [(name, *(_shown(key, value) for key, value in row.items())) for name, row in errors.items()]
     shown.table(
-        "Against the truth (peak; RMSE of depth; angle in the contact)",
-        ("object", "peak mm", "found", "ratio", "RMSE um", "in contact", "normal deg"),
+        "Errors against the true surfaces",
+        ("object", "true peak mm", "peak mm", "ratio", "depth RMSE um", "RMSE in contact um", "normals deg"),
         rows,
     )
     if not shown.as_json:

@@ -83,7 +83,7 @@ def import_(
         )
     calibration.save(output, overwrite=overwrite)
     if calibration.mm_per_px is None:
-        shown.say("note: without --mm-per-px the scale is unknown: results will be in pixels, not mm.")
+        shown.say("note: without --mm-per-px the scale is unknown, so results are in pixels, not mm.")
     shown.say(f"Wrote {output}.")
     described = calibration.describe()
     kept = ("sensor_name", "image_shape", "mm_per_px", "color_model", "settings", "digest")

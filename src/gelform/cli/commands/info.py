@@ -296,12 +296,12 @@ def _made_from(facts: Facts) -> Lines:
     return [
         (
             "starter",
-            f"of the make {starter['sensor']}: this unit was never pressed, its untouched image is known",
+            f"of the make {starter['sensor']}: no presses of this unit, but its background image",
         ),
         ("made from", "; ".join(starter["units"])),
         (
             "spread",
-            f"slopes of a unit are within {100 * starter['spread']:.0f} % of these (one standard deviation)",
+            f"slopes of a unit are within {100 * starter['spread']:.0f} % of the starter's (one standard deviation)",
         ),
         *[("warning", str(message)) for _, message, _ in starter["findings"]],
     ]
@@ -378,7 +378,7 @@ def _scale(facts: Facts) -> str:
     pitch, sigma = facts.get("mm_per_px"), facts.get("mm_per_px_sigma")
     if pitch is None:
         return "scale unknown: depth in pixels"
-    return f"{_said(pitch)} mm per pixel" + (f" +- {sigma:.2g}" if sigma else ", its uncertainty not known")
+    return f"{_said(pitch)} mm per pixel" + (f" +- {sigma:.2g}" if sigma else ", uncertainty unknown")
 
 
 def _noise(sigma: Facts | None) -> str:

@@ -46,8 +46,8 @@ SEEN = (
 COMPARED = {  # {u}: the unit of depth
     "peak_a": "peak A ({u})",
     "peak_b": "peak B ({u})",
-    "difference_rms": "B - A rms ({u})",
-    "angle_deg": "angle (deg)",
+    "difference_rms": "RMS of B - A ({u})",
+    "angle_deg": "angle of A and B (deg)",
     "curl_rms_a": "curl A",
     "curl_rms_b": "curl B",
 }
@@ -100,7 +100,7 @@ def evaluate(
     shown.table(PRESSES, ("press", "ball mm", *COLUMNS.values()), rows)
     left_out = [(row["name"], row["reason"]) for row in evaluation.rows if row["reason"] is not None]
     if left_out:
-        shown.table("Presses left out", ("press", "why"), left_out)
+        shown.table("Rejected presses", ("press", "reason"), left_out)
     summary = [(FIGURES[name], figure(value)) for name, value in evaluation.summary.items()]
     shown.table("Over all presses", ("error", "value"), summary)
     _show_where(evaluation.where, shown)

@@ -171,6 +171,6 @@ def _report(rows: Sequence[dict[str, Any]], shown: Shown) -> None:
     keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
     table = [(row["outputs"][0], *(figure(row[key]) for key in (*keys, "curl_rms"))) for row in rows]
     columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
-    shown.table("Results", ("file", *columns, "curl (rms)"), table)
+    shown.table("Results", ("file", *columns, "curl (RMS)"), table)
     if not (scaled or shown.silent):
-        say("The scale of this calibration is unknown: results hold depth_px, not depth_mm.")
+        say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.")

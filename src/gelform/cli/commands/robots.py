@@ -81,7 +81,7 @@ def bag(
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
     _warn_of(stats)
     if not stats.stamped:
-        shown.say("The frames do not say when they were taken: their stamps begin now.")
+        shown.say("The frames have no capture time, so their stamps begin now.")
     shown.json({"bag": output, **vars(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
 
 
@@ -126,4 +126,4 @@ def ros(
 
 def _warn_of(stats: SentStats) -> None:
     if stats.problem:
-        say(f"warning: no frame was usable, so there is no depth in any of them. {stats.problem}")
+        say(f"warning: no frame was usable, so no message has depth. {stats.problem}")

@@ -216,7 +216,7 @@ def record(
     wanted = {"seconds": seconds, "frames": frames}
     stats, reopened = _recorded(opened, output, wanted, _digest(calibration), shown)
     if stats.frames == 0:
-        raise DataError(f"No frame came: {output} holds none. Look at the camera: gelform cameras.")
+        raise DataError(f"No frame arrived, so {output} holds none. Check the camera with gelform cameras.")
     missing = f", {stats.missing} missing" if stats.missing else ""
     again = f", the source was lost and back {reopened} times" if reopened else ""
     shown.say(
@@ -267,18 +267,18 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: Shown) -> N
 
     with single_keys("record --presses") as key, Grabber(opened) as grabber:
         taken = TakenPresses(output, _sensor_settings(grabber, wanted), wanted.ball_diameter_mm)
-        shown.say("Leave the gel untouched and press the space bar: the background. q ends.")
+        shown.say("Touch nothing and press the space bar to take the background image. q ends.")
         while (pressed := key()) not in (" ", "q", ""):
             pass
         if pressed == " ":
             taken.take_background(_fresh(grabber, BACKGROUND_FRAMES))
             say(
-                "Press the ball, hold it still, press the space bar; again elsewhere. u takes the last one out, q ends."
+                "Press the ball, hold it still and press the space bar. Repeat elsewhere. u removes the last press, q ends."
             )
             _take(taken, grabber, key, shown)
     if taken.count == 0:
         raise DataError(
-            f"No press was taken: {output} is no set of presses. Start again with another folder."
+            f"No press was taken, so {output} is no press folder. Start again with another folder."
         )
     shown.say(f"Wrote {output}: {taken.count} presses. Next: gelform calibrate {output} -o cal.npz")
     shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
@@ -295,7 +295,7 @@ def _take(taken: Any, grabber: Grabber, key: Any, shown: Shown) -> None:
                 shown.say(f"Not taken. {problem}")
         elif pressed == "u":
             name = taken.drop_last()
-            shown.say(f"Took out {name}." if name else "There is none to take out.")
+            shown.say(f"Removed {name}." if name else "There is no press to remove.")
 
 
 def _fresh(grabber: Grabber, count: int) -> list[Any]:
