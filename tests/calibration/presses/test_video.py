@@ -169,9 +169,9 @@ def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        (["rest"], r"No contact in .*15 frames.* grey levels"),
-        (["slide"], r"No untouched stretch in .*two seconds"),
-        (["rest", "slide", "rest"], r"No press in .*1 contacts, none of them rests"),
+        (["rest"], r"No contact in .*15 frames.* gray levels"),
+        (["slide"], r"No stretch of the gel at rest in .*two seconds"),
+        (["rest", "slide", "rest"], r"No press in .*none of the 1 contacts rests"),
     ],
 )
 def test_a_video_without_a_press_is_refused_with_what_it_shows(filmed, tmp_path, parts, message):
@@ -211,5 +211,5 @@ def test_light_that_drifts_is_noted(filmed, how):
 
 def test_a_real_video_of_a_moving_finger_has_no_press(data):
     path = data / "mini-markers-video" / "mini_example.avi"
-    with pytest.raises(gelform.DataError, match=r"No press in .*2 contacts, none of them rests"):
+    with pytest.raises(gelform.DataError, match=r"No press in .*none of the 2 contacts rests"):
         gelform.read_presses(path, ball_diameter_mm=5, sensor="gelsight-mini")

@@ -64,7 +64,7 @@ def why_no_contact(contact: ContactCircle) -> str | None:
     """The reason why a found circle is not a ball press, or None."""
     if contact.antisymmetry < MIN_ANTISYMMETRY:
         return (
-            f"no ball found: too light, cut by the border, or none (antisymmetry {contact.antisymmetry:.2f}, expected "
+            f"no ball found: too light, cut by the border, or no ball (antisymmetry {contact.antisymmetry:.2f}, expected "
             f"{MIN_ANTISYMMETRY} or more)"
         )
     if contact.signal < MIN_SIGNAL:

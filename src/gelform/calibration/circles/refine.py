@@ -92,7 +92,7 @@ def why_too_wide(presses: Sequence[PreparedPress], found: Sequence[ContactCircle
     all_ = bool(deep) and float(np.median(list(steepest.values()))) >= STEEPEST_RING
     return [
         f"contact radius {found[i].radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or more, and the "
-        f"gel is steepest {steepest[i]:.2f} ball radii from its centre: ball diameter or mm_per_px is wrong"
+        f"gel is steepest {steepest[i]:.2f} ball radii from its center: ball diameter or mm_per_px is wrong"
         if i in steepest and (all_ or steepest[i] >= STEEPEST_RING)
         else None
         for i, press in enumerate(presses)
@@ -130,13 +130,13 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]]) -> list[str | None
     for residual, gain in agreements:
         if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
             reasons.append(
-                f"its slopes are {gain:.2f} times those of a ball of this diameter by the other presses: "
-                "not a ball, or its ball_diameter_mm is wrong"
+                f"its slopes are {gain:.2f} times those of a ball of this diameter, by the other presses: "
+                "it is no ball, or its ball_diameter_mm is wrong"
             )
         elif residual > limit:
             reasons.append(
                 f"slopes differ from the ball's by {residual:.2f} (the other presses: {typical:.2f}, limit {limit:.2f}): "
-                "not a ball, slipped, or a double contact"
+                "it is no ball, it slipped, or it is a double contact"
             )
         else:
             reasons.append(None)

@@ -155,7 +155,7 @@ def _presses(
         if count % 25 == 0:
             progress(count, 0, "looking through the frames")
     if not thumbs.index:
-        raise DataError(f"No frame in {name}. Expected a sequence that shows the untouched gel and presses.")
+        raise DataError(f"No frame in {name}. Expected a sequence that shows the gel at rest and presses.")
     rest_reference = None if background is None else image_from_frame(background, view.view or View())
     if rest_reference is not None and rest_reference.shape != shape:
         raise DataError(
@@ -196,8 +196,8 @@ def _analysed(
         rest = untouched(levels, motion)
         if np.count_nonzero(rest) < MIN_STILL:
             raise DataError(
-                f"No untouched stretch in {name}: expected at least {MIN_STILL} frames in a row of the resting gel "
-                f"among its {len(levels)}. Film the untouched gel for two seconds before the first press, or give "
+                f"No stretch of the gel at rest in {name}: expected at least {MIN_STILL} such frames in a row "
+                f"among its {len(levels)}. Film the gel at rest for two seconds before the first press, or give "
                 "background= (--background)."
             )
         reference = levels[rest].mean(axis=0)
@@ -216,13 +216,13 @@ def _check_presses(found: list[Stretch], touch: NDArray[np.float64], noise: floa
     if not found:
         raise DataError(
             f"No contact in {name}: over {len(touch)} frames no part of the image changes by more than "
-            f"{touch.max():.1f} grey levels (expected over {touch_threshold(touch, noise):.1f}; a firm press changes "
+            f"{touch.max():.1f} gray levels (expected over {touch_threshold(touch, noise):.1f}; a firm press changes "
             f"{10 * MIN_TOUCH:.0f} or more). Press a ball firmly at many places."
         )
     if not any(stretch.stills for stretch in found):
         reasons = sorted({stretch.reason.split(" by ")[0] for stretch in found if stretch.reason})
         raise DataError(
-            f"No press in {name}: {len(found)} contacts, none of them rests ({'; '.join(reasons)}). Press the ball "
+            f"No press in {name}: none of the {len(found)} contacts rests ({'; '.join(reasons)}). Press the ball "
             "down, hold it still for half a second, lift it, and go to the next place."
         )
 
@@ -239,7 +239,7 @@ def _notes(thumbs: Thumbnails, found: list[Stretch]) -> tuple[str, ...]:
     for stretch in found:
         if stretch.reason is not None:
             start, stop = thumbs.time_s[stretch.start], thumbs.time_s[stretch.stop - 1]
-            notes.append(f"{start:.2f}-{stop:.2f} s left out: {stretch.reason}.")
+            notes.append(f"{start:.2f}-{stop:.2f} s are left out: {stretch.reason}.")
     return tuple(notes)
 
 
@@ -255,6 +255,6 @@ def _drift(thumbs: Thumbnails, rest: NDArray[np.bool_]) -> tuple[str, ...]:
         return ()
     figures = ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", ratio))
     return (
-        f"The light drifted: the untouched gel is {figures} times as bright at the end as at the start. Fix exposure "
+        f"The light drifted: the gel at rest is {figures} times as bright at the end as at the start. Fix exposure "
         "and white balance, and let the sensor warm up.",
     )

@@ -49,7 +49,7 @@ LIMITS = (
     Limit("covered_percent", "places and slope directions that presses show", "%", 80, 60, True,
           "Press at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
     Limit("gain_percent", "largest deviation of the slope gain from 1", "%", 5, 12, False,
-          "Press a little deeper, or add a smaller ball. Too few presses show such slopes to read them right."),
+          "Press a little deeper, or add a smaller ball. Too few presses show the slopes whose gain is wrong."),
     Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
           "Press at the places marked 1, 2, 3. Look for a pattern in the depth pictures: dust, a shadow, a scratch."),
     Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
