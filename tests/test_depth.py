@@ -253,3 +253,15 @@ def test_islands_are_counted_by_what_is_known():
     solution = integrate(np.full((12, 15, 2), 0.1), mm_per_px=0.1, weights=weights)
     assert solution.islands == 4
     assert not solution.known[6].any()
+
+
+def test_where_the_iteration_stalls_the_frame_is_factorised():
+    """A mesh of channels 3 px wide between blocks that say nothing: no coarse grid follows them."""
+    y, x = np.mgrid[:120, :160]
+    weights = np.where((x // 5 + y // 3) % 2, 1.0, 1e-3).astype(np.float32)
+    slopes = np.random.default_rng(3).normal(size=(120, 160, 2)).astype(np.float32)
+    with pytest.raises(ConvergenceError):
+        integrate(slopes, mm_per_px=0.1, weights=weights, solver="multigrid")
+    found, exact = (integrate(slopes, mm_per_px=0.1, weights=weights, solver=s) for s in ("auto", "sparse"))
+    assert found.solver == "sparse"
+    np.testing.assert_array_equal(found.depth_mm, exact.depth_mm)

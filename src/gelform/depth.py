@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -20,6 +20,8 @@ from gelform.solvers.inputs import check_anchor, check_slopes, check_weights, ch
 from gelform.solvers.seam import Pair
 from gelform.solvers.system import differences, edges_from_gradients, residual_rms
 from gelform.zero import Level, Zero, checked_level, fitted_surface, median_over, zero_depth, zero_region
+
+MOST_DIRECT_PX = 1_000_000  # of a frame that is factorised where the iteration stalls: a few seconds, 2 GB
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,8 @@ def integrate(
         surface fitted to their depth after it. With an anchor, "slope" is the one to take: bias first, then
         the anchor (2 um left of a bias where the anchor alone leaves 19).
     solver : "auto" or a name in `SOLVERS`
-        "auto" takes `dct` where neither weights, mask nor anchor are given, else `multigrid`.
+        "auto" takes `dct` where neither weights, mask nor anchor are given, else `multigrid`. Where that does not
+        converge, such as in a mesh of channels a few pixels wide, it takes `sparse`; the result names its solver.
 
     Raises
     ------
@@ -161,6 +164,7 @@ def integrate(
         region=region,
         level=level,
         solver=_chosen(solver, uniform=weights is None and mask is None and anchor is None),
+        automatic=solver == "auto",
     )
     return request.solved()
 
@@ -188,6 +192,7 @@ def integrate_unchecked(
         region=zero_region(zero, gradients.shape[:2]),
         level=None,
         solver=_chosen(solver, uniform=weights is None and anchor is None),
+        automatic=solver == "auto",
     )
     return request.solved()
 
@@ -230,9 +235,19 @@ class _Request:
     region: NDArray[np.bool_]
     level: Level | None
     solver: str
+    automatic: bool = False
 
     def solved(self) -> Integration:
         """Each frame of the stack solved, at its zero, and how."""
+        try:
+            return self._solved()
+        except ConvergenceError:
+            height, width = self.gradients.shape[-3:-1]
+            if not self.automatic or self.solver == "dct" or height * width > MOST_DIRECT_PX:
+                raise
+            return replace(self, solver="sparse", automatic=False)._solved()
+
+    def _solved(self) -> Integration:
         g, weights = self.gradients, self.weights
         solver = _prepared(self.solver, (g.shape[-3], g.shape[-2]), self.pitch)
         if g.ndim == 3:

@@ -37,7 +37,7 @@ def test_it_fits_writes_reports_and_is_used(hub, tmp_path, library, presses, cal
     assert session.guide.step == "report"
     assert report["accepted"] + len(report["rejected"]) == len(presses.presses)
     assert report["level"] in ("good", "fair", "poor")
-    (seen,) = [check["value"] for check in report["checks"] if "directions seen" in check["label"]]
+    (seen,) = [check["value"] for check in report["checks"] if "slope directions" in check["label"]]
     assert seen == pytest.approx(100 * session.guide.facts()["coverage"]["share"]), "one figure"
     folder = tmp_path / session.name
     assert "<html" in (folder / "report.html").read_text(encoding="utf-8")
