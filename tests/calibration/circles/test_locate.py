@@ -30,7 +30,7 @@ def test_a_ball_that_is_stated_half_as_large_is_named(prepared, found):
     note = other_ball_note(small, found, refined)
     said = re.match(r"(\d+) of (\d+) presses fit a ball ([\d.]+) times as large as stated", note)
     count, of, factor = (float(one) for one in said.groups())
-    assert "check ball_diameter_mm and mm_per_px" in note
+    assert "Check ball_diameter_mm and mm_per_px" in note
     assert factor > 1.25
     assert of == len(prepared)
     named = BALL_FACTORS[abs(BALL_FACTORS - factor).argmin()]

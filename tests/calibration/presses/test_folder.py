@@ -240,7 +240,7 @@ def test_a_known_response_is_undone(tmp_path):
     assert linear.color_model.response == pytest.approx(1, abs=0.15)
     assert plain.color_model.response == pytest.approx(1 / GAMMA, abs=0.2)
     assert linear.held_out["normal_free_deg"] < 1.2 * plain.held_out["normal_free_deg"] < 3.5
-    assert any("is undone before the color model" in note for note in linear.report.notes)
+    assert any("removes the camera's response" in note for note in linear.report.notes)
     linear.save(tmp_path / "cal.npz")
     again = gelform.load_calibration(tmp_path / "cal.npz")
     assert again.change == linear.change
