@@ -1,4 +1,4 @@
-"""Processes that share work: they end with the one that started them, and together when one of them is lost."""
+"""Worker processes: they end with the process that started them, and all together when one is lost."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 import cv2
@@ -23,45 +24,69 @@ class WorkerLostError(GelformError):
 
 
 def _nothing() -> None:
-    """Needs no preparation."""
+    """Prepare nothing."""
 
 
 @contextmanager
 def worker_processes(
     count: int, prepare: Callable[..., None] = _nothing, *args: Any, kept: str = ""
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of new processes, of one thread of OpenCV each; an exception in the block cancels what has not begun.
+    """A pool of new processes with one thread of OpenCV each; an exception in the block cancels all pending work.
 
     Parameters
     ----------
-    count : of processes
-    prepare : called with `args` in each of them first; small ones: a pipe holds 64 kB, and starting a process that is
+    count : number of processes
+    prepare : called first with `args` in each of them; keep args small: a pipe holds 64 kB, and starting a process that is
         killed before it reads the rest would never end
-    kept : what the error says of the work that was done until then, a sentence
+    kept : a sentence for the error about the work that is already done
 
     Raises
     ------
     WorkerLostError
-        One was killed.
+        A worker was killed.
     """
-    context = get_context("spawn")  # a fork would take the locks and the threads with it
+    context = _Recorded()
     lost, lose = context.Pipe(duplex=False)
     with lost, lose, ProcessPoolExecutor(count, context, _begin, (lost, prepare, args)) as pool:
         try:
             yield pool
-        except (BrokenProcessPool, OSError) as problem:
-            if isinstance(problem, OSError) and not _is_broken(pool):
+        except (BrokenProcessPool, OSError, ValueError) as problem:
+            if not (isinstance(problem, BrokenProcessPool) or context.lost_one() or _is_broken(pool)):
                 raise
-            lose.close()  # the pool forgets a process that was starting when it broke, and would wait for it for ever
+            lose.close()  # a broken pool forgets a process that was starting, and would wait for it forever
             said = ("A worker process was killed, perhaps for want of memory.", kept)
             again = "Run the same command again, with fewer --workers."
             raise WorkerLostError(" ".join(one for one in (*said, again) if one)) from problem
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+            lose.close()  # ends those that the pool forgot
+            for process in context.started:
+                if process.pid is not None:  # it did start
+                    process.join()
+
+
+class _Recorded(SpawnContext):
+    """New processes, since a fork would copy the locks and threads too; all are recorded.
+
+    A pool that breaks while it starts another process does not wait for that one.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]  # a class there
+        process = SpawnProcess(*args, **kwargs)
+        self.started.append(process)
+        return process
+
+    def lost_one(self) -> bool:
+        """Whether a process ended, although nothing told it to."""
+        return any(process.exitcode for process in self.started)
 
 
 def _is_broken(pool: ProcessPoolExecutor) -> bool:
-    """Whether a worker was lost: while a pool finds that out, its `submit` fails with an OSError of a closed pipe."""
+    """Whether the pool noticed a lost worker; while it does, `submit` fails with an error of a closed pipe."""
     try:
         pool.submit(_nothing)
     except BrokenProcessPool:
@@ -71,9 +96,9 @@ def _is_broken(pool: ProcessPoolExecutor) -> bool:
 
 @contextmanager
 def interrupt_held() -> Iterator[None]:
-    """Ctrl-C reaches all processes, but is for the one that starts them: those started here never see it.
+    """Hold Ctrl-C, which reaches all processes, for the one that starts them; its workers never see it.
 
-    It waits until the block ends. Where a system cannot hold it (Windows), only a worker's first moments see it.
+    It waits until the block ends. On a system that cannot hold it (Windows), only a worker's first moments see it.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
