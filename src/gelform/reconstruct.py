@@ -1,4 +1,4 @@
-"""The path in one method: a calibration and the arrows from frame to depth."""
+"""Reconstructor: the path from a frame to depth in one method."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ from gelform.reconstruction import Reconstruction
 from gelform.solvers.inputs import checked_solver, takes_weights
 from gelform.view import image_from_frame
 
-# Of a calibration that was imported without them: they decide where contact is and how firmly 0 is held, never how deep.
-USUAL_WIDTH_MM = 20.0  # of the frame on the gel: about that of a GelSight Mini
-USUAL_SIGMA = 0.05  # standard deviation of a slope, mm/mm
-BYTES_PER_PX = 80  # of all that a frame allocates
+# Values for an imported calibration without its own; they affect the contact mask and the anchor, but no slope.
+USUAL_WIDTH_MM = 20.0  # mm, width of the frame on the gel; about that of a GelSight Mini
+USUAL_SIGMA = 0.05  # mm/mm, standard deviation of a slope
+BYTES_PER_PX = 80  # bytes that one frame allocates in all
 Work = Callable[[], NDArray[np.float32]]
 
 
 class _Read(NamedTuple):
-    """What an image says of the slopes; see `Reconstructor._read`."""
+    """The slopes of an image and their confidence; see `Reconstructor._read`."""
 
     faults: FrameFaults
     flow: MarkerFlow | None
@@ -70,7 +70,7 @@ class _Read(NamedTuple):
 
 
 class _Calibrated:
-    """What follows from a calibration alone; immutable, shared by threads and by all states of the untouched gel."""
+    """The parts that follow from a calibration alone. They are immutable; threads and all background images share them."""
 
     def __init__(
         self, calibration: Calibration, solver: str, *, depth_sigma: bool, slope_sigma: bool
@@ -99,9 +99,10 @@ class _Calibrated:
     def integrate(
         self, read: _Read, start: Callable[[Work], Work]
     ) -> tuple[Integration, NDArray[np.float32] | None, DepthDifference | None]:
-        """Depth of the slopes, weighted and anchored where the solver can, its standard deviation, and differences'.
+        """Depth of the slopes, its standard deviation, and the standard deviation of depth differences.
 
-        It has two parts: errors of slopes here and there, and what all in or around a contact share, in proportion to depth.
+        The slopes are weighted and anchored if the solver can do so. The standard deviation has two parts: local errors of
+        slopes, and an error that all pixels in or around a contact share, in proportion to depth.
         """
         solve_args: dict[str, Any] = {"zero": read.untouched}
         if takes_weights(self.solver):
@@ -121,7 +122,7 @@ class _Calibrated:
 
 
 class _Today:
-    """What follows from the untouched image of today (H, W, 3), 0-255; immutable, shared by threads."""
+    """The parts that follow from today's background image (H, W, 3), 0-255. They are immutable; threads share them."""
 
     def __init__(self, fixed: _Calibrated, background: NDArray[np.float32]) -> None:
         calibration, forward = fixed.calibration, fixed.calibration.forward
@@ -129,7 +130,7 @@ class _Today:
         self.untouched_image = PreparedBackground(background, change)
         self.model = calibration.color_model.prepare(background, calibration.image_shape)
         self.health = FrameHealth(background)
-        # Where crosstalk is undone, a channel that clips is part of all three.
+        # If crosstalk is removed, a clipped channel affects all three.
         spare = int(fixed.stepped.steps and change.crosstalk is None)
         learnt = None if forward is None else forward.clipped
         outside = outside_of_gel(background)
@@ -147,31 +148,31 @@ class _Today:
 class Reconstructor:
     """Depth in mm from images of the sensor that a calibration belongs to.
 
-    A pure function of the image: the same bytes whatever came before, and safe to share between threads. It can be
-    pickled, so that pools of processes and loaders of data take it; it is prepared again in each of them.
+    It is a pure function of the image: the same image gives the same bytes, whatever came before, and threads can share
+    it. It can be pickled, so that process pools and data loaders accept it; each of them prepares it again.
 
-    The slopes' bias, read from the untouched pixels, is removed first. Then depth is the weighted least-squares
-    surface: every slope counts by its confidence, and untouched pixels are softly anchored at 0. The order
-    matters: an anchor alone would bend the surface to hide the bias.
+    First it removes the bias of the slopes, which it reads from the pixels at rest. Then depth is the weighted
+    least-squares surface: every slope counts by its confidence, and pixels at rest are softly anchored at 0. The order
+    matters, because an anchor alone would bend the surface to hide the bias.
 
     Parameters
     ----------
     calibration : of this sensor and gel, or the path of its file
     background : (H, W, 3), 0-255, optional
-        The untouched image of today; the calibration's own by default. An image, of the calibrated size: a frame
-        of the untouched gel becomes one by `image_from_frame(frame, calibration.view)`.
+        Today's background image; the calibration's own by default. It is an image of the calibrated size;
+        `image_from_frame(frame, calibration.view)` makes one of a frame.
     solver : "auto" or a name in `gelform.solvers.SOLVERS`
-        "auto" is `multigrid`. Those that treat all slopes alike (`dct`, `dct4`) get neither weights nor anchor.
+        "auto" is `multigrid`. Solvers that treat all slopes alike (`dct`, `dct4`) use neither weights nor anchor.
     depth_sigma : whether results have `depth_sigma_mm`; without it a frame takes a quarter less time
-    slope_sigma : whether results have `gradients_sigma` and the confidence that follows from it. Only a solver that treats
-        all slopes alike can do without (confidence is 1 then), and without `depth_sigma`; depth and contact are the same
+    slope_sigma : whether results have `gradients_sigma` and the confidence that follows from it. False needs a solver that
+        treats all slopes alike, and `depth_sigma` False; confidence is 1 then, and depth and contact stay the same
 
     Attributes
     ----------
     own_background : whether the background in use is the calibration's own, pixel for pixel
-    findings : what should be known of the calibration, where it is a starter, and of a background that is not its own
-    solved_sigma : standard deviation of the solved depth's slopes, from that of the slopes that were read
-    markers : follows the gel's marker dots; of length 0 where it has none. A `MarkerTracker` of it has memory
+    findings : findings about a starter calibration, and about a background that is not the calibration's own
+    solved_sigma : function from the standard deviation of the read slopes to that of the solved depth's slopes
+    markers : finds the gel's markers in an image; its length is 0 if there are none. A `MarkerTracker` of it has memory
 
     Raises
     ------
@@ -211,10 +212,10 @@ class Reconstructor:
         keep_freed_memory(BYTES_PER_PX * height * width)
 
     def with_background(self, background: NDArray[np.float32]) -> Reconstructor:
-        """The same for another state (H, W, 3) of the same untouched gel, 0-255; nothing is checked.
+        """The same Reconstructor for a newer background (H, W, 3), 0-255, of the same gel; nothing is checked.
 
-        All but the marker dots is as if the Reconstructor had been made with it: they are still where they were found.
-        Takes about as long as a frame.
+        The markers keep their places; everything else is as if the Reconstructor had been made with this background.
+        It takes about as long as a frame.
         """
         other = copy(self)
         other.background, other.own_background = background, False
@@ -222,7 +223,10 @@ class Reconstructor:
         return other
 
     def with_helper(self, start: Callable[[Work], Work]) -> Reconstructor:
-        """The same, with `depth_sigma_mm` worked out beside the depth: `start(work)` begins it, what it gave ends it."""
+        """The same Reconstructor with `depth_sigma_mm` computed beside the depth by a helper.
+
+        `start(work)` begins the work; the function that it returns ends it.
+        """
         other = copy(self)
         other._start = start
         return other
@@ -233,9 +237,9 @@ class Reconstructor:
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as what it was made of, and prepared again where it is read, which takes as long as making it.
+        """Pickle the arguments; unpickling prepares the Reconstructor again, which takes as long as making it.
 
-        Not kept are the calibration's report and a helper, neither of which changes a byte of a result.
+        The calibration's report and a helper are left out; neither changes a byte of a result.
         """
         fixed, calibration = self._calibrated, replace(self.calibration, report=None)
         depth_sigma, slope_sigma = fixed.depth_sigma is not None, fixed.slope_sigma
@@ -244,7 +248,7 @@ class Reconstructor:
         return _prepared_again, (type(self), calibration, self.solver, depth_sigma, slope_sigma, today), state
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
-        """Reconstruct one frame: the calibration's view of it, then `from_image`.
+        """Reconstruct one frame: apply the calibration's view, then `from_image`.
 
         Parameters
         ----------
@@ -264,12 +268,13 @@ class Reconstructor:
         return self.from_image(image_from_frame(pixels, self.calibration.view))
 
     def from_image(self, image: ArrayLike, *, markers: MarkerFlow | None = None) -> Reconstruction:
-        """Reconstruct one image: what the calibration's view gives of a frame, such as a press that was read.
+        """Reconstruct one image that has already passed through the calibration's view, such as a press from a folder.
 
         Parameters
         ----------
         image : (H, W, 3) uint8 or float 0-255, RGB, of the calibrated size; never turned, cropped or resized
-        markers : where the dots are, of a `MarkerTracker`; by default sought within half their spacing of rest
+        markers : the markers' positions, from a `MarkerTracker`; by default each is searched for within half the markers'
+            spacing of its place at rest
 
         Raises
         ------
@@ -308,9 +313,10 @@ class Reconstructor:
         )
 
     def explain(self, image: ArrayLike) -> Explanation:
-        """Why each pixel of an image was trusted or not: the sigma that each cause adds, and its share.
+        """The reasons for each pixel's confidence: the sigma that each cause adds, and its share.
 
-        Of the sigma and confidence that `from_image` solves with; takes longer than a frame. Image and errors as there.
+        It explains the sigma and the confidence that `from_image` solves with, and takes longer than a frame. Image and
+        errors are those of `from_image`.
         """
         if isinstance(self._today.causes, AllAlike):
             raise GelformError("Expected a Reconstructor with slope_sigma=True, which alone knows of causes.")
@@ -327,14 +333,16 @@ class Reconstructor:
         *,
         explains: bool = False,
     ) -> _Read:
-        """The slopes of an image and how far each is to be trusted; its color change is written to `change`."""
+        """The slopes of an image and their sigma and confidence; writes the image's color change to `change`."""
         fixed, today = self._calibrated, self._today
         image = whole_levels(image)
         raw_image, faults = image, today.health(image)
-        image = faults.image  # what says nothing shows the untouched gel, and has no weight
-        exposure, drifted = today.untouched_image.compare(image)
+        image = faults.image  # lost pixels show the background image and have no weight
         flow = self.markers(image) if flow is None and len(self.markers) else flow
-        markers = self.markers.hidden(image, flow, self.calibration.change.blur_px)
+        markers = self.markers.hidden(image, flow)
+        if markers is not None:
+            image = today.untouched_image.bridged(image, markers)
+        exposure, drifted = today.untouched_image.compare(image)
         hidden = faults.hidden(markers)
         clipped = today.clipped(as_levels(image), hidden)
         unseen = either(hidden, clipped.unseen)
@@ -361,7 +369,7 @@ class Reconstructor:
         )  # fmt: skip
 
     def _albedo_source(self, change: NDArray[np.float32]) -> Callable[[], NDArray[np.float32]] | None:
-        """The albedo, worked out when it is asked for; color models that know none give none."""
+        """A function that computes the albedo on demand; None if the color model has no albedo."""
         model = self._today.model
         return partial(model.albedo_from_color, change.copy()) if isinstance(model, AlbedoModel) else None
 
@@ -374,6 +382,6 @@ def _prepared_again(
     slope_sigma: bool,
     background: NDArray[np.float32] | None,
 ) -> Reconstructor:
-    """The Reconstructor that was pickled, but for its findings and marker dots, which follow as its state."""
+    """The unpickled Reconstructor, without its findings and markers, which follow as its state."""
     made = kind(calibration, solver=solver, depth_sigma=depth_sigma, slope_sigma=slope_sigma)
     return made if background is None else made.with_background(background)

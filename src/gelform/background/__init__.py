@@ -1,1 +1,1 @@
-"""The untouched image: averaged, compared with a frame, checked."""
+"""The background image: averaged, compared with a frame, checked."""

@@ -1,4 +1,4 @@
-"""frames of the untouched gel -> background: a robust average, touched frames left out by name."""
+"""frames of the gel at rest -> background: a robust average that leaves touched frames out by name."""
 
 from __future__ import annotations
 
@@ -13,23 +13,27 @@ from gelform.errors import DataError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 
-# Of frames that are held, and of rows that are sorted at once.
+# Bytes of frames that are held, and of rows that are sorted at once.
 MAX_BYTES, ROWS_BYTES = 192 * 2**20, 32 * 2**20
-TRIMMED_FRACTION = 0.2  # of a pixel's values at either end
-# A block is touched that is off by 3 % of its level, 1.5 grey levels and 6 sigma of noise; a frame that has such a fraction
-# of them.
-BLOCK_FRACTION, BLOCK_LEVELS, BLOCK_SIGMAS, TOUCHED_BLOCKS = 0.03, 1.5, 6.0, 0.01
-OTHER_EXPOSURE = 0.03  # of the brightness: a frame that differs by more is left out
-KEPT_VARIANCES = 0.99  # fraction of the pixels: a hundredth may flicker, a fibre or an edge that trembles
+TRIMMED_FRACTION = 0.2  # fraction of a pixel's values that is cut off at each end
+# A block is touched if it is off by 3 % of its level, 1.5 gray levels and 6 sigma of noise; a frame is touched if such a
+# fraction of its blocks is.
+BLOCK_LEVELS, BLOCK_SIGMAS, TOUCHED_BLOCKS = 1.5, 6.0, 0.01
+OTHER_LEVEL = (
+    0.03  # fraction of the brightness: a touched block, or a frame of another exposure, differs by more
+)
+KEPT_VARIANCES = (
+    0.99  # fraction of the pixels; one in a hundred may flicker, such as a fiber or an edge that trembles
+)
 
 
 class Background(NamedTuple):
-    """An average of untouched frames.
+    """An average of frames of the gel at rest.
 
     Attributes
     ----------
     background : (H, W, 3) float32, 0-255
-    noise : (3,) float64, standard deviation of a pixel in one frame, grey levels
+    noise : (3,) float64, standard deviation of a pixel in one frame, gray levels
     left_out : (name, why) of each frame that is not in the average
     """
 
@@ -41,39 +45,39 @@ class Background(NamedTuple):
 def background_from_frames(
     frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = MAX_BYTES
 ) -> Background:
-    """A robust average of frames of the untouched gel.
+    """A robust average of frames of the gel at rest.
 
-    Frames that a touch, a shadow or another exposure sets apart from the median of all are left out; of the
-    others each pixel's fifth highest and lowest values are cut off and the rest is averaged (a trimmed mean:
+    Frames that differ from the median of all by a touch, a shadow or another exposure are left out. From the
+    others, the highest and the lowest fifth of each pixel's values are cut off, and the rest is averaged (a trimmed mean:
     P. J. Huber and E. M. Ronchetti, Robust Statistics, 2nd edition, 2009, section 1.3).
 
     Parameters
     ----------
     frames : (H, W, 3) each, RGB, 0-255; taken one at a time
-    names : what messages call them; "frame 0", "frame 1", ... by default
-    max_bytes : of frames that are held at once; where there are more, evenly spaced ones are kept
+    names : names of the frames in messages; "frame 0", "frame 1", ... by default
+    max_bytes : of frames that are held at once; beyond that, evenly spaced frames are kept
 
     Returns
     -------
     Background
-        (background, noise, left_out). Of a single frame the noise is estimated from second differences along rows.
+        (background, noise, left_out). The noise of a single frame is estimated from second differences along rows.
 
     Raises
     ------
     DataError
-        No frame, or fewer than half agree with the median of all: none can be called untouched then.
+        No frame, or fewer than half agree with the median of all; then none is surely at rest.
     ValueError, TypeError
         A frame that is no RGB image, or of another size than the first.
     """
     kept = _kept(frames, names, max_bytes)
     if not kept:
-        raise DataError("Expected frames of the untouched gel, got none.")
+        raise DataError("Expected frames of the gel at rest, got none.")
     left_out = _odd_ones(kept)
     good = [image for name, image in kept if name not in left_out]
     if 2 * len(good) <= len(kept) and len(kept) > 1:
         listed = "; ".join(f"{name}: {why}" for name, why in list(left_out.items())[:4])
         raise DataError(
-            f"Expected frames of the untouched gel that agree, got {len(left_out)} of {len(kept)} that differ from "
+            f"Expected frames of the gel at rest that agree, got {len(left_out)} of {len(kept)} that differ from "
             f"the median of all ({listed}). Take them again with nothing on the gel and the exposure fixed."
         )
     average, noise = trimmed_mean(good)
@@ -81,11 +85,11 @@ def background_from_frames(
 
 
 def noise_from_image(image: NDArray[Any]) -> NDArray[np.float64]:
-    """Standard deviation (3,) of a pixel, grey levels, from second differences along rows (robust).
+    """Standard deviation (3,) of a pixel, gray levels, from second differences along rows (robust).
 
     Parameters
     ----------
-    image : (H, W, 3), or the difference of two images: whatever is smooth along rows but for its noise
+    image : (H, W, 3), or the difference of two images; smooth along rows except for its noise
     """
     pixels = np.asarray(image, dtype=np.float32)
     second = pixels[:, 2:] - 2 * pixels[:, 1:-1] + pixels[:, :-2]
@@ -96,7 +100,7 @@ def noise_from_image(image: NDArray[Any]) -> NDArray[np.float64]:
 def _kept(
     frames: Iterable[ArrayLike], names: Sequence[str] | None, max_bytes: int
 ) -> list[tuple[str, NDArray[Any]]]:
-    """Every k-th frame, k doubled whenever there would be more than `max_bytes` of them."""
+    """Every k-th frame; k is doubled each time the frames would exceed `max_bytes`."""
     kept: list[tuple[str, NDArray[Any]]] = []
     stride = 1
     if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
@@ -112,7 +116,7 @@ def _kept(
 
 
 def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
-    """Names of the frames that are not like the median of all, with why."""
+    """Names of the frames that differ from the median of all, with the reason."""
     blocks = np.stack([block_means(image) for _, image in kept])
     middle = np.median(blocks, axis=0)
     odd = {}
@@ -120,19 +124,19 @@ def _odd_ones(kept: Sequence[tuple[str, NDArray[Any]]]) -> dict[str, str]:
         gain = np.median((own + 1) / (middle + 1), axis=(0, 1))
         off = np.abs(own - gain * middle)
         noise = SIGMA_OF_MEDIAN * np.median(off, axis=(0, 1))
-        touched = (off > BLOCK_FRACTION * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
+        touched = (off > OTHER_LEVEL * middle + BLOCK_LEVELS + BLOCK_SIGMAS * noise).any(axis=-1).mean()
         brighter = float(gain[np.argmax(np.abs(gain - 1))] - 1)
         if touched > TOUCHED_BLOCKS:
-            odd[name] = f"{100 * touched:.1f} % of it differs: touched, or a shadow"
-        elif abs(brighter) > OTHER_EXPOSURE:
+            odd[name] = f"{100 * touched:.1f} % of it differs, by a touch or a shadow"
+        elif abs(brighter) > OTHER_LEVEL:
             odd[name] = f"another exposure, {100 * brighter:+.0f} %"
     return odd
 
 
 def trimmed_mean(images: Sequence[NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Mean of untouched frames without each pixel's fifth highest and lowest values, and their noise (3,), grey levels.
+    """Mean of frames without the highest and the lowest fifth of each pixel's values, and their noise (3,), gray levels.
 
-    No frame is left out: for frames that are known to be untouched.
+    No frame is left out; it is for frames that are known to be at rest.
     """
     if len(images) == 1:
         return images[0].astype(np.float32), noise_from_image(images[0])

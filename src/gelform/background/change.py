@@ -1,4 +1,4 @@
-"""image -> color_change: what a touch changed, by dividing by or subtracting the untouched image."""
+"""image -> color_change: the effect of a touch, by dividing by or subtracting the background image."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from gelform.background.exposure import Exposure, block_means
 from gelform.foundations.checks import check_image, check_is, check_response, check_values, check_within
 from gelform.foundations.filters import CHANGE_OFFSET, LANES, blur_taps
 from gelform.foundations.findings import Finding
+from gelform.gradients import fill_unknown
 
-MAX_CONDITION = 30.0  # of a crosstalk matrix, from which two channels count as one
-MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # that a file may say
+MAX_CONDITION = 30.0  # of a crosstalk matrix; with a larger one, two channels count as one
+MAX_OFFSET, MAX_BLUR_PX = 1e4, 100.0  # gray levels and px, the largest values that a file may have
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(
     "color_change",
@@ -28,17 +29,17 @@ _color_change = Kernel(
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """How an image becomes a color change.
+    """The settings of the conversion from an image to a color change.
 
     Attributes
     ----------
     method : "divide" gives (I - I0)/(I0 + offset), "subtract" gives (I - I0)/255
-    offset : grey levels added to the divisor, so that dark pixels do not amplify noise
+    offset : gray levels added to the divisor, so that dark pixels do not amplify noise
     blur_px : standard deviation of a Gaussian blur of the change, px; 0 for none
-    crosstalk : 3x3, row c: how much of the red, green and blue light channel c sees; None: nothing to undo
-        From `crosstalk_from_frames`. Undone on image and background alike, before the change is taken.
-    response : exponent of the camera's response, I = 255 (light/255)^response; 1: nothing to undo
-        Undone first: I and I0 above are then linear light, 0-255.
+    crosstalk : 3x3, row c: the fractions of the red, green and blue light that channel c records; None: no crosstalk
+        From `crosstalk_from_frames`. It is removed from image and background before the change is computed.
+    response : exponent of the camera's response curve, I = 255 (light/255)^response; 1: linear
+        It is removed first, so that I and I0 above are linear light, 0-255.
     """
 
     method: Literal["divide", "subtract"] = "divide"
@@ -75,9 +76,9 @@ def _checked_crosstalk(crosstalk: Any) -> Matrix:
 
 
 def light_from_image(image: NDArray[Any], settings: ChangeSettings) -> NDArray[Any]:
-    """The image with response and crosstalk undone, (H, W, 3) float32; the image itself where there is nothing.
+    """The image without response curve and crosstalk, (H, W, 3) float32; the image itself if it has neither.
 
-    Linear light keeps the scale of 0-255; behind the inverse of a crosstalk matrix it may be a little below 0.
+    Linear light keeps the scale of 0-255; the inverse of a crosstalk matrix can make it a little negative.
     """
     light = image
     if settings.response != 1:
@@ -95,7 +96,7 @@ def _linear(levels: NDArray[Any], response: float) -> NDArray[np.float32]:
 
 
 def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDArray[np.float32]:
-    """What each pixel's difference to the background is multiplied by, (H, W, 3) float32; 0 where nothing divides it."""
+    """The factor of each pixel's difference to the background, (H, W, 3) float32; 0 where the divisor is 0."""
     reference = check_image(background, name="background").astype(np.float32)
     if settings.method == "subtract":
         return np.full(reference.shape, 1 / 255, dtype=np.float32)
@@ -106,17 +107,17 @@ def gain_from_background(background: ArrayLike, settings: ChangeSettings) -> NDA
 def color_change_from_image(
     image: ArrayLike, background: ArrayLike, settings: ChangeSettings | None = None
 ) -> NDArray[np.float32]:
-    """Relative change of colour against the untouched image; zero means: slope as at rest.
+    """Relative change of color from the background image; zero means the slope of rest.
 
     Parameters
     ----------
     image, background : (H, W, 3), RGB, 0-255
-    settings : how; (I - I0)/(I0 + 10) without blur by default
+    settings : of the conversion; (I - I0)/(I0 + 10) without blur by default
 
     Returns
     -------
     color_change : (H, W, 3) float32
-        Of the images as they are: a difference in exposure is part of it (see `PreparedBackground`).
+        A difference in exposure between the images is part of it (see `PreparedBackground`).
 
     Raises
     ------
@@ -129,12 +130,12 @@ def color_change_from_image(
 
 
 class PreparedBackground:
-    """The untouched image, with everything about it that does not depend on the frame; immutable.
+    """The background image and everything about it that does not depend on the frame; immutable.
 
     Parameters
     ----------
     background : (H, W, 3), RGB, 0-255
-    settings : how an image becomes a color change
+    settings : of the conversion from an image to a color change
     """
 
     def __init__(self, background: ArrayLike, settings: ChangeSettings) -> None:
@@ -146,25 +147,39 @@ class PreparedBackground:
         self._blocks = block_means(self.background)
 
     def compare(self, image: NDArray[Any]) -> tuple[Exposure, tuple[Finding, ...]]:
-        """How much brighter the frame is than the background, and what should be warned of.
+        """Compare the frame's brightness with the background's; return the exposure and findings.
 
         CalibrationError: as `check_background`.
         """
         return compared(block_means(image), self._blocks)
 
-    def change(self, image: NDArray[Any], exposure: Exposure | None = None) -> NDArray[np.float32]:
-        """Color change (H, W, 3) float32; with `exposure`, of the image that today's exposure would have given.
+    def bridged(self, image: NDArray[Any], hidden: NDArray[np.bool_]) -> NDArray[Any]:
+        """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
 
-        What is compensated is the exposure's `believed_gain`.
+        A blur of the change then carries nothing from the hidden pixels to others.
+        """
+        if not hidden.any() or hidden.all():
+            return image
+        divisor = self.background + np.float32(CHANGE_OFFSET)
+        filled = fill_unknown((image + np.float32(CHANGE_OFFSET)) / divisor, ~hidden)
+        levels = np.clip(filled[hidden] * divisor[hidden] - np.float32(CHANGE_OFFSET), 0, 255)
+        bridged = image.copy()
+        bridged[hidden] = np.rint(levels) if np.issubdtype(image.dtype, np.integer) else levels
+        return bridged
+
+    def change(self, image: NDArray[Any], exposure: Exposure | None = None) -> NDArray[np.float32]:
+        """Color change (H, W, 3) float32; with `exposure`, of the image under today's exposure.
+
+        It compensates the exposure's `believed_gain`.
         """
         return self.pending(image, exposure).write(np.empty(self._light.shape, dtype=np.float32))
 
     def pending(self, image: NDArray[Any], exposure: Exposure | None = None) -> PendingChange:
-        """`change`, yet to be computed: all of it but the pass over the pixels."""
+        """The work of `change` that precedes the pass over the pixels."""
         light = light_from_image(image, self.settings)
         gain = np.ones(3) if exposure is None else exposure.believed_gain ** (-1 / self.settings.response)
         if self.settings.crosstalk is not None and np.ptp(gain) > 0:
-            # gains act on the channels as the camera has them: in front of the crosstalk
+            # gains belong to the camera's channels, so they act before the crosstalk is removed
             matrix = np.asarray(self.settings.crosstalk)
             light = cv2.transform(light, np.linalg.inv(matrix) @ np.diag(gain) @ matrix)
             gain = np.ones(3)
@@ -178,7 +193,7 @@ class PreparedBackground:
 
 @dataclass(frozen=True)
 class PendingChange:
-    """A color change of which all is known but the pixels: computed alone, or in one pass with a color model.
+    """A color change without its pass over the pixels, which runs alone or together with a color model.
 
     Attributes
     ----------
@@ -189,7 +204,7 @@ class PendingChange:
 
     @property
     def work_size(self) -> int:
-        """How many floats of work the kernel needs: a row with its border, and the rows that a blur reaches."""
+        """Floats of work memory that the kernel needs: a row with its border, and the rows within a blur's reach."""
         scale, taps = self.arguments[2], self.arguments[5]
         radius = len(taps) - 1
         whole = -(-len(scale) // LANES) * LANES
@@ -204,15 +219,15 @@ class PendingChange:
 def image_from_color_change(
     color_change: ArrayLike, background: ArrayLike, settings: ChangeSettings | None = None
 ) -> NDArray[np.float32]:
-    """The image (H, W, 3) float32, 0-255, of an unblurred color change: what the forward path inverts.
+    """The image (H, W, 3) float32, 0-255, of an unblurred color change: the inverse of `color_change_from_image`.
 
     Values are clipped to 0-255, as a camera would.
 
     Parameters
     ----------
-    color_change : (H, W, 3), as `color_change_from_image` gives it with the same settings
+    color_change : (H, W, 3), from `color_change_from_image` with the same settings
     background : (H, W, 3), RGB, 0-255
-    settings : how the change was taken; (I - I0)/(I0 + 10) by default
+    settings : of the conversion; (I - I0)/(I0 + 10) by default
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Whether a background belongs to an image, to a set of frames, to the calibrated sensor; with figures."""
+"""Checks that a background belongs to an image, to a set of frames, and to the calibrated sensor; with figures."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ from gelform.errors import CalibrationError
 from gelform.foundations.findings import Finding
 from gelform.frames import pixels_digest
 
-# Of the brightness: outside a new background is asked for, or the image refused.
+# Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.
 RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
-GAIN_REPORTED = 0.02  # of the brightness: a smaller difference is compensated without a word
-CORRELATION_REFUSE = 0.8  # on untouched pixels: with less an image is another sensor's, or a shifted one
-# Fractions of the brightness by which half of an image is off, to be warned of and to be refused; and its quarter that
-# changed least, to be refused.
+GAIN_REPORTED = 0.02  # fraction of the brightness; a smaller difference is compensated without a finding
+CORRELATION_REFUSE = (
+    0.8  # smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted
+)
+# Fractions of the brightness: half of an image differs by more than the first for a warning, the second for a refusal; the
+# quarter that changed least by more than the third for a refusal.
 PATTERN_WARN, PATTERN_REFUSE, LEAST_REFUSE = 0.02, 0.06, 0.036
-TOUCHED_FRACTION = 0.4  # of an image, that the correlation leaves out
-MIN_FRAMES = 8  # whose median is nearly the untouched image, each touched elsewhere
+TOUCHED_FRACTION = 0.4  # fraction of an image that the correlation leaves out
+MIN_FRAMES = (
+    8  # smallest number of frames, each touched elsewhere, whose median is nearly the background image
+)
 
 _least_changed_sums = Kernel(
     "least_changed_sums",
@@ -32,24 +36,23 @@ _least_changed_sums = Kernel(
 
 
 def check_background(image: NDArray[Any], background: NDArray[Any]) -> tuple[Finding, ...]:
-    """Refuse a background that is not of this image; return what should be warned of.
+    """Refuse a background that does not belong to this image; return findings.
 
-    On what a touch left alone the image should be the background times a gain near 1.
+    Where nothing touches, the image should be the background times a gain near 1.
 
     CalibrationError: the channels fit better reversed (RGB against BGR), a channel's gain is outside 0.7-1.4, or the
-    correlation is under 0.8. The figure is in the message.
+    correlation is under 0.8. The message has the figure.
     """
     return compared(block_means(image), block_means(background))[1]
 
 
 def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> tuple[Finding, ...]:
-    """Refuse an untouched image that is not of the calibrated sensor; return what should be warned of.
+    """Refuse a background image that is not of the calibrated sensor; return findings.
 
-    Beyond `check_background`: both are untouched, so that behind a gain for each channel they should be alike
-    everywhere. Another unit of the same model passes all but this.
+    It goes beyond `check_background`: both images show the gel at rest, so that they should be equal everywhere, up to
+    a gain for each channel. Another unit of the same model passes every other check.
 
-    CalibrationError: as `check_background`, or half of the image differs by more than 6 %. The figure is in the
-    message.
+    CalibrationError: as `check_background`, or half of the image differs by more than 6 %. The message has the figure.
     """
     exposure, _ = compared(block_means(background), block_means(calibrated))
     differs = exposure.middle_change
@@ -72,13 +75,12 @@ def check_own_background(background: NDArray[Any], calibrated: NDArray[Any]) -> 
 def check_background_of_frames(
     frames: Sequence[NDArray[Any]], background: NDArray[Any]
 ) -> tuple[Finding, ...]:
-    """Refuse a background that is not of the sensor that took the frames; return what should be warned of.
+    """Refuse a background that is not of the sensor that took the frames; return findings.
 
-    The frames are touched, each elsewhere.
+    Each frame is touched, at another place. Therefore the blocks' median over eight frames or more is nearly the background
+    image; fewer frames are not checked.
 
-    The blocks' median over eight frames or more is nearly the untouched image; fewer are not judged.
-
-    CalibrationError: the quarter that changed least differs by more than 3.6 % and half by more than 6 %.
+    CalibrationError: the quarter that changed least differs by more than 3.6 %, and half by more than 6 %.
     """
     if len(frames) < MIN_FRAMES:
         return ()
@@ -105,14 +107,14 @@ def check_background_of_frames(
 
 
 def background_digest(background: NDArray[Any]) -> str:
-    """SHA-256 of an untouched image's pixels: how a calibration knows its own."""
+    """SHA-256 of the pixels of a background image, by which a calibration recognizes its own."""
     return pixels_digest(np.asarray(background, dtype="<f4"))
 
 
 def compared(
     image: NDArray[np.float32], untouched: NDArray[np.float32]
 ) -> tuple[Exposure, tuple[Finding, ...]]:
-    """Exposure and findings of an image against the untouched one, both as `block_means` gives them."""
+    """Exposure and findings of an image compared with the background image, both from `block_means`."""
     exposure = exposure_from_blocks(image, untouched)
     correlation = _correlation(image, untouched, exposure.gain)
     turned = (
@@ -184,9 +186,9 @@ def _correlation_reversed(image: NDArray[np.float32], untouched: NDArray[np.floa
 def _correlation(
     image: NDArray[np.float32], untouched: NDArray[np.float32], gain: NDArray[Any] | None
 ) -> float | None:
-    """Correlation over all but the `TOUCHED_FRACTION` of the blocks that changed most, channels together.
+    """Correlation over all blocks but the `TOUCHED_FRACTION` that changed most, channels together.
 
-    None where the untouched image is featureless: it can neither agree nor disagree. 0 where only the image is.
+    None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
     """
     blocks = image.size // 3
     scale = np.ones(3, dtype=np.float32) if gain is None else (1 / gain).astype(np.float32)

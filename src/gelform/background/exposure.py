@@ -1,8 +1,8 @@
-"""How much brighter a frame is than the untouched image, by channel: exposure and white balance, not touch.
+"""Gain of each channel between a frame and the background image: exposure and white balance without touch.
 
-Both images are averaged over about 1200 blocks. Exposure and white balance multiply a channel alike everywhere;
-a touch turns the gel's surface, which changes the three channels differently and from place to place. So the
-gain is where the blocks' log ratios crowd, in all three channels at once.
+Both images are averaged over about 1200 blocks. Exposure and white balance multiply a channel alike everywhere. A touch
+turns the gel's surface, which changes the three channels differently from place to place. So the gain is where
+the blocks' log ratios are densest, in all three channels at once.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.foundations.checks import check_image
+from gelform.frames import BRIGHT, DARK
 
-BLOCKS = 1200  # of an image: each averages the noise away, and is smaller than a contact
-DARK, BRIGHT = 6.0, 250.0  # grey levels, between which a block's ratio tells the gain
-HALF_WIDTHS_LOG = np.array(
-    [0.06, 0.04, 0.03, 0.02, 0.02, 0.02]
-)  # about the gain, of what counts as untouched in each round
-# Fractions of the image that agree, from which the gain is believed, and wholly.
+BLOCKS = 1200  # blocks of an image: each averages out the noise and is smaller than a contact
+# Largest distance from the gain, in logarithm, of a block that counts as at rest in each round.
+HALF_WIDTHS_LOG = np.array([0.06, 0.04, 0.03, 0.02, 0.02, 0.02])
+# Fraction of the image that agrees on the gain: above the first the gain counts in part, from the second on fully.
 MIN_SHARE, FULL_SHARE = 0.15, 0.3
 
 _means_of_bytes = Kernel(
@@ -38,20 +37,20 @@ _crowd_of_ratios = Kernel(
 
 @dataclass(frozen=True)
 class Exposure:
-    """A frame's brightness against the untouched image.
+    """A frame's brightness relative to the background image.
 
     Attributes
     ----------
     gain : (3,) float64, R, G, B, or None
-        Untouched pixels are this many times as bright as in the untouched image. None: no block can tell, because
-        each is dark or saturated in the image or in the untouched one.
+        Brightness of pixels at rest over that in the background image. None: no block counts, because each is dark or
+        saturated in the image or in the background image.
     share : float, 0-1
         Part of the image that agrees on the gain to 2 %, in all three channels.
     least_change : float
-        How far the quarter of the image that changed least is from that gain: 0.01 is one per cent of its
-        brightness. Noise and small drift for a frame of this sensor, whatever touches it; more for another.
+        Distance from that gain of the quarter of the image that changed least; 0.01 is one per cent of its brightness.
+        It is noise and small drift for a frame of this sensor, whatever touches it; it is more for another sensor.
     middle_change : float
-        The same for the half that changed least: for two untouched images.
+        The same for the half that changed least, for comparing two background images.
     """
 
     gain: NDArray[np.float64] | None
@@ -61,14 +60,14 @@ class Exposure:
 
     @property
     def is_known(self) -> bool:
-        """Whether enough of the image agrees (15 %) for the gain to be believed."""
+        """Whether enough of the image agrees (15 %) to use the gain."""
         return self.share >= MIN_SHARE
 
     @property
     def believed_gain(self) -> NDArray[np.float64]:
-        """The gain to compensate, (3,): 1 where too little of the image agrees, all of it from 30 % on.
+        """The gain to compensate, (3,): 1 if too little of the image agrees, the full gain from 30 % on.
 
-        Between the two its logarithm grows in proportion, so that no frame jumps.
+        In between its logarithm grows in proportion, so that the compensation never jumps from frame to frame.
         """
         if self.gain is None:
             return np.ones(3)
@@ -77,7 +76,7 @@ class Exposure:
 
 
 def exposure_from_image(image: ArrayLike, background: ArrayLike) -> Exposure:
-    """Gain of each channel between an image and the untouched image, from what a touch left alone.
+    """Gain of each channel between an image and the background image, from the pixels at rest.
 
     Parameters
     ----------
@@ -86,8 +85,8 @@ def exposure_from_image(image: ArrayLike, background: ArrayLike) -> Exposure:
     Returns
     -------
     Exposure
-        Only a gain is sought. A large contact does not pull it, but can leave too little to see it:
-        `is_known` is then False, and the gain is not to be used.
+        A large contact does not bias the gain, but can leave too few pixels at rest to measure it. Then
+        `is_known` is False, and the gain must not be used.
 
     Raises
     ------
@@ -104,7 +103,7 @@ def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
     height, width = image.shape[:2]
     step = max(1.0, (height * width / BLOCKS) ** 0.5)
     size = (max(1, round(width / step)), max(1, round(height / step)))
-    block = width // size[0]  # of 2x2 pixels OpenCV rounds halves up, of more to even
+    block = width // size[0]  # OpenCV rounds halves up for 2x2 pixels, to even for more
     if image.dtype == np.uint8 and (height, width) == (block * size[1], block * size[0]) and 2 < block <= 256:
         means = np.empty((size[1], size[0], 3), dtype=np.float32)
         _means_of_bytes(np.ascontiguousarray(image), block, np.empty(3 * width, dtype=np.uint16), means)
@@ -113,7 +112,7 @@ def block_means(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def exposure_from_blocks(blocks: NDArray[np.float32], untouched: NDArray[np.float32]) -> Exposure:
-    """`exposure_from_image` of images that `block_means` has averaged."""
+    """`exposure_from_image` for images averaged by `block_means`."""
     ratios = np.empty((blocks.size // 3 + 1, 3), dtype=np.float32)
     lit = _lit_ratios(blocks.reshape(-1, 3), untouched.reshape(-1, 3), DARK, BRIGHT, ratios)
     if not lit:

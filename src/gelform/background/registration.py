@@ -1,10 +1,10 @@
-"""How far an image has moved against the untouched one: whether the camera, or the gel before it, has shifted.
+"""Motion of an image relative to the background image: whether the camera, or the gel in front of it, has shifted.
 
 Where nothing touches, the logarithm of the image is that of the background, moved a little, plus light that changed
-smoothly. The motion (shift, turn, stretch) and a quadratic light are fitted together to the pixels that a touch left alone,
-from the peak of the phase correlation, coarse to fine. What texture there is decides how well the motion is known: noise in
-the background's slopes is subtracted from its information, and along a direction that is mostly noise the answer is no
-motion, with the standard deviation of not knowing.
+smoothly. The motion (shift, turn, stretch) and a quadratic light are fitted together to the pixels at rest, from the peak
+of the phase correlation, coarse to fine. The texture decides how well the motion is known. Noise in the background's
+slopes is subtracted from its information. Along a direction with mostly noise the answer is no motion, with the standard
+deviation of an unknown motion.
 
 Lucas and Kanade, An iterative image registration technique, IJCAI 1981; noisy regressors: Fuller, Measurement error models,
 1987, chapter 2; standard deviations by blocks, since residuals are correlated: Liang and Zeger, Biometrika 73, 1986.
@@ -22,28 +22,30 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.foundations.checks import check_image, check_mask
 from gelform.foundations.filters import log_levels
 
-# Standard deviations, coarse to fine; with the first a shift of about 8 px is still found.
+# Standard deviations of the blurs, px, coarse to fine; the first still finds a shift of about 8 px.
 BLURS_PX = (6.0, 3.0, 1.5, 1.5)
-PRIOR_PX = 5.0  # standard deviation of the motion at the image's corners, where nothing is known of it
-TOUCH_BLUR_PX, TOUCHED = 8.0, 0.02  # a touch changes the mean level of its surroundings by this fraction
-BLOCKS = (8, 10)  # rows and columns, whose residuals are taken for independent: larger than texture
-MIN_UNTOUCHED = 0.1  # fraction of the image: less does not tell four motions and six terms of light
-# The phase correlation that the fit starts from: of texture finer than a Gaussian, px; least peak; longest shift, px.
+PRIOR_PX = 5.0  # px, standard deviation of an unknown motion at the image's corners
+# px, and fraction by which a touch changes the mean level of its surroundings.
+TOUCH_BLUR_PX, TOUCHED = 8.0, 0.02
+# Rows and columns of blocks whose residuals count as independent; they are larger than texture.
+BLOCKS = (8, 10)
+MIN_UNTOUCHED = 0.1  # fraction of the image; less does not determine four motions and six terms of light
+# Phase correlation for the start of the fit: texture finer than this Gaussian, px; smallest peak; longest shift, px.
 FINE_PX, MIN_RESPONSE, MOST_PX = 4.0, 0.08, 12.0
-STEP = 1 / 32  # px; cv2.remap knows no finer one
+STEP = 1 / 32  # px, the finest step of cv2.remap
 
 
 @dataclass(frozen=True)
 class Registration:
-    """How an image has moved against the background.
+    """The motion of an image relative to the background.
 
     Attributes
     ----------
-    shift_px : (2,) float64, x and y: what was at p is at p + shift_px, at the image's centre
+    shift_px : (2,) float64, x and y at the image's center: a point at p has moved to p + shift_px
     shift_sigma_px : (2,) float64, one standard deviation; 5 along a direction without any texture, which means unknown
-    turn_deg, turn_sigma_deg : float, about the centre, from x towards y
-    stretch, stretch_sigma : float, how much larger the image has become, as a fraction
-    untouched : float, 0-1, fraction of the image that it was read from; 0: it is all touched, and nothing is known
+    turn_deg, turn_sigma_deg : float, about the center, from x toward y
+    stretch, stretch_sigma : float, growth of the image as a fraction
+    untouched : float, 0-1, fraction of the image at rest, which it was read from; 0: nothing is at rest, nothing is known
     """
 
     shift_px: NDArray[np.float64]
@@ -55,7 +57,7 @@ class Registration:
     untouched: float
 
     def moved_px(self, sigmas: float = 4.0) -> float:
-        """How far it has moved at least: length of the shift, shortened by so many standard deviations; 0 or more."""
+        """The smallest likely motion, px: the length of the shift, each part less so many standard deviations; >= 0."""
         size = np.abs(self.shift_px) - sigmas * self.shift_sigma_px
         return float(np.hypot(*np.maximum(size, 0)))
 
@@ -63,18 +65,18 @@ class Registration:
 def registration_from_image(
     image: ArrayLike, background: ArrayLike, touched: NDArray[np.bool_] | None = None
 ) -> Registration:
-    """Register an image against the untouched one.
+    """Register an image against the background image.
 
     Parameters
     ----------
     image, background : (H, W, 3), RGB, 0-255, of one size
-    touched : (H, W) bool, pixels to leave out, such as a result's contact; what changed over an area is left out anyway
+    touched : (H, W) bool, pixels to leave out, such as a result's contact; large changed areas are left out anyway
 
     Returns
     -------
     Registration
-        Of shifts up to about 8 px and turns up to 2 degrees. Marker dots are texture too; a contact that drags them
-        apart is seen as a stretch.
+        For shifts up to about 8 px and turns up to 2 degrees. Markers are texture too; a contact that drags them
+        apart looks like a stretch.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def registration_from_image(
 
 
 class PreparedRegistration:
-    """A background prepared for many images. Parameters as `registration_from_image`."""
+    """A background prepared for many images; its arguments are those of `registration_from_image`."""
 
     def __init__(self, background: NDArray[Any]) -> None:
         self._logs = log_levels(background)
@@ -115,12 +117,12 @@ class PreparedRegistration:
                 return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, 0.0)
             change, covariance = self._fit(logs, motion, blur, used)
             motion = motion + change
-            if np.abs(motion).max() > 2 * MOST_PX:  # it ran away: nothing that it could hold to
+            if np.abs(motion).max() > 2 * MOST_PX:  # it diverged, because nothing holds it
                 return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, fraction)
         return _registration(motion, covariance, self._half, fraction)
 
     def _regressors(self, blur: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The blurred background, and (H*W, 10): quadratic light, then what shift, turn and stretch change."""
+        """The blurred background, and (H*W, 10): quadratic light, then its change by shift, turn and stretch."""
         logs = cv2.GaussianBlur(self._logs, (0, 0), blur)
         down, across = np.asarray(np.gradient(logs))
         u, v = self._u, self._v
@@ -129,14 +131,15 @@ class PreparedRegistration:
         return logs, np.stack([*light, *moved], axis=-1).reshape(-1, 10)
 
     def _moved_back(self, logs: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.float32]:
-        """The image where the background has its pixels: its value at p + motion(p)."""
+        """The image on the pixels of the background: its value at p + motion(p)."""
         shift_x, shift_y, turn, stretch = motion
         x = self._x + np.float32(shift_x) + np.float32(stretch) * self._u - np.float32(turn) * self._v
         y = self._y + np.float32(shift_y) + np.float32(stretch) * self._v + np.float32(turn) * self._u
-        return np.asarray(cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+        # Linear interpolation moves a quarter of a pixel exactly. OpenCV's cubic moves a ramp by up to 0.05 px too far.
+        return np.asarray(cv2.remap(logs, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
     def _untouched(self, change: NDArray[np.float32], touched: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """Pixels (H, W) whose surroundings are as bright as before, but for a common factor; no border."""
+        """Pixels (H, W) whose surroundings are as bright as before, up to a common factor; the border is excluded."""
         smooth = cv2.GaussianBlur(change, (0, 0), TOUCH_BLUR_PX)
         away = np.abs(smooth - np.median(smooth))
         used = away < max(TOUCHED, 3 * float(np.median(away)))
@@ -149,7 +152,7 @@ class PreparedRegistration:
     def _fit(
         self, logs: NDArray[np.float32], motion: NDArray[np.float64], blur: float, used: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What the motion (4,) lacks, and the covariance of the whole."""
+        """The correction of the motion (4,), and the covariance of the whole motion."""
         rest, regressors = self._levels[blur]
         now = cv2.GaussianBlur(self._moved_back(logs, motion), (0, 0), blur)
         of = used.ravel()
@@ -162,14 +165,14 @@ class PreparedRegistration:
         return _solved(moved, change, residual, noise, self._block[of])
 
     def _noise(self, variance: float, blur: float, of: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """What noise adds to the information on the motion: half of the residual is the background's own."""
+        """The part of noise in the information on the motion: half of the residual is the background's own."""
         slope = 0.5 * variance / (2 * blur**2)
         radius = float(np.sum(self._u.ravel()[of] ** 2 + self._v.ravel()[of] ** 2))
         count = np.count_nonzero(of)
         return slope * np.diag([count, count, radius, radius])
 
     def _start(self, logs: NDArray[np.float32], touched: NDArray[np.bool_] | None) -> NDArray[np.float64]:
-        """A shift to start from: the peak of the phase correlation of the fine texture, 0 where there is none."""
+        """A start for the shift: the peak of the phase correlation of the fine texture, 0 without one."""
         used = self._untouched(logs - self._logs, touched).astype(np.float32)
         fine = [(part - cv2.GaussianBlur(part, (0, 0), FINE_PX)) * used for part in (self._logs, logs)]
         shift, response = cv2.phaseCorrelate(fine[0], fine[1], self._window)
@@ -187,8 +190,8 @@ def _solved(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The motion (4,) and its covariance (4, 4), along each direction by itself.
 
-    `moved` (N, 4) is what each motion changes, without what light could explain. A direction whose information is mostly
-    that of noise is unknown: no motion, and the deviation of what is supposed.
+    `moved` (N, 4) is the change by each motion, without the part that light can explain. A direction with mostly noise
+    is unknown: it gets no motion, and the prior standard deviation.
     """
     values, directions = np.linalg.eigh(moved.T @ moved)
     true = values - np.einsum("ik,ij,jk->k", directions, noise, directions)

@@ -1,4 +1,4 @@
-"""What a touch left alone, and what slope and depth are measured against there."""
+"""The pixels at rest of a frame, and their common color change and slope, which are subtracted from all pixels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gelform._native import Kernel
 from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step, medians_where
 from gelform.foundations.findings import Finding
 
-EXPOSURE_STEP_PX = 8  # of the lattice for the common change
+EXPOSURE_STEP_PX = 8  # px, lattice step for the common change
 
 _near_common = Kernel(
     "near_common",
@@ -20,15 +20,15 @@ _near_common = Kernel(
 
 
 class Reference(NamedTuple):
-    """What untouched pixels have in common.
+    """The common properties of the pixels at rest.
 
     Attributes
     ----------
-    common_change : (3,) float32, the color change of most pixels: an exposure step moves all alike and touches none
-    threshold : color changes that differ from it by less mean: not touched
-    bias : (2,) float32, median slope of the untouched pixels: colour that drifted everywhere is no slope
-    given : (H, W) bool, the untouched pixels where the threshold leaves too few: those that changed least; or None
-    findings : one, where the threshold leaves too few
+    common_change : (3,) float32, the color change of most pixels; an exposure step changes all pixels alike
+    threshold : a pixel whose color change differs from it by less is at rest
+    bias : (2,) float32, median slope of the pixels at rest; colors that drifted everywhere are no slope
+    given : (H, W) bool, the pixels that changed least, if the threshold leaves too few pixels at rest; else None
+    findings : one, if the threshold leaves too few
     """
 
     common_change: NDArray[np.float32]
@@ -44,11 +44,10 @@ def reference_from_color_change(
     threshold: float,
     hidden: NDArray[np.bool_] | None = None,
 ) -> Reference:
-    """What the untouched pixels of a frame have in common, from a lattice of some 5000 pixels.
+    """The common properties of the pixels at rest of a frame, from a lattice of some 5000 pixels.
 
-    Of a color change (H, W, 3) and the slopes (H, W, 2) that a color model read; changes smaller than the threshold mean
-    not
-    touched, and pixels that markers hide (H, W) are never untouched.
+    A pixel of the color change (H, W, 3) is at rest if it changed by less than the threshold, unless a marker hides it
+    (H, W). The gradients (H, W, 2) are from the color model.
     """
     common = medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
     height, width = gradients.shape[:2]

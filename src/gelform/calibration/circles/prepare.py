@@ -1,4 +1,4 @@
-"""Color changes of presses, prepared once: what circles are found in and color models are fitted on."""
+"""Color changes of presses, computed once, in which circles are found and on which color models are fitted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,23 +18,21 @@ from gelform.calibration.presses.press_set import Presses
 from gelform.color_models import COLOR_MODELS, PLAIN_MODEL
 from gelform.errors import CalibrationError
 from gelform.foundations.progress import Progress, no_progress
-from gelform.gradients import fill_unknown
 from gelform.markers import MarkerFinder
 
-BLUR_PX = 1.25  # at 240 rows: a camera's noise, not the gel's edges
+BLUR_PX = 1.25  # px at 240 rows; it reduces a camera's noise, not the gel's edges
 USUAL_OFFSET = COLOR_MODELS[PLAIN_MODEL].change_offset
-BLUR_REACH = 2.0  # standard deviations of the blur, beyond which a dot is not seen
 
 
 class ColorChanges:
-    """Color changes of images against one untouched image (H, W, 3), 0-255; markers are bridged."""
+    """Color changes of images from one background image (H, W, 3), 0-255; markers are bridged."""
 
     def __init__(self, background: NDArray[np.float32], settings: ChangeSettings) -> None:
         self._rest = PreparedBackground(background, settings)
         self._finder = MarkerFinder(background)
 
     def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-        """The color change (H, W, 3) of an image, and which pixels are not on markers; None where all are.
+        """The color change (H, W, 3) of an image, and the pixels off markers; None if all are.
 
         Raises
         ------
@@ -47,7 +44,7 @@ class ColorChanges:
 
 
 def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSettings:
-    """Division by the background, blurred by 1.25 px at 240 rows; known response and crosstalk undone."""
+    """Division by the background, blurred by 1.25 px at 240 rows, after removing known response curve and crosstalk."""
     blur_px = BLUR_PX * scale_of(presses.image_shape)
     return ChangeSettings("divide", offset, blur_px, presses.geometry.matrix, presses.response)
 
@@ -55,12 +52,12 @@ def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSet
 def prepare(
     presses: Presses, offset: float = USUAL_OFFSET, *, progress: Progress = no_progress
 ) -> list[PreparedPress]:
-    """The presses with their color changes, each checked against the background, to which `offset` grey levels are added.
+    """The presses with their color changes, each checked against the background, to which `offset` gray levels are added.
 
     Raises
     ------
     CalibrationError
-        The background is not of a press, which is named, or not of all together.
+        The background does not belong to a press, which is named, or not to all presses together.
     """
     changes = ColorChanges(presses.background, change_settings(presses, offset))
     prepared = []
@@ -80,9 +77,9 @@ def prepare(
 def prepared_by_offset(
     presses: Presses, prepared: list[PreparedPress], offsets: Iterable[float]
 ) -> dict[float, list[PreparedPress]]:
-    """The presses as color models want them, by the offset of the division: `prepared` and what it lacks.
+    """The presses by the offset of the division that color models need: `prepared` and the missing ones.
 
-    Where the background has pixels of 0 nothing can be divided by them: with the offset 0 they are not usable.
+    Pixels with background 0 cannot be divided with the offset 0; they are not usable then.
     """
     by_offset = {USUAL_OFFSET: prepared}
     divides = np.asarray((presses.background > 0).all(axis=-1), dtype=bool)
@@ -101,7 +98,7 @@ def prepared_by_offset(
 
 
 def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_progress) -> list[ContactCircle]:
-    """The contact circle found in each image by itself."""
+    """The contact circle of each image by itself."""
     found = []
     for done, press in enumerate(prepared):
         found.append(find_contact(press.color_change))
@@ -112,23 +109,12 @@ def find_contacts(prepared: list[PreparedPress], *, progress: Progress = no_prog
 def change_without_markers(
     image: NDArray[Any], rest: PreparedBackground, exposure: Exposure | None, finder: MarkerFinder
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-    """The color change (H, W, 3) of an image, smooth across the dots, and which pixels are on no dot of either image.
+    """The color change (H, W, 3) of an image, smooth across markers, and the pixels on no marker of either image.
 
-    The second is None on a gel without markers. `exposure` is what `rest.compare(image)` found, compensated, or None.
+    The second is None on a gel without markers. `exposure` is the one from `rest.compare(image)`, to be compensated, or
+    None.
     """
     if not len(finder.untouched):
         return rest.change(image, exposure), None
-    settings = rest.settings
-    usable = ~_grown(finder.untouched.mask | finder(image).mask, BLUR_REACH * max(settings.blur_px, 0.5))
-    sharp = PreparedBackground(rest.background, replace(settings, blur_px=0.0))
-    change = fill_unknown(sharp.change(image, exposure), usable)
-    if settings.blur_px > 0:
-        cv2.GaussianBlur(change, (0, 0), settings.blur_px, dst=change, borderType=cv2.BORDER_REFLECT_101)
-    return change, usable
-
-
-def _grown(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.bool_]:
-    size = 2 * int(np.ceil(reach_px)) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    grown: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), kernel).view(np.bool_)
-    return grown
+    hidden = finder.untouched.mask | finder(image).mask
+    return rest.change(rest.bridged(image, hidden), exposure), ~hidden
