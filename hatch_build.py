@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import runpy
 import shlex
 import shutil
@@ -23,6 +24,11 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).resolve().parent
 ZIG = "ziglang==0.17.1"  # one version: everyone gets the same bits
+ZIG_RUNS_ON = {  # what its package has wheels for
+    "linux": {"x86_64", "i686", "aarch64", "armv7l", "ppc64le", "s390x", "riscv64"},
+    "darwin": {"x86_64", "arm64"},
+    "win32": {"amd64", "arm64", "x86"},
+}
 FLAGS = (
     "-std=c11 -O3 -g0 -Wall -Wextra -fPIC -shared -fvisibility=hidden"
     " -ffp-contract=off -fno-math-errno -fno-trapping-math"
@@ -50,13 +56,16 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
     sources = sorted(str(path) for path in (ROOT / "native").rglob("*.c"))
     isas = list(FLAGS_OF) if machine in ("x86_64", "amd64") else ["base"]
     built = [folder / f"kernels_{isa}{suffix}" for isa in isas]
-    counted = runpy.run_path(str(ROOT / "src/gelform/_native/sources.py"))["digest_of_sources"](
-        ROOT / "native"
+    count = runpy.run_path(str(ROOT / "src/gelform/_native/sources.py"))
+    of_sources, of_version = (
+        count["digest_of_sources"](ROOT / "native"),
+        count["digest_of_version"](version()),
     )
 
     def compile_one(isa: str, library: Path) -> None:
         own = shlex.split(os.environ.get("CC", ""))[1:]
-        flags = [*FLAGS.split(), *FLAGS_OF[isa].split(), f"-DSOURCES_DIGEST={counted}u", *own]
+        made_from = [f"-DSOURCES_DIGEST={of_sources}u", f"-DVERSION_DIGEST={of_version}u"]
+        flags = [*FLAGS.split(), *FLAGS_OF[isa].split(), *made_from, *own]
         # A running process may have the old library open: written beside it, then moved. What else the compiler writes for
         # Windows, symbols for a debugger and an import library, goes with the folder.
         with tempfile.TemporaryDirectory(dir=folder) as beside:
@@ -67,6 +76,14 @@ def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
     with ThreadPoolExecutor() as pool:
         list(pool.map(compile_one, isas, built))
     return built
+
+
+def version() -> str:
+    """The one place of the version, which pyproject.toml reads too."""
+    found = re.search(r'^__version__ = "(.+)"$', (ROOT / "src/gelform/__init__.py").read_text("utf-8"), re.M)
+    if found is None:
+        raise SystemExit('Expected a line __version__ = "..." in src/gelform/__init__.py.')
+    return found[1]
 
 
 def compiler(target: str) -> list[str]:
@@ -107,8 +124,15 @@ class KernelHook(BuildHookInterface):
     """Hatchling calls this for wheels, editable ones included."""
 
     def dependencies(self) -> list[str]:
-        """What pip installs for the time of the build."""
-        return [] if "CC" in os.environ else [ZIG]
+        """What pip installs for the time of the build; a sentence where there is no such package."""
+        if "CC" in os.environ:
+            return []
+        if platform.machine().lower() not in ZIG_RUNS_ON.get(sys.platform, ()):
+            here = f"{sys.platform} {platform.machine()}"
+            raise SystemExit(
+                f"gelform compiles its C kernels, and zig has no package for {here}: set CC to a C compiler, such as CC=cc."
+            )
+        return [ZIG]
 
     def initialize(self, version: str, build_data: dict) -> None:
         """Compile, and name the wheel: one for each platform, for all Pythons."""

@@ -1,4 +1,4 @@
-// Which of the builds of this library may run here, and which sources it was made from.
+// Which of the builds of this library may run here, and which sources and version it was made from.
 #include "common.h"
 
 #if defined(__x86_64__) || defined(_M_X64)
@@ -27,6 +27,10 @@ EXPORT int cpu_level(void) { return level(); }
 #ifndef SOURCES_DIGEST
 #define SOURCES_DIGEST 0
 #endif
+#ifndef VERSION_DIGEST
+#define VERSION_DIGEST 0
+#endif
 
-// As hatch_build.py counted it when it compiled; see src/gelform/_native/sources.py.
+// As hatch_build.py counted them when it compiled; see src/gelform/_native/sources.py.
 EXPORT int sources_digest(void) { return (int)SOURCES_DIGEST; }
+EXPORT int version_digest(void) { return (int)VERSION_DIGEST; }

@@ -1,13 +1,13 @@
 // How far the pixels of a coarse map are from those that are chosen.
 #include "../common.h"
 
-// Of a step to a neighbour along a row or column and across a corner, which make a distance nearly Euclidean (G. Borgefors, Distance
+// Of a step to a neighbor along a row or column and across a corner, which make a distance nearly Euclidean (G. Borgefors, Distance
 // transformations in digital images, Comput. Vis. Graph. Image Process. 34, 1986), in 65536ths: OpenCV's.
 enum { ALONG = 62587, ACROSS = 89738, FAR = 1 << 30 };
 
 static inline int32_t nearer(int32_t a, int32_t b) { return a < b ? a : b; }
 
-// Distances by way of the four neighbours that come first; `back` is the number of values in a row, `ahead` the step in it.
+// Distances by way of the four neighbors that come first; `back` is the number of values in a row, `ahead` the step in it.
 static inline int32_t by_way_of(const int32_t *at, ptrdiff_t back, ptrdiff_t ahead) {
   const int32_t beside = at[-ahead] + ALONG, over = at[-back] + ALONG;
   const int32_t corner = nearer(at[-back - ahead], at[-back + ahead]) + ACROSS;

@@ -20,7 +20,7 @@ static double fullest(const float *logs, ptrdiff_t n) {
   return (first + WINDOW / 2.0) * 2 * SPAN / BINS - SPAN;
 }
 
-// Each value's distance from the centre, of its largest channel; how many are near, and the sum of those.
+// Each value's distance from the center, of its largest channel; how many are near, and the sum of those.
 static ptrdiff_t nearby(const float *logs, const double center[3], double half_width, double sums[3],
                         double *restrict distances, ptrdiff_t n) {
   ptrdiff_t inside = 0;
@@ -36,7 +36,7 @@ static ptrdiff_t nearby(const float *logs, const double center[3], double half_w
   return inside;
 }
 
-// Returns how many log ratios (n, 3) are within the last half width of the centre: each channel's fullest window first,
+// Returns how many log ratios (n, 3) are within the last half width of the center: each channel's fullest window first,
 // then round by round the mean of the values that are near in all channels.
 EXPORT int crowd_of_ratios(const float *logs, const double *half_widths, double *center, double *distances,
                            ptrdiff_t n, ptrdiff_t rounds) {
@@ -97,7 +97,7 @@ EXPORT int least_changed_sums(const float *seen, const float *untouched, const f
   return (int)count;
 }
 
-// Means over blocks of `step` x `step` pixels, in whole grey levels, half to even, as a camera's image would have them.
+// Means over blocks of `step` x `step` pixels, in whole gray levels, half to even, as a camera's image would have them.
 EXPORT int means_of_bytes(const uint8_t *image, int64_t step, uint16_t *work, float *means, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n,
                           ptrdiff_t bh, ptrdiff_t bw) {
   if (step < 1 || step > 256 || bh * step != h || bw * step != w || n != 3 * w) return WRONG_SIZE;

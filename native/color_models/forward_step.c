@@ -1,4 +1,4 @@
-// One Gauss-Newton step from slopes that were read to those whose colour was seen, by the forward response: see
+// One Gauss-Newton step from slopes that were read to those whose color was seen, by the forward response: see
 // color_models/forward_response.py. Value, Jacobian, step, covariance and residual of PIXELS pixels in one go.
 #include "../bilinear.h"
 #include "nodes.h"

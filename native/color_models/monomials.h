@@ -1,4 +1,4 @@
-// Monomials of a colour, each from one of lower degree: (r, g, b, r r, r g, ...).
+// Monomials of a color, each from one of lower degree: (r, g, b, r r, r g, ...).
 #ifndef GELFORM_MONOMIALS_H
 #define GELFORM_MONOMIALS_H
 #include "../common.h"
@@ -22,7 +22,7 @@ static inline void row_of_slopes(const float *restrict p, const float *restrict 
   }
 }
 
-// products[t], a colour channel times the product of its parent, (parent, channel); a parent of -1 is 1.
+// products[t], a color channel times the product of its parent, (parent, channel); a parent of -1 is 1.
 static inline lanes next_monomial(const int32_t *parent, const float *planes, ptrdiff_t stride, lanes *products, ptrdiff_t t) {
   const lanes channel = load_lanes(planes + parent[1] * stride);
   return products[t] = parent[0] < 0 ? channel : products[parent[0]] * channel;

@@ -55,9 +55,9 @@ static inline void variance_of_walls(const struct causes *c, struct lines *restr
     l->wall[k] = square_of(c->per_bend * larger(sqrtf(l->variance[k]) - c->bend_from, 0));
 }
 
-// Variance of slopes whose colour leaves a residual of more than half of `outlier`, in units of its covariance, to which that of
+// Variance of slopes whose color leaves a residual of more than half of `outlier`, in units of its covariance, to which that of
 // a wall's slopes is added: from `outlier` on nothing is known of the slope. Pixels that say nothing anyway have no outlier:
-// what clips, is hidden or is not lit is no colour.
+// what clips, is hidden or is not lit is no color.
 static inline void variance_of_outliers(const struct causes *c, struct lines *restrict l, const float *restrict residual,
                                         const float *restrict of_step, const bool *restrict unseen_at, int n) {
   memset(l->outlier, 0, sizeof l->outlier);

@@ -17,7 +17,7 @@ struct maps {
 
 static inline float square_of(float x) { return x * x; }
 
-// Sum of the variances of each pixel's neighbours in three rows; beyond the border the outermost pixel repeats.
+// Sum of the variances of each pixel's neighbors in three rows; beyond the border the outermost pixel repeats.
 static inline void sum_of_three_rows(const float *restrict above, const float *restrict here,
                                      const float *restrict below, float limit, float *restrict column, ptrdiff_t w) {
   for (ptrdiff_t x = 0; x < w; x++)

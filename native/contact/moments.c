@@ -1,4 +1,4 @@
-// Moments of labelled regions: what area, centroid, axes, volume and deepest point follow from.
+// Moments of labeled regions: what area, centroid, axes, volume and deepest point follow from.
 #include "../common.h"
 
 enum { COUNT, SUM_X, SUM_Y, SUM_XX, SUM_XY, SUM_YY, SUM_Z, MAX_Z, X_OF_MAX, Y_OF_MAX, MIN_X, MAX_X, MIN_Y, MAX_Y, FIGURES };

@@ -95,7 +95,7 @@ static int32_t judge_row(const struct rules *rule, const float *restrict pressur
   return flat_faces;
 }
 
-// Marks in a row of the map the pixels whose whole neighbourhood is flat, as far as it is in the frame.
+// Marks in a row of the map the pixels whose whole neighborhood is flat, as far as it is in the frame.
 static void mark_core(uint8_t *map, ptrdiff_t y, uint8_t *column, ptrdiff_t h, ptrdiff_t w) {
   const ptrdiff_t first = y < ERODED ? 0 : y - ERODED, last = y + ERODED < h ? y + ERODED : h - 1;
   memset(column, FLAT, (size_t)(w + 2 * ERODED));
@@ -137,7 +137,8 @@ static void narrow(const struct window *o, const struct rules *rule, const float
     mean_around(o, around, around + whole(w), y - o->reach, h);
     for (ptrdiff_t x = 0; x < w; x++) {
       const int32_t below = finer[at + x] + bed[at + x] <= rule->finer_half * around[x];
-      map[at + x] &= below & (around[x] > rule->finer_limit * noise[at + x]) ? (uint8_t)~HALF : 0xff;
+      const int32_t above = around[x] > rule->finer_limit * noise[at + x];
+      map[at + x] &= (below & above) ? (uint8_t)~HALF : 0xff;
     }
   }
 }
@@ -158,7 +159,7 @@ static void count_seeds(struct run *runs, int32_t count, const float *pressure, 
 // pressure is of a wide one, or NULL.
 EXPORT int contact_regions(const float *pressure, const float *bed, const float *noise, const float *finer, bool *contact,
                            float *work, int64_t reach, float limit, float least_of_bed, float flat, float of_flat, float half,
-                           float finer_half, float finer_limit, float seed, float min_px, float min_seeds, ptrdiff_t h,
+                           float finer_half, float finer_limit, float seed, float min_px, ptrdiff_t h,
                            ptrdiff_t w, ptrdiff_t n) {
   const struct rules rule = {limit, least_of_bed, flat, of_flat, half, finer_half, finer_limit};
   if (reach < 1 || reach > MAX_REACH || n < window_work(reach, w) + 2 * whole(w) + runs_work(h, w)) return WRONG_SIZE;
@@ -181,7 +182,7 @@ EXPORT int contact_regions(const float *pressure, const float *bed, const float 
   memset(contact, 0, (size_t)(h * w));
   for (int32_t k = 0; k < count; k++) {
     const struct run *first = runs + first_of(runs, k);
-    if ((float)first->area >= min_px && (float)first->seeds >= min_seeds)
+    if ((float)first->area >= min_px && first->seeds > 0)
       memset(contact + runs[k].y * w + runs[k].from, 1, (size_t)(runs[k].to - runs[k].from));
   }
   return OK;

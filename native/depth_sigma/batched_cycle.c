@@ -3,7 +3,7 @@
 
 static const float JACOBI = 0.8f, REST = 1.0f - 0.8f;
 
-// A share of the right side, and coupling times guess of all neighbours.
+// A share of the right side, and coupling times guess of all neighbors.
 static inline lanes tied(const struct batch_level *b, const struct level *l, bool diagonals, ptrdiff_t i, ptrdiff_t j, float share) {
   const ptrdiff_t at = i * l->stride + j, up = at - l->stride, s = b->stride;
   const lanes *g = lanes_at(b->guess, b, i, j);

@@ -25,7 +25,7 @@ static inline void store(float *depth, lanes x, size_t bytes) {
   else memcpy(depth, &x, bytes);
 }
 
-// Move what flows over the edge that leaves block (i, j), counted from 0, along `axis`, from one pixel to its neighbour. An
+// Move what flows over the edge that leaves block (i, j), counted from 0, along `axis`, from one pixel to its neighbor. An
 // edge that a column or row put in cuts is two of twice the coupling.
 static inline void add_flux(const struct errors *e, struct batch_level *l, const float *coupling, float scale, ptrdiff_t stride,
                             ptrdiff_t i, ptrdiff_t j, int axis, ptrdiff_t first, size_t bytes) {

@@ -21,7 +21,7 @@ static void blur_along(float *row, const float *taps, ptrdiff_t radius, float *r
     for (ptrdiff_t j = 0; j < w; j++) out[j] += taps[k] * (row[j - k] + row[j + k]);
 }
 
-// Mean square over the n probes of each block, averaged over neighbours inside the mask with the taps of a blur.
+// Mean square over the n probes of each block, averaged over neighbors inside the mask with the taps of a blur.
 EXPORT int variance_of_depths(const float *depths, const bool *mask, const float *taps, float *work, float *variance, ptrdiff_t h,
                               ptrdiff_t w, ptrdiff_t n, ptrdiff_t t, ptrdiff_t m) {
   const ptrdiff_t radius = t - 1;

@@ -42,7 +42,7 @@ static void interpolate(const float *coarse, float *values, ptrdiff_t i, ptrdiff
   }
 }
 
-// A pixel becomes the mean of its neighbours, of those that the frame has.
+// A pixel becomes the mean of its neighbors, of those that the frame has.
 static void relax(float *values, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h, ptrdiff_t w, ptrdiff_t c) {
   const float neighbours = (float)((i > 0) + (i < h - 1) + (j > 0) + (j < w - 1));
   if (neighbours == 0) return;

@@ -6,7 +6,7 @@ enum { BLOCK = 16, WIDE = 3 * BLOCK };  // pixels; bytes across a block
 enum { STRIP = 4 * WIDE };             // as wide as vectors like it
 enum { STEP = 4, SEEN = BLOCK / STEP * BLOCK };  // every fourth row of a block tells a constant from noise
 enum { WORDS = 16, PIECE = 64 };  // of a row are digested; bytes compared at a time
-enum { MOST = 16 };                // grey levels that a byte adds to a jump: a seam is wide, not high
+enum { MOST = 16 };                // gray levels that a byte adds to a jump: a seam is wide, not high
 
 struct spread {
   uint8_t low[STRIP], high[STRIP];

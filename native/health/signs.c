@@ -15,7 +15,7 @@ static int32_t repeated(const int64_t *restrict digests, int32_t *restrict place
   return count;
 }
 
-// Signs: how many blocks hold one colour; how many of their channels lie at an end of the range; how many rows repeat another; whether
+// Signs: how many blocks hold one color; how many of their channels lie at an end of the range; how many rows repeat another; whether
 // a row jumps by more than `jump`.
 EXPORT int health_signs(const uint8_t *means, const uint8_t *ranges, const int64_t *digests, const float *jumps,
                         const uint8_t *dark_to, const uint8_t *saturated_from, int32_t *work, int32_t *signs, int32_t flat, float jump,

@@ -1,7 +1,7 @@
 // Light of near point lights on a surface; see simulate/light.py for the formula.
 #include "../common.h"
 
-enum { BLOCK = 256, OF_LED = 10 };  // pixels at once; numbers of an LED: place, colour, axis, power of the beam
+enum { BLOCK = 256, OF_LED = 10 };  // pixels at once; numbers of an LED: place, color, axis, power of the beam
 
 struct columns {
   float x[BLOCK], z[BLOCK], p[BLOCK], q[BLOCK], cosine[BLOCK];  // the surface; cosine of its tilt

@@ -53,7 +53,7 @@ EXPORT struct membrane *membrane_new(ptrdiff_t h, ptrdiff_t w) {
   return m;
 }
 
-// No force across the border: the ghosts are as their neighbours.
+// No force across the border: the ghosts are as their neighbors.
 static void mirror(double *u, ptrdiff_t h, ptrdiff_t w) {
   const ptrdiff_t pitch = w + 2;
   memcpy(u, u + pitch, (size_t)pitch * sizeof *u);
@@ -104,7 +104,7 @@ static void restrict_to(const struct level *coarse, const struct level *l) {
     }
 }
 
-// The coarse correction, bilinear between coarse centres, to what moves.
+// The coarse correction, bilinear between coarse centers, to what moves.
 static void correct(const struct level *l, const struct level *coarse) {
   mirror(coarse->u, coarse->h, coarse->w);
   const ptrdiff_t pitch = coarse->w + 2;

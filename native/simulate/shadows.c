@@ -48,7 +48,7 @@ static float seen_from(const float *depth, ptrdiff_t i, ptrdiff_t j, const doubl
 }
 
 // First and last row and column of what can hide a light; false: nothing. A ray that leaves the surface upwards is only
-// stopped behind a cell, between four samples, where the surface rises faster than the ray, towards the light: as fast as
+// stopped behind a cell, between four samples, where the surface rises faster than the ray, toward the light: as fast as
 // its steepest edges at most, and a little more, because not all rays through a cell are parallel.
 static bool can_hide(const float *depth, const double *led, float reach, float top, float sharpest, ptrdiff_t *box,
                      ptrdiff_t h, ptrdiff_t w) {

@@ -170,7 +170,7 @@ static bool is_smooth(ptrdiff_t n) {
   return n == 1;
 }
 
-// DCT-II of each row in place, not normalised, or its inverse; `w` is even, and half of it has no prime above MOST_ODD.
+// DCT-II of each row in place, not normalized, or its inverse; `w` is even, and half of it has no prime above MOST_ODD.
 EXPORT int cosine_rows(float *rows, const float *turns, const float *twists, float *work, int32_t back, ptrdiff_t h, ptrdiff_t stride,
                        ptrdiff_t half, ptrdiff_t knots, ptrdiff_t n) {
   const struct fourier f = {turns, half};

@@ -2,7 +2,7 @@
 // Rows of work arrays may be longer than the frame's: `stride` of them, of which `w` count.
 #include "../common.h"
 
-// Inner pixels of a row: neighbours' slopes along it, and across from the rows above and below. p and q alternate: every other
+// Inner pixels of a row: neighbors' slopes along it, and across from the rows above and below. p and q alternate: every other
 // value that is worked out is of no use, which is quicker than to part them first.
 static void inner_pixels(const float *here, const float *above, const float *below, float sx, float sa, float sb, float *restrict right,
                          ptrdiff_t w) {

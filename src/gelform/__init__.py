@@ -1,4 +1,4 @@
-"""gelform: depth in millimetres from the image of an RGB visual-tactile sensor.
+"""gelform: depth in millimeters from the image of an RGB visual-tactile sensor.
 
     frame -> image -> color change -> gradients (by way of normals) -> depth
 
@@ -15,7 +15,7 @@ __version__ = "0.2.0.dev0"
 
 _listed, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-MOVED = {  # public until 0.1, and the modules that have them: these aliases end with 0.3
+MOVED = {  # public names up to 0.1 and their present modules; these aliases end with 0.3
     "Source": "sensors.source",
     "Lens": "view",
     "frame_from_image": "view",
@@ -39,7 +39,7 @@ MOVED = {  # public until 0.1, and the modules that have them: these aliases end
 
 
 def __getattr__(name: str) -> Any:
-    """A listed name, or with a warning one that has moved."""
+    """Return a listed name; return a moved name with a warning."""
     if name not in MOVED:
         return _listed(name)
     module = f"gelform.{MOVED[name]}"

@@ -21,7 +21,7 @@ CTYPES = {
     "i64": "int64_t",
     "bool": "bool",
 }
-NOT_KERNELS = {"cpu_level", "sources_digest", "finite_f32"} | {
+NOT_KERNELS = {"cpu_level", "sources_digest", "version_digest", "finite_f32"} | {
     "multigrid_plane"
 }  # called by the door itself; by a test
 

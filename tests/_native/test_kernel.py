@@ -1,4 +1,4 @@
-"""The door: what does not fit a kernel's declaration never reaches C."""
+"""The check at the kernels' entry: arguments that do not fit a kernel's declaration never reach C."""
 
 import gc
 

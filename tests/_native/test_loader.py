@@ -1,4 +1,4 @@
-"""Which library is loaded, and what is said where there is none."""
+"""The choice of the library, and the error if there is none."""
 
 import platform
 from pathlib import Path
@@ -49,13 +49,18 @@ def test_an_unknown_set_is_refused(anew):
         library(instruction_set())
 
 
-def test_a_missing_library_and_one_for_another_platform_say_what_to_do(anew, tmp_path):
+@pytest.mark.parametrize(
+    ("sources", "remedy"),
+    [(Path("native"), r"python hatch_build\.py"), (None, "pip install --force-reinstall --no-deps gelform")],
+)
+def test_a_missing_library_and_one_for_another_platform_say_what_to_do(anew, tmp_path, sources, remedy):
     anew.setattr("gelform._native.loader._FOLDER", tmp_path)
-    with pytest.raises(GelformError, match=r"missing .*python hatch_build\.py"):
+    anew.setattr("gelform._native.loader.native_folder", lambda: sources)
+    with pytest.raises(GelformError, match=f"are missing .*{remedy}$"):
         library("base")
     anew.setattr("gelform._native.loader._SUFFIX", ".so")
     (tmp_path / "kernels_base.so").write_bytes(b"MZ of some other system")
-    with pytest.raises(GelformError, match=r"do not load on .*pip install"):
+    with pytest.raises(GelformError, match=f"do not load on .*{remedy}$"):
         library("base")
 
 

@@ -1,4 +1,4 @@
-"""A whole frame, from image to depth and its sigma, to the last bit the same on every instruction set."""
+"""A whole frame, from image to depth and its sigma, gives the same bits on every instruction set."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ static void guess_row(const struct level *l, ptrdiff_t i, float *restrict guess)
   for (ptrdiff_t j = 1; j <= l->width; j++) guess[j] = JACOBI * inverse[j] * right[j];
 }
 
-// `share` of the right side, and coupling times guess of all neighbours.
+// `share` of the right side, and coupling times guess of all neighbors.
 static inline void tied_row(const struct level *l, ptrdiff_t i, bool diagonals, const struct ring *g, float share, float *restrict out) {
   const float *restrict right = row(l->right, l, i), *restrict e = row(l->east, l, i), *restrict s = row(l->south, l, i);
   const float *restrict here = g->here, *restrict above = g->above, *restrict below = g->below, *restrict s_up = s - l->stride;

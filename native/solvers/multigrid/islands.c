@@ -31,7 +31,7 @@ static float share_of(const struct search *s, ptrdiff_t place) {
 
 static bool is_new(const struct search *s, ptrdiff_t place) { return share_of(s, place) == 0; }
 
-// The four neighbours of a pixel, and its couplings to them.
+// The four neighbors of a pixel, and its couplings to them.
 struct around {
   ptrdiff_t place[4];
   float tie[4];

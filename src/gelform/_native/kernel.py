@@ -49,7 +49,7 @@ _WRITTEN = re.compile(r"(out |finite )?(\w+)(\[[\w.,]*\]|\*|)(\??) (\w+)")
 class Parameter:
     """One parameter of a kernel.
 
-    `axes` are the names or lengths of an array's axes, None for what is no array.
+    `axes` are the names or lengths of an array's axes; None for other parameters.
     """
 
     name: str
@@ -60,23 +60,23 @@ class Parameter:
 
     @property
     def is_handle(self) -> bool:
-        """It is memory that C owns."""
+        """Whether it is memory that C owns."""
         return self.axes is None and self.kind not in NUMBERS
 
     @property
     def ctype(self) -> Any:
-        """What ctypes converts it to."""
+        """The type that ctypes converts it to."""
         return NUMBERS[self.kind] if self.axes is None and not self.is_handle else ctypes.c_void_p
 
     @property
     def plain_dtype(self) -> Any:
-        """The dtype of arrays that need no closer look where they are writeable and in C order; None: all need one."""
+        """The dtype of arrays that need no further check if they are writeable and in C order; None: all need one."""
         return DTYPES.get(self.kind) if self.axes is not None and self.role != "finite" else None
 
     def pointer(self, array: Any) -> Any:
-        """An array as C takes it: of the declared dtype, in C order.
+        """An array in C's form: of the declared dtype, in C order.
 
-        TypeError, ValueError: it is not, or it holds NaN where that was to be checked.
+        TypeError, ValueError: the array has another form, or contains NaN where the declaration says finite.
         """
         if array is None and self.optional:
             return None
@@ -131,7 +131,7 @@ def sizes_of(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
 
 
 def is_finite(array: np.ndarray) -> bool:
-    """No NaN and no infinity; float32 in C order is read at the speed of memory."""
+    """Whether there is no NaN and no infinity; float32 in C order is read at the speed of memory."""
     if array.dtype != np.float32 or not array.flags.c_contiguous:
         return bool(np.isfinite(array).all())
     function = library(instruction_set()).finite_f32
@@ -139,12 +139,12 @@ def is_finite(array: np.ndarray) -> bool:
 
 
 _byref, _from_buffer = ctypes.byref, ctypes.c_char.from_buffer  # four times as fast as array.ctypes.data
-_NO_MEMORY, _WRONG_SIZE = -1, -2  # of native/common.h; what is 0 or more is for the caller
-_SHAPES_REMEMBERED = 64  # by each kernel
+_NO_MEMORY, _WRONG_SIZE = -1, -2  # of native/common.h; callers interpret values from 0 up
+_SHAPES_REMEMBERED = 64  # argument shapes remembered per kernel
 
 
 class Kernel:
-    """A C function behind a check of its arguments. Calling it releases the interpreter's lock."""
+    """A C function behind a check of its arguments. A call releases the interpreter's lock."""
 
     def __init__(self, name: str, declaration: str, isa: str | None = None) -> None:
         self.name = name
@@ -158,11 +158,11 @@ class Kernel:
         self._function: Any = None
 
     def on(self, isa: str) -> Kernel:
-        """The same kernel compiled for another instruction set: for tests that compare them."""
+        """The same kernel compiled for another instruction set, for tests that compare them."""
         return Kernel(self.name, self.declaration, isa)
 
     def __call__(self, *arguments: Any) -> int:
-        """Call it; what C returned.
+        """Call the kernel; return C's value.
 
         Raises
         ------
@@ -183,7 +183,7 @@ class Kernel:
                     if array.dtype is not dtype:
                         raise TypeError
                     values[place] = _byref(_from_buffer(array))
-                except (AttributeError, TypeError, ValueError):  # not what most arrays are: looked at closely
+                except (AttributeError, TypeError, ValueError):  # unusual arrays: check them closely
                     values[place] = parameter.pointer(array)
                 seen.append(None if array is None else array.shape)
             shapes = tuple(seen)
@@ -198,7 +198,7 @@ class Kernel:
         return status
 
     def _match(self, shapes: tuple[tuple[int, ...] | None, ...]) -> tuple[int, ...]:
-        """The sizes that C gets, remembered for the shapes that were seen."""
+        """The sizes for C, remembered for earlier shapes."""
         sizes: dict[str, int] = {}
         for (_, parameter, _), shape in zip(self._arrays, shapes):
             parameter.match_axes(shape, sizes)
@@ -216,9 +216,9 @@ class Kernel:
 
 
 class Handle:
-    """Memory that C owns: made by `<name>_new(sizes...)`, freed by `<name>_free` when Python lets go of it.
+    """Memory that C owns: made by `<name>_new(sizes...)`, freed by `<name>_free` when Python deletes the handle.
 
-    One thread at a time may use it.
+    Only one thread at a time may use it.
     """
 
     def __init__(self, name: str, *sizes: int) -> None:

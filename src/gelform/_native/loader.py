@@ -9,10 +9,16 @@ from ctypes import CDLL
 from functools import cache
 from pathlib import Path
 
-from gelform._native.sources import digest_of_library, digest_of_sources, native_folder
+from gelform._native.sources import (
+    digest_of_library,
+    digest_of_sources,
+    digest_of_version,
+    is_cut_off,
+    native_folder,
+)
 from gelform.errors import GelformError
 
-# Name -> the level of the processor that it needs, as `cpu_level` in native/cpu.c counts.
+# Name -> required level of the processor, as `cpu_level` in native/cpu.c counts.
 ISAS = {"base": 1, "v3": 3, "v4": 4}
 _FOLDER = Path(__file__).parent
 _SUFFIX = ".dll" if sys.platform == "win32" else ".so"
@@ -25,8 +31,8 @@ def library(isa: str) -> CDLL:
     Raises
     ------
     GelformError
-        The file is missing, made for another platform or from other C sources than those beside it, or the processor lacks
-        the instructions; says what to do.
+        The file is missing or cut off; made for another platform, another version, or from C sources other than
+        the present ones; or the processor lacks the instructions. The message says what to do.
     """
     if isa not in ISAS:
         raise ValueError(f"Expected GELFORM_ISA to be one of {', '.join(ISAS)}, got {isa!r}.")
@@ -35,35 +41,50 @@ def library(isa: str) -> CDLL:
     path = _FOLDER / f"kernels_{isa}{_SUFFIX}"
     here = f"{sys.platform} {platform.machine()}"
     if not path.exists():
-        raise GelformError(
-            f"gelform's compiled kernels for {here} are missing ({path}). "
-            "Install gelform with pip, which compiles them; in a checkout run: python hatch_build.py"
-        )
+        raise GelformError(f"gelform's compiled kernels for {here} are missing ({path}). {_remedy()}")
     try:
+        if is_cut_off(path):
+            raise GelformError(f"The end of gelform's compiled kernels is missing ({path}). {_remedy()}")
         kernels = CDLL(str(path))
     except OSError as error:
         raise GelformError(
-            f"gelform's compiled kernels do not load on {here} ({error}). "
-            "Install gelform on this machine itself: pip install --force-reinstall --no-binary gelform gelform"
+            f"gelform's compiled kernels do not load on {here} ({error}). {_remedy()}"
         ) from error
-    if _expected_digest() not in (None, digest_of_library(kernels)):
+    sources = native_folder()
+    if sources is None and digest_of_library(kernels, "version") != digest_of_version(_version()):
         raise GelformError(
-            f"gelform's compiled kernels ({path}) were made from other C sources than those in {native_folder()}: "
-            "calling them could crash Python. Compile them again: python hatch_build.py"
+            f"gelform's compiled kernels ({path}) are not of gelform {_version()}, which is half installed: "
+            f"calling them could crash Python. {_remedy()}"
+        )
+    if sources is not None and digest_of_library(kernels) not in (None, _digest_of(sources)):
+        raise GelformError(
+            f"gelform's compiled kernels ({path}) were made from other C sources than those in {sources}: "
+            f"calling them could crash Python. {_remedy()}"
         )
     return kernels
 
 
+def _remedy() -> str:
+    if native_folder() is not None:
+        return "Compile them again: python hatch_build.py"
+    return "Install gelform again, on this machine itself: pip install --force-reinstall --no-deps gelform"
+
+
+def _version() -> str:
+    from gelform import __version__
+
+    return __version__
+
+
 @cache
-def _expected_digest() -> int | None:
-    """Of a checkout's C sources; None for an installed package, whose libraries came with its Python."""
-    folder = native_folder()
-    return None if folder is None else digest_of_sources(folder)
+def _digest_of(sources: Path) -> int:
+    """Digest of a checkout's C sources, which do not change while Python runs."""
+    return digest_of_sources(sources)
 
 
 @cache
 def instruction_set() -> str:
-    """The instruction set in use: the environment's GELFORM_ISA, else the best that this processor has."""
+    """The instruction set in use: GELFORM_ISA from the environment, else the best one of this processor."""
     wanted = os.environ.get("GELFORM_ISA")
     if wanted:
         return wanted

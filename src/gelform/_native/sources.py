@@ -1,12 +1,13 @@
-"""Which sources a compiled library was made from: a digest of native/, the same for the build and for whoever loads it.
+"""Which sources and which version a compiled library was made from, and whether its file is all there.
 
-`hatch_build.py` compiles the digest into each library, and `loader` compares it with that of the sources beside it, so
-that a library left over from other sources is refused: called by newer Python, it would write where it must not. Nothing
-else of gelform is imported here, because the build runs without numpy.
+`hatch_build.py` compiles two digests into each library. `loader` compares them: in a checkout that of native/, in an
+installed package, which has no C sources, that of the version. A library left over from others is refused: called by newer
+Python, it would write where it must not. Nothing else of gelform is imported here, because the build runs without numpy.
 """
 
 from __future__ import annotations
 
+import struct
 import zlib
 from ctypes import CDLL
 from pathlib import Path
@@ -27,9 +28,29 @@ def digest_of_sources(folder: Path) -> int:
     return digest
 
 
-def digest_of_library(kernels: CDLL) -> int | None:
-    """That of the sources a library was made from; None where it does not say: older ones do not."""
+def digest_of_version(version: str) -> int:
+    """CRC-32 of a version's text."""
+    return zlib.crc32(version.encode())
+
+
+def digest_of_library(kernels: CDLL, of: str = "sources") -> int | None:
+    """Digest of the `sources` or the `version` that a library was made from; None for older libraries, which lack it."""
     try:
-        return int(kernels.sources_digest() & 0xFFFFFFFF)
+        return int(getattr(kernels, f"{of}_digest")() & 0xFFFFFFFF)
     except AttributeError:
         return None
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether the end of a library is missing, as after an installation that was killed or on a full disk.
+
+    Of Linux, whose loader alone does not look: it maps such a file, and the process dies at its first missing page. A
+    library of ELF ends with its table of sections, whose place and size are in its first 64 bytes.
+    """
+    with path.open("rb") as file:
+        head = file.read(64)
+    if head[:5] != b"\x7fELF\x02" or len(head) < 64:
+        return False  # of another system or of nothing: the loader says so
+    (place,) = struct.unpack_from("<Q", head, 40)
+    size, count = struct.unpack_from("<HH", head, 58)
+    return path.stat().st_size < place + size * count

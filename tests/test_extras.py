@@ -1,0 +1,47 @@
+"""Every extra has a use (`extra_uses.py`), and without its packages the use ends with a sentence that names the extra."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from extra_uses import USES, prepared
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
+
+PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+SCRIPTS = {"docs", "mutation"}  # of the checkout, which other processes run: `.ci/extras` tries them
+HARMLESS = {"png"}  # without it Python's own zlib reads the same pixels
+IMPORTED_AS = {"rerun-sdk": "rerun", "foxglove-sdk": "foxglove", "eclipse-zenoh": "zenoh"}
+EXTRAS = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+
+
+def modules_of(extra):
+    """The modules that an extra brings, as they are imported."""
+    packages = [re.match(r"[\w.-]+", one)[0] for one in EXTRAS[extra]]
+    return {IMPORTED_AS.get(package, package.replace("-", "_")) for package in packages}
+
+
+def test_every_extra_has_a_use():
+    assert set(EXTRAS) - {"dev"} == set(USES)
+
+
+@pytest.mark.parametrize("extra", sorted(set(USES) - SCRIPTS - HARMLESS))
+def test_without_its_packages_it_is_named(extra, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    prepared(tmp_path)
+    missing = modules_of(extra)
+    for module in [*missing, *sys.modules]:
+        if module.split(".")[0] in missing:
+            monkeypatch.setitem(sys.modules, module, None)
+        elif module.startswith("gelform.torch"):
+            monkeypatch.delitem(sys.modules, module)
+    with pytest.raises((Exception, SystemExit)) as refused:
+        USES[extra]()
+    said = str(refused.value).removeprefix("gelform: error: ").strip()
+    assert "\n" not in said
+    assert f"gelform[{extra}]" in said
