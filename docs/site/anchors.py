@@ -1,4 +1,4 @@
-"""Links of a built site that lead nowhere: to a page or a file that is not there, or to no place on a page."""
+"""Links and loads of a built site that lead nowhere: to a page or a file that is not there, or to no place on a page."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+LEADING = {"a": "href", "img": "src", "source": "srcset", "script": "src", "link": "href"}
 OWN_FOLDERS = ("_static", "_sources")  # of the theme
 
 
@@ -21,8 +22,8 @@ class _Page(HTMLParser):
         """Look at one element."""
         given = {name: value for name, value in attrs if value}
         self.places |= {given[name] for name in ("id", "name") if name in given}
-        if tag == "a" and "href" in given:
-            self.links.append(given["href"])
+        if LEADING.get(tag) in given:
+            self.links.append(given[LEADING[tag]])
 
 
 def broken_links(folder: Path) -> list[str]:
@@ -40,6 +41,17 @@ def broken_links(folder: Path) -> list[str]:
             if lost or not target.exists():
                 broken.append(f"{path.relative_to(folder.resolve())}: {link}")
     return broken
+
+
+def counted(folder: Path) -> str:
+    """How many pages and links a site has, in words."""
+    pages = [_read(path) for path in _pages(folder)]
+    links = [urlsplit(link) for page in pages for link in page.links]
+    followed = [link for link in links if not (link.scheme or link.netloc)]
+    places = sum(bool(link.fragment) for link in followed)
+    hosts = {link.netloc for link in links} - {""}
+    outside = f"{len(links) - len(followed)} to other sites ({len(hosts)} hosts)"
+    return f"{len(pages)} pages, {len(followed)} links within them, {places} to a place on a page; {outside}, not followed"
 
 
 def _pages(folder: Path) -> list[Path]:

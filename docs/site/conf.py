@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.builders.html import StandaloneHTMLBuilder
 
 sys.path.insert(0, str(Path(__file__).parent))
 import gelform
@@ -25,11 +26,28 @@ html_copy_source = False
 html_theme_options = {"navigation_with_keys": True}
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+autodoc_mock_imports = ["torch"]  # some 800 MB, and nothing of it is read here
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 default_role = "literal"  # names stand in single back-ticks in docstrings
 html_math_renderer = "mathml"
-html_static_path: list[str] = []
+html_static_path = ["static"]
+StandaloneHTMLBuilder.supported_image_types.append("image/webp")  # Sphinx copies no WebP otherwise
+CHINESE = "docs/zh/"  # pages in another language than the site's
+html_css_files = ["site.css"]
+html_js_files = ["site.js"]
+html_favicon = "../../src/gelform/live/page/icon.svg"
+templates_path = ["templates"]
+html_sidebars = {
+    "**": [
+        "sidebar/brand.html",
+        "versions.html",
+        "sidebar/search.html",
+        "sidebar/scroll-start.html",
+        "sidebar/navigation.html",
+        "sidebar/scroll-end.html",
+    ]
+}
 
 
 def inline_math(self: Any, node: Any) -> None:
@@ -38,15 +56,19 @@ def inline_math(self: Any, node: Any) -> None:
 
 
 def block_math(self: Any, node: Any) -> None:
-    """A formula of its own."""
-    self.body.append(
-        f'<div class="math" style="overflow-x: auto">{tex2mathml(node.astext(), as_block=True)}</div>'
-    )
+    """A formula of its own; parts with a wide space between them may stand below each other on a small screen."""
+    parts = (tex2mathml(part, as_block=True) for part in node.astext().split(r"\qquad"))
+    self.body.append(f'<div class="math">{"".join(map(str, parts))}</div>')
 
 
 def read_source(_: Any, name: str, content: list[str]) -> None:
     """Links to a function's source file become links to its reference."""
     content[0] = linked_to_the_reference(content[0])
+
+
+def set_language(_: Any, name: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
+    """The language that a page tells browsers and readers of screens."""
+    context["language"] = "zh" if name.startswith(CHINESE) else "en"
 
 
 def setup(app: Any) -> None:
@@ -66,3 +88,4 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", read_docstring, priority=400)  # before napoleon
     app.add_html_math_renderer("mathml", (skip, None), (skip, None))
     app.connect("source-read", read_source)
+    app.connect("html-page-context", set_language)

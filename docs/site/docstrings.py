@@ -9,7 +9,8 @@ import re
 
 UNDERLINE = re.compile(r"^\s*-{3,}\s*$")
 ENTRY = re.compile(r"^(\s*)([\w*]+(?:, [\w*]+)*) : (.*)$")
-NAMED = ("Parameters", "Attributes")
+NAMED = ("Parameters", "Attributes", "Returns", "Yields")
+QUOTED_NAMES = ("Returns", "Yields")  # where napoleon takes a lone name for a type
 QUOTED = re.compile(r"(``.*?``|`[^`]*`)")
 
 
@@ -22,10 +23,17 @@ def rewrite(lines: list[str]) -> None:
             section, indent = line.strip(), line[: len(line) - len(line.lstrip())]
         entry = ENTRY.match(line)
         if entry and section in NAMED and entry.group(1) == indent:
-            done += [f"{indent}{entry.group(2)}", f"{indent}    {_plain(entry.group(3))}"]
+            name = f"``{entry.group(2)}``" if section in QUOTED_NAMES else entry.group(2)
+            done += [f"{indent}{name}", f"{indent}    {_plain(_ended(entry.group(3), following, indent))}"]
         else:
             done.append(line if UNDERLINE.match(line) else _plain(line))
     lines[:] = done
+
+
+def _ended(described: str, following: str, indent: str) -> str:
+    """A description with a full stop, where a sentence follows below it: the two stand in one paragraph."""
+    sentence = following.startswith(f"{indent}  ") and following.lstrip()[:1].isupper()
+    return f"{described}." if sentence and described[-1:] not in ".,:;(" else described
 
 
 def _plain(line: str) -> str:

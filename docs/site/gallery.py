@@ -26,8 +26,8 @@ DRAWN = (  # command, the picture it leaves, what one sees
         "Image, normals, slopes, depth in mm, profiles through the deepest point.",
     ),
     (
-        "explain spoilt.png -c cal.npz -o why",
-        "why/spoilt.png",
+        "explain spoiled.png -c cal.npz -o why",
+        "why/spoiled.png",
         "How far each pixel was trusted, and why. A highlight and a hair were drawn into the image.",
     ),
     (
@@ -82,10 +82,10 @@ def _pictures(folder: Path) -> dict[str, str]:
         np.save(Path(work, "letters.npy"), cv2.GaussianBlur(drawing, (0, 0), 3) * (0.4 / 255))  # mm
         for command in SETS:
             _run(command, work)
-        spoilt = cv2.imread(f"{work}/relief/image.png")
-        cv2.circle(spoilt, (90, 60), 9, (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.line(spoilt, (200, 40), (260, 190), (8, 8, 8), 3, cv2.LINE_AA)
-        cv2.imwrite(f"{work}/spoilt.png", spoilt)
+        spoiled = cv2.imread(f"{work}/relief/image.png")
+        cv2.circle(spoiled, (90, 60), 9, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.line(spoiled, (200, 40), (260, 190), (8, 8, 8), 3, cv2.LINE_AA)
+        cv2.imwrite(f"{work}/spoiled.png", spoiled)
         for command, _, _ in DRAWN[1:]:
             _run(command, work)
         found = {}

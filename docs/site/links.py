@@ -9,6 +9,7 @@ import gelform
 
 FUNCTION = re.compile(r"\[`(\w+)`\]\([^)]*/src/gelform/[^)]*\.py\)")
 INDEXED = ("docs/decisions", "examples")  # folders that have a page
+SHOWN = (".md", ".png", ".jpg", ".svg", ".webp", ".gif")  # files that the site has
 TARGET = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -35,7 +36,7 @@ def without_files_off_the_site(text: str, page: Path, root: Path) -> str:
             return f"[{words}]({target}/index.md)"
         if relative.parts[0] == "examples" and path.suffix == ".py":
             return f"[{words}]({target.removesuffix('.py')}.md)"
-        if relative.parts[:2] == ("src", "gelform") or path.suffix in (".md", ".png", ".jpg", ".svg"):
+        if relative.parts[:2] == ("src", "gelform") or path.suffix in SHOWN:
             return f"[{words}]({target}{anchor})"
         return words
 

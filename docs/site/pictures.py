@@ -99,7 +99,7 @@ def least_squares() -> Any:
 
 
 def calibration() -> Any:
-    """Colour change by slope at two places of a simulated sensor with near lights, beside the ideal model's."""
+    """Color change by slope at two places of a simulated sensor with near lights, beside the ideal model's."""
     rng = np.random.default_rng(0)
     sensor = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
     background = simulate_background(sensor, rng).astype(np.float32)
@@ -112,7 +112,7 @@ def calibration() -> Any:
             axis.plot(press.gradients[near, 0], change[near, k], ".", color=color, markersize=3)
         axis.set(title=title, xlabel="slope dz/dx", ylim=(-0.6, 0.6))
         axis.title.set_size(9)
-    axes[1].set_ylabel("colour change")
+    axes[1].set_ylabel("color change")
     shown(axes[0], press.image, "a press of a ball")
     return figure
 

@@ -38,3 +38,27 @@ def test_links(check, tmp_path):
 
 def test_every_page_s_links(check):
     assert [problem for page in check.PAGES for problem in check.broken_links(page)] == []
+
+
+CALLS = {
+    "`gelform info --system --json`": [],
+    "`gelform inform FILE`": ["page.md: gelform inform"],
+    "```sh\npip install . && gelform info --sistem | less\n```": ["page.md: gelform info --sistem"],
+    "```sh\ngelform calibrate presses \\\n  -o cal.npz --rapport report  # --no such thing\n```": [
+        "page.md: gelform calibrate --rapport"
+    ],
+    "`gelform calibrations lost`": ["page.md: gelform calibrations lost"],
+    "`gelform calibrations list`": [],
+    "`gelform NAME --help`": [],
+}
+
+
+@pytest.mark.parametrize("text", CALLS)
+def test_commands_and_options(check, tmp_path, text):
+    (tmp_path / "page.md").write_text(f"# Page\n\n{text}\n")
+    assert check.unknown_commands(tmp_path / "page.md", tmp_path) == CALLS[text]
+
+
+def test_every_page_and_form_names_commands_that_are_there(check):
+    pages = [*check.PAGES, *(check.ROOT / ".github").rglob("*.yml")]
+    assert [problem for page in pages for problem in check.unknown_commands(page)] == []

@@ -42,8 +42,8 @@ def test_long_sentences_on_average():
     assert prose.problems(sentence * 5) == ["19.0 words in the mean, at most 18"]
 
 
-def test_records_and_other_languages_keep_no_rules(tmp_path):
-    pages = [tmp_path / name for name in ("page.md", "CHANGELOG.md", "docs/decisions/1.md", "docs/zh/a.md")]
+def test_changes_and_other_languages_keep_no_rules(tmp_path):
+    pages = [tmp_path / name for name in ("page.md", "CHANGELOG.md", "docs/zh/a.md")]
     for page in pages:
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text("The colour.")
@@ -63,3 +63,21 @@ def test_the_table_counts_what_a_reader_sees(tmp_path):
     assert prose.table([tmp_path / "page.md"], tmp_path).splitlines()[1].split() == [
         "page.md", "3", "13.0", "34", "33.3%", "1",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("source", "suffix", "found"),
+    [
+        ('"""The colour.\n\nTwo centres.\n"""\n', ".py", [(1, "colour"), (3, "centres")]),
+        ('def f():\n    """Grey."""\n    x = 1  # the neighbours\n', ".py", [(2, "Grey"), (3, "neighbours")]),
+        ('def f(quantise):\n    """With quantise, `colour` is rounded."""\n', ".py", []),
+        ('text = "colour"\ngrey_levels = 1\n', ".py", []),
+        ("int grey;  // a grey\n", ".c", [(1, "grey")]),
+    ],
+)
+def test_source_text_has_american_spelling(source, suffix, found):
+    assert [(line, problem.split(":")[0]) for line, problem in prose.misspelled(source, suffix)] == found
+
+
+def test_all_source_text_has_american_spelling():
+    assert prose.spelling_problems(ROOT) == []
