@@ -1,18 +1,23 @@
-"""Check the English of the documents against the rules of docs/contributing/words.md.
+"""Check the English of the documents against the rules of docs/contributing/words.md, and the spelling of source text.
 
 A sentence is a sentence of a paragraph or of a list item. A cell of a table has the same limit of words, but no part
 in the mean. Code, formulas and link targets are left out; a name in back-ticks or a formula counts as one word.
+
+Docstrings and comments of Python files, and comments of C files, have American spelling; names in their code may not.
 """
 
 from __future__ import annotations
 
+import io
 import re
+import tokenize
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 LONGEST_WORDS = 30  # words of one sentence; docs/contributing/words.md
 LONGEST_MEAN_WORDS = 18  # words of a page's mean sentence; docs/contributing/words.md
-FEWEST_SENTENCES = 5  # of a page whose mean counts: a table with two lines above it has none
+FEWEST_SENTENCES = 5  # sentences of a page whose mean counts; a table with two lines above it has none
 
 BRITISH = {
     r"(?:un|dis)?colour\w*": "color",
@@ -52,7 +57,17 @@ OPENINGS = {
     r"That (?!is\b|page|file|way)\w+ \w+(?:s|ed)? .*\bis\b": "begin with a noun: no clause as the subject",
 }
 CLAUSE = re.compile(r"[;:,] what (?:is|are|was|were|has|it|they|the|a|no)\b")
-NO_RULES = ("docs/decisions/", "docs/zh/")  # records, and the pages in Chinese
+WORD = re.compile(r"[A-Za-z]+")
+SOURCES = (
+    "src",
+    "native",
+    "tests",
+    "benchmarks",
+    "examples",
+    "docs",
+    "integrations",
+)  # folders with source text
+NO_RULES = "docs/zh/"  # the pages in Chinese
 TERMS = (
     "held-out", "training zone", "contact edge", "outlier", "confidence", "inpaint", "background image",
     "marker displacement", "forward response", "starter", "sigma", "anchor", "press folder", "color change",
@@ -60,7 +75,7 @@ TERMS = (
 
 
 def problems(text: str) -> list[str]:
-    """Every break of a rule on one page, each with what to write instead.
+    """Every broken rule on one page, each with a better wording.
 
     Parameters
     ----------
@@ -101,8 +116,67 @@ def prose_problems(pages: Iterable[Path], root: Path) -> list[str]:
     ]
 
 
+def spelling_problems(root: Path) -> list[str]:
+    """Every British spelling in a docstring or comment of a source file, with the file and the line."""
+    files = [path for folder in SOURCES for path in sorted((root / folder).rglob("*.*"))]
+    return [
+        f"{path.relative_to(root).as_posix()}:{line}: {problem}"
+        for path in [*sorted(root.glob("*.py")), *files]
+        if path.suffix in (".py", ".c", ".h") and "_build" not in path.parts
+        for line, problem in misspelled(path.read_text(encoding="utf-8"), path.suffix)
+    ]
+
+
+def misspelled(source: str, suffix: str) -> list[tuple[int, str]]:
+    """(line, word and its American spelling) of a source file's docstrings and comments.
+
+    Parameters
+    ----------
+    source : text of the file
+    suffix : ".py", or that of a C file
+    """
+    if not any(map(_american, set(WORD.findall(source)))):
+        return []
+    texts, names = _python_texts(source) if suffix == ".py" else (_c_texts(source), set())
+    return [
+        (first + text[: word.start()].count("\n"), f"{word[0]}: {_american(word[0])}")
+        for first, text in texts
+        for word in WORD.finditer(re.sub(r"`[^`]*`", _blank, text))
+        if _american(word[0]) and word[0] not in names
+    ]
+
+
+@cache
+def _american(word: str) -> str:
+    """The American spelling of a British word; "" for other words."""
+    return next((instead for rule, instead in BRITISH.items() if re.fullmatch(rule, word, re.IGNORECASE)), "")
+
+
+def _python_texts(source: str) -> tuple[list[tuple[int, str]], set[str]]:
+    """(line, text) of docstrings and comments, and the names in the code."""
+    texts, names, starts_line = [], set(), True
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT or (token.type == tokenize.STRING and starts_line):
+            texts.append((token.start[0], token.string))
+        elif token.type == tokenize.NAME:
+            names.add(token.string)
+        if token.type not in (tokenize.COMMENT, tokenize.NL):
+            starts_line = token.type in (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+    return texts, names
+
+
+def _c_texts(source: str) -> list[tuple[int, str]]:
+    """(line, text) of the comments of a C file."""
+    return [(n, line.partition("//")[2]) for n, line in enumerate(source.splitlines(), 1) if "//" in line]
+
+
+def _blank(code: re.Match[str]) -> str:
+    """Only the line ends of a piece of code."""
+    return "\n" * code[0].count("\n")
+
+
 def has_rules(name: str) -> bool:
-    """Whether a page keeps the rules: not the records of what was, nor the pages in other languages than English."""
+    """Whether the rules apply to a page: not to the record of changes, nor to pages in other languages than English."""
     return name != "CHANGELOG.md" and not name.startswith(NO_RULES)
 
 
